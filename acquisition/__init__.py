@@ -1,14 +1,19 @@
 """Records joint positions and current references of industrial drives into MCAP files.
 
-The rooms, lowest first. Other rooms use only what a room's `__init__` exports; imports only run down::
+The rooms, lowest first. Other rooms use only what a room's `__init__` exports;
+imports only run down::
 
     files        atomic writing, columns of tables, meshes of a URDF, large arrays on disk
-    protocol     CANopen (CiA 301) and CiA 402 without I/O: states, objects, SDO, PDO, object dictionaries
-    robot        the description (robot.toml): joints, motors, limits, bus and drives; references and their limits
+    protocol     CANopen (CiA 301) and CiA 402 without I/O: states, objects, SDO, PDO,
+                 object dictionaries
+    robot        the description (robot.toml): joints, motors, limits, bus and drives;
+                 references and their limits
     recording    the MCAP format, frames decoded to samples at SYNC, ROS messages
-    bus          frames and times of a bus; the CANopen master: listening, requests, heartbeat, stop of all drives
+    bus          frames and times of a bus; the CANopen master: listening, requests, heartbeat,
+                 stop of all drives
     simulated    simulated drives, the plants they move, dry runs
-    session      the loop that sends: record, enable, track, stop; guards; the recorder's process with the second stop
+    session      the loop that sends: record, enable, track, stop; guards; the recorder's
+                 process with the second stop
     importing    recordings from tables, ROS 2 bags and CAN logs; export
     commands     the command line
 
@@ -23,7 +28,14 @@ from typing import TYPE_CHECKING
 from .lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .errors import BadInputError, BusFaultError, NoAnswerError, RefusedError, RobotIdimError, SdoAbortedError
+    from .errors import (
+        BadInputError,
+        BusFaultError,
+        NoAnswerError,
+        RefusedError,
+        RobotIdimError,
+        SdoAbortedError,
+    )
     from .recording import Recording, read_recording
     from .robot import Robot, load_robot
 

@@ -7,12 +7,21 @@ from typing import Any, Final, NoReturn
 
 _NO_VALUE: Final = object()
 _MAX_VALUE_LENGTH = 80  # files may contain anything
-_KEYWORDS = {"range": "position", "period": "period_s", "workers": "Work(N)", "allow-untrusted": "allow_untrusted=True"}
+_KEYWORDS = {
+    "range": "position",
+    "period": "period_s",
+    "workers": "Work(N)",
+    "allow-untrusted": "allow_untrusted=True",
+}
 
 
 def one_line(text: str) -> str:
-    """`text` without line breaks and control characters, which quoted file names and contents may have."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(text.split()))
+    """`text` without line breaks and control characters, which quoted file names
+    and contents may have.
+    """
+    return "".join(
+        c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(text.split())
+    )
 
 
 def listed(names: Sequence[str]) -> str:
@@ -30,7 +39,8 @@ class RobotIdimError(Exception):
           RefusedError     not done because it is not safe: `what`, `why`
           BusFaultError    the bus, a drive or the recorder failed
             NoAnswerError    a `node` did not answer in time
-            SdoAbortedError  a `node` refused an access to an `index`, with the abort `code` of CiA 301
+            SdoAbortedError  a `node` refused an access to an `index`, with the abort `code` of
+                             CiA 301
 
     The message is `place: key = value: text: expected ...`, without the parts not given.
 
@@ -40,8 +50,9 @@ class RobotIdimError(Exception):
         value: the value found at `key`; None if it is missing or not given.
         expected: what to write instead.
 
-    Texts not given are empty. `shown` replaces the `repr` of the value in the message, such as a hexadecimal number. As
-    a string it has keyword arguments in place of options, but for commands in backticks; `args[0]` is for the command line.
+    Texts not given are empty. `shown` replaces the `repr` of the value in the message, such as a
+    hexadecimal number. As a string it has keyword arguments in place of options, but for commands
+    in backticks; `args[0]` is for the command line.
     """
 
     def __init__(
@@ -66,7 +77,9 @@ class RobotIdimError(Exception):
     def __str__(self) -> str:
         parts = self.args[0].split("`")
         for k, part in list(enumerate(parts))[::2]:
-            parts[k] = re.sub("--([a-z][a-z-]*)", lambda x: _KEYWORDS.get(x[1], x[1].replace("-", "_")), part)
+            parts[k] = re.sub(
+                "--([a-z][a-z-]*)", lambda x: _KEYWORDS.get(x[1], x[1].replace("-", "_")), part
+            )
         return "`".join(parts)
 
 
@@ -75,7 +88,9 @@ class BadInputError(RobotIdimError):
 
 
 class NoFitError(RobotIdimError):
-    """The recordings do not determine an estimate, or no reference determines one within the limits."""
+    """The recordings do not determine an estimate, or no reference determines
+    one within the limits.
+    """
 
 
 class RefusedError(RobotIdimError):
@@ -99,7 +114,9 @@ class NoAnswerError(BusFaultError):
 
 
 class SdoAbortedError(BusFaultError):
-    """A `node` refused an access to an `index` with the abort `code` of CiA 301; `meaning` in words."""
+    """A `node` refused an access to an `index` with the abort `code` of CiA
+    301; `meaning` in words.
+    """
 
     def __init__(self, meaning: str, *, node: int, index: int, code: int, **data: Any) -> None:
         super().__init__(f"refused by the drive: {meaning} (0x{code:08X})", **data)
@@ -121,8 +138,16 @@ class Place:
         return Place(self.name, f"{self.table}.{table}".lstrip("."))
 
     def refuse(
-        self, key: str = "", value: Any = _NO_VALUE, expected: str = "", *, text: str = "", shown: str = ""
+        self,
+        key: str = "",
+        value: Any = _NO_VALUE,
+        expected: str = "",
+        *,
+        text: str = "",
+        shown: str = "",
     ) -> NoReturn:
         """Raise a `BadInputError` for a key of this place."""
         key = f"{self.table}.{key}".strip(".")
-        raise BadInputError(text, place=self.name, key=key, value=value, shown=shown, expected=expected)
+        raise BadInputError(
+            text, place=self.name, key=key, value=value, shown=shown, expected=expected
+        )

@@ -1,15 +1,18 @@
 """Identifies the base dynamic parameters of a robot from a recording.
 
-The rooms, lowest first. Other rooms use only what a room's `__init__` exports; imports only run down::
+The rooms, lowest first. Other rooms use only what a room's `__init__` exports;
+imports only run down::
 
     report       documents, their renderers, the JSON file of a fit, comparisons
     estimation   least squares, instrumental variables and their tests, on arrays
     data         a recording as signals on a uniform grid; where tasks run
-    model        inverse and direct dynamics, friction and rotors, base parameters, physical consistency (pinocchio)
+    model        inverse and direct dynamics, friction and rotors, base parameters, physical
+                 consistency (pinocchio)
     regression   settings, filters, the over-determined system W, Y, row selection; load friction
     simulation   the robot in closed loop; the recorded experiment simulated, instruments
     trust        tests of a fit
-    methods      the method on one screen (`idim`), several recordings, the verdict, documents of a fit
+    methods      the method on one screen (`idim`), several recordings, the verdict, documents
+                 of a fit
     study        robots with known parameters: simulated recordings, the demo, studies; fleets
     export       a fit as URDF, MJCF and robot.toml; a description from a URDF
     design       exciting references, the choice of friction terms
@@ -18,7 +21,8 @@ The rooms, lowest first. Other rooms use only what a room's `__init__` exports; 
     fits         what a fit in memory and a stored one have in common
     notebook     the names below: fits of arrays, and what one does with a fit
 
-The main names are imported here on first use. A fit of arrays, its report and its model for a simulator:
+The main names are imported here on first use. A fit of arrays, its report and its
+model for a simulator:
 
 >>> import identification
 >>> log = identification.simulate_recording("robot.toml", "log.mcap")
@@ -71,5 +75,6 @@ _ERRORS = ("BadInputError", "DoNotUseWarning", "NoFitError", "RobotIdimError")
 
 if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(
-        __name__, {"errors": _ERRORS, "notebook": tuple(name for name in __all__ if name not in _ERRORS)}
+        __name__,
+        {"errors": _ERRORS, "notebook": tuple(name for name in __all__ if name not in _ERRORS)},
     )

@@ -1,4 +1,6 @@
-"""The Python interface of `import identification`: fits, what one does with a fit, and the main names."""
+"""The Python interface of `import identification`: fits, what one does with a
+fit, and the main names.
+"""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -41,13 +43,17 @@ P = ParamSpec("P")
 
 
 class Fit(AnyFit, methods.Fit):
-    """Base parameters of a robot with their tests, and what can be written of them; attributes as of `methods.Fit`."""
+    """Base parameters of a robot with their tests, and what can be written of them;
+    attributes as of `methods.Fit`.
+    """
 
     file = cached_property(methods.fit_file)
     place = cached_property[str](lambda fit: fit.problem.signals.recording)
 
     def residuals(self) -> Array:
-        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`; recordings in their order."""
+        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`;
+        recordings in their order.
+        """
         return self.tau - self.tau_predicted
 
     def to_json(self, path: File) -> None:
@@ -62,12 +68,21 @@ class Fit(AnyFit, methods.Fit):
         elif path.suffix == ".html":
             from .view import draw_fit, join_pictures, write_html
 
-            write_html(path, join_pictures([draw_fit(one.problem.signals, self.on(one)) for one in self.recordings]))
+            write_html(
+                path,
+                join_pictures(
+                    [draw_fit(one.problem.signals, self.on(one)) for one in self.recordings]
+                ),
+            )
         else:
-            raise BadInputError(place=str(path), key="ending", value=path.suffix, expected=".md or .html")
+            raise BadInputError(
+                place=str(path), key="ending", value=path.suffix, expected=".md or .html"
+            )
 
     def write_rrd(self, path: File) -> None:
-        """Write trajectories and fit as a Rerun file; of several recordings one file each, numbered from 1."""
+        """Write trajectories and fit as a Rerun file; of several recordings one file
+        each, numbered from 1.
+        """
         from .view import draw_fit, write_rrd
 
         path, several = Path(path), len(self.recordings) > 1
@@ -76,12 +91,17 @@ class Fit(AnyFit, methods.Fit):
             write_rrd(own, draw_fit(one.problem.signals, self.on(one)))
 
     def consistent(self, prior: File | None = None) -> "Fit":
-        """The fit with the nearest physically possible parameters of all links, in `consistent_set`.
+        """The fit with the nearest physically possible parameters of all
+        links, in `consistent_set`.
 
-        `prior`: a robot.toml or a URDF with a-priori link parameters; default: the description of the fit.
-        Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there are no such parameters.
+        `prior`: a robot.toml or a URDF with a-priori link parameters; default: the
+            description of the fit.
+        Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there
+            are no such parameters.
         """
-        found = None if prior is None else methods.read_prior(Path(prior), self.problem.signals.robot)
+        found = (
+            None if prior is None else methods.read_prior(Path(prior), self.problem.signals.robot)
+        )
         return Fit(**vars(methods.with_consistent(self, found)))
 
     def _repr_html_(self) -> str:
@@ -96,7 +116,9 @@ def _of_user(found: methods.Fit) -> Fit:
     """The fit as users have it; called by what users call, so that the warning names their line."""
     fit = Fit(**vars(found))
     if fit.distrust:
-        warnings.warn(f"do not use {fit!r}: {'; '.join(fit.distrust)}", DoNotUseWarning, stacklevel=3)
+        warnings.warn(
+            f"do not use {fit!r}: {'; '.join(fit.distrust)}", DoNotUseWarning, stacklevel=3
+        )
     return fit
 
 
@@ -112,7 +134,10 @@ identify_ls, identify_iv = _for_users(methods.identify_ls), _for_users(methods.i
 
 
 def read_fit(path: File) -> StoredFit:
-    """The fit of a JSON file, or known values. Raises `BadInputError`: it cannot be read, or is no fit of this format."""
+    """The fit of a JSON file, or known values.
+
+    Raises `BadInputError`: it cannot be read, or is no fit of this format.
+    """
     return StoredFit(path)
 
 
@@ -125,14 +150,25 @@ def read_robot(
     speed: float | Sequence[float] | None = None,
     acceleration: float | Sequence[float] | None = None,
 ) -> Robot:
-    """A robot from a robot.toml, or from a URDF with values that it lacks; other functions take its path, too.
+    """A robot from a robot.toml, or from a URDF with values that it lacks; other
+    functions take its path, too.
 
-    `joints`: those to identify, from the base outwards (default: the longest serial chain); `bandwidth_hz` of the position
-    loops, which fits need; `position` (±), `speed`, `acceleration`: limits in rad or m, for all joints or by joint.
+    `joints`: those to identify, from the base outwards (default: the longest serial chain);
+    `bandwidth_hz` of the position loops, which fits need; `position` (±), `speed`, `acceleration`:
+    limits in rad or m, for all joints or by joint.
     Raises `BadInputError`: no such file, or a value beside a robot.toml, which has a key for it.
     """
-    limits = {"--bandwidth-hz": bandwidth_hz, "--range": position, "--speed": speed, "--acceleration": acceleration}
-    given = {option: tuple(np.atleast_1d(value).tolist()) for option, value in limits.items() if value is not None}
+    limits = {
+        "--bandwidth-hz": bandwidth_hz,
+        "--range": position,
+        "--speed": speed,
+        "--acceleration": acceleration,
+    }
+    given = {
+        option: tuple(np.atleast_1d(value).tolist())
+        for option, value in limits.items()
+        if value is not None
+    }
     return export.read_robot(Path(path), joints, given)
 
 
@@ -160,61 +196,87 @@ def fit(
     payload: str | Sequence[str | None] | None = None,
     gains: Sequence[str] = (),
 ) -> Fit:
-    """Base parameters of a robot from arrays; of several recordings from lists of arrays, one for each, and one rate or a list.
+    """Base parameters of a robot from arrays; of several recordings from lists of arrays, one for
+    each, and one rate or a list.
 
     `identify_ls` and `identify_iv` do the same for files.
 
     Parameters
     ----------
     q : (N, n) measured joint positions, rad or m, time first.
-    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain. Their
-        timing is unknown: `torque_lag_s` states the lag.
+    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no
+        drive gain. Their timing is unknown: `torque_lag_s` states the lag.
     sample_rate_hz : sample rate.
     robot : the description, or the path of a robot.toml or of a URDF.
-    q_ref : (N, n) reference positions; without them `iv` uses the measured positions, and the instruments are not
-        strictly exogenous (a warning of the fit).
-    method : `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`, least squares weighted
-        joint by joint or not.
+    q_ref : (N, n) reference positions; without them `iv` uses the measured positions, and the
+        instruments are not strictly exogenous (a warning of the fit).
+    method : `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`,
+        least squares weighted joint by joint or not.
     bandwidth_hz : of the position loops, Hz; for a URDF, which has none.
-    cutoff_hz, decimation, low_speed_percent, torque_lag_s, essential : as options of `robot-identify fit` and keys of
-        `[identification]`, in place of the rules; `cutoff_hz` 0: no filter; `torque_lag_s` `none`: no correction.
-    velocity : (N, n) speeds of the joints, rad/s or m/s, only compared with the derivative of q, which is fitted.
-    known_torque : (N, n) torques on the joints from other sources than the drives, N m or N, same sign as `tau`; the model
-        explains the sum.
-    feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded effort (which includes it);
-        the simulated controller adds it too.
-    payload : what the robot carried, as `KG@X,Y,Z`, m; with a sequence, of each recording, None for nothing.
-    gains : motors whose drive gains are identified, `("all",)` for all, from recordings with and without a payload.
+    cutoff_hz, decimation, low_speed_percent, torque_lag_s, essential : as options of
+        `robot-identify fit` and keys of `[identification]`, in place of the rules; `cutoff_hz` 0:
+        no filter; `torque_lag_s` `none`: no correction.
+    velocity : (N, n) speeds of the joints, rad/s or m/s, only compared with the derivative
+        of q, which is fitted.
+    known_torque : (N, n) torques on the joints from other sources than the drives, N m or N, same
+        sign as `tau`; the model explains the sum.
+    feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded
+        effort (which includes it); the simulated controller adds it too.
+    payload : what the robot carried, as `KG@X,Y,Z`, m; with a sequence, of each
+        recording, None for nothing.
+    gains : motors whose drive gains are identified, `("all",)` for all, from recordings with
+        and without a payload.
 
     Returns
     -------
-    Fit : `verdict`, `parameters`, `beta` (b,) in the order of `base.names`, `errors`, `status`, `warnings`; the verdict `do not
-        use` is also a `DoNotUseWarning`.
+    Fit : `verdict`, `parameters`, `beta` (b,) in the order of `base.names`, `errors`, `status`,
+        `warnings`; the verdict `do not use` is also a `DoNotUseWarning`.
 
     Raises
     ------
-    BadInputError : arrays that do not fit together, a setting out of range, a description that cannot be read, or a velocity
-        in a wrong unit or of a wrong sign.
+    BadInputError : arrays that do not fit together, a setting out of range, a description that
+        cannot be read, or a velocity in a wrong unit or of a wrong sign.
     NoFitError : too little motion.
     """
     if method not in (None, "iv", "wls", "ols"):
         raise BadInputError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
-    for key, value in (("cutoff_hz", cutoff_hz), ("decimation", decimation), ("low_speed_percent", low_speed_percent)):
+    for key, value in (
+        ("cutoff_hz", cutoff_hz),
+        ("decimation", decimation),
+        ("low_speed_percent", low_speed_percent),
+    ):
         if value is not None and not 0 <= value < float("inf"):
             raise BadInputError(key=key, value=value, expected="a number from 0")
     if isinstance(robot, Robot) and bandwidth_hz is not None:
-        raise BadInputError("has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it")
+        raise BadInputError(
+            "has no effect",
+            key="bandwidth_hz",
+            value=bandwidth_hz,
+            expected="a URDF's path with it",
+        )
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
     first = q[0] if isinstance(q, list | tuple) and q else ()
     several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
-    arrays = {"q": q, "effort": tau, "q_ref": q_ref, "velocity": velocity, "known_torque": known_torque}
-    others = {"feedforward": feedforward, "sample_rate_hz": sample_rate_hz, "payload": payload or ""}
+    arrays = {
+        "q": q,
+        "effort": tau,
+        "q_ref": q_ref,
+        "velocity": velocity,
+        "known_torque": known_torque,
+    }
+    others = {
+        "feedforward": feedforward,
+        "sample_rate_hz": sample_rate_hz,
+        "payload": payload or "",
+    }
     given: dict[str, Any] = {name: x for name, x in (arrays | others).items() if x is not None}
     count, sources = len(given["q"]) if several else 1, list[Signals]()
     for name, x in given.items():
         given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
         if len(given[name]) != count:
-            raise BadInputError(key=f"len({name})", value=len(x), expected=f"{count}, one for each of q")
+            raise BadInputError(
+                key=f"len({name})", value=len(x), expected=f"{count}, one for each of q"
+            )
     for k in range(count):
         one = {name: x[k] for name, x in given.items()}
         text, signals = one.pop("payload"), signals_from_arrays(robot=described, **one)
@@ -228,20 +290,31 @@ def fit(
         torque_lag_s=torque_lag_s,
         gains=tuple(gains) or None,
     )
-    return _of_user(methods.identify(Recordings(sources=tuple(sources)), overrides, method=method, essential=essential))
+    return _of_user(
+        methods.identify(
+            Recordings(sources=tuple(sources)), overrides, method=method, essential=essential
+        )
+    )
 
 
-fit.__annotations__ = {"return": Fit}  # `help` would write out numpy's ArrayLike, in 5000 characters
+# `help` would write out numpy's ArrayLike, in 5000 characters
+fit.__annotations__ = {"return": Fit}
 
 
-def validate(fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None) -> ValidationFile:
-    """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all rows, `joints`, `warnings`.
+def validate(
+    fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None
+) -> ValidationFile:
+    """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all
+    rows, `joints`, `warnings`.
 
-    `overrides` replace the settings of the fit. Raises `BadInputError`: the recording is of another robot.
+    `overrides` replace the settings of the fit. Raises `BadInputError`: the
+    recording is of another robot.
     """
     path = Path() if isinstance(recording, Signals) else Path(recording)
     signals = recording if isinstance(recording, Signals) else load_signals(recording)
-    signals, notes = methods.signals_as_fitted(signals, path, fit.file, "the fit", chosen=path == Path())
+    signals, notes = methods.signals_as_fitted(
+        signals, path, fit.file, "the fit", chosen=path == Path()
+    )
     settings, of_lag = methods.stored_settings(fit.file, signals, overrides or Overrides())
     each, errors = methods.validate_all([(signals, settings)], fit.file, "the fit")
     doubts = (*each[0].settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit"))
@@ -257,14 +330,18 @@ def design_reference(
     after: Sequence[File] = (),
     payload: str | None = None,
 ) -> Excitation:
-    """An exciting reference within the limits of the robot; `write` makes the CSV for `robot-acquire record --track`.
+    """An exciting reference within the limits of the robot; `write` makes the CSV for
+    `robot-acquire record --track`.
 
-    `fit`: JSON file with parameters and noise (default: `[parameters]`); `noise`: deviation of the torque per row of the fit,
-    N m or N, one or by joint; `after`: recordings whose information is added; `payload`: `KG@X,Y,Z`, m, of a second run of the
-    reference, to identify drive gains. Raises `BadInputError`: a limit is missing, or no reference is found.
+    `fit`: JSON file with parameters and noise (default: `[parameters]`); `noise`: deviation of the
+    torque per row of the fit, N m or N, one or by joint; `after`: recordings whose information is
+    added; `payload`: `KG@X,Y,Z`, m, of a second run of the reference, to identify drive gains.
+    Raises `BadInputError`: a limit is missing, or no reference is found.
     """
     described = _robot(robot)
-    place, folder = (robot.name, None) if isinstance(robot, Robot) else (str(robot), Path(robot).parent)
+    place, folder = (
+        (robot.name, None) if isinstance(robot, Robot) else (str(robot), Path(robot).parent)
+    )
     prior = design.prior_information(
         described,
         folder,
@@ -279,9 +356,11 @@ def design_reference(
 def simulate_recording(
     robot: File | Robot, out: File, settings: Study | None = None, payload: str | None = None
 ) -> Signals:
-    """Write and read a recording of the robot simulated with its `[parameters]`; `settings`: length, rate, seed, noise.
+    """Write and read a recording of the robot simulated with its `[parameters]`; `settings`:
+    length, rate, seed, noise.
 
-    `payload`: `KG@X,Y,Z`, m. Raises `BadInputError`: a value or a limit is missing, or `out` exists.
+    `payload`: `KG@X,Y,Z`, m. Raises `BadInputError`: a value or a limit is
+        missing, or `out` exists.
     """
     described = _robot(robot)
     refuse_clash((), Path(out))
@@ -290,8 +369,11 @@ def simulate_recording(
     return load_signals(out)
 
 
-def run_study(robot: File | Robot, settings: Study | None = None, work: Work | None = None) -> list[Run]:
-    """Fits of simulated recordings of the robot of `[parameters]`, by least squares and by instrumental variables.
+def run_study(
+    robot: File | Robot, settings: Study | None = None, work: Work | None = None
+) -> list[Run]:
+    """Fits of simulated recordings of the robot of `[parameters]`, by least squares and by
+    instrumental variables.
 
     `work`: where they run, as `Work(4)`. Raises `BadInputError`: a value or a limit is missing.
     """

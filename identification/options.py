@@ -1,4 +1,5 @@
-"""Options of users, each with its default, unit and help; and the functions that read and check their values.
+"""Options of users, each with its default, unit and help; and the functions that read
+and check their values.
 
 Rooms use these records, commands make options from them (`acquisition.options`). No heavy imports.
 """
@@ -21,7 +22,9 @@ Span = Literal["motion", "all"]
 def _value(
     expected: str, read: Callable[[str], Any], accepts: Callable[[Any], bool] = lambda x: True
 ) -> Callable[[str], Any]:
-    """A function that reads a value; argparse shows what was `expected` where it is not accepted."""
+    """A function that reads a value; argparse shows what was `expected`
+    where it is not accepted.
+    """
 
     def value(text: str) -> Any:
         with suppress(ValueError, ArgumentTypeError):
@@ -40,13 +43,19 @@ def _values(read: Callable[[str], Any]) -> Callable[[str], Any]:
 finite = _value("a number", float, lambda x: -INF < x < INF)
 above_zero = _value("a number above 0", float, lambda x: 0 < x < INF)
 rate = _value("a rate in Hz from 1; 0.008 s is 125 Hz", float, lambda x: 1 <= x < INF)
-not_negative = _value("a number from 0", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)  # -0 is 0
+# -0 is 0
+not_negative = _value("a number from 0", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)
 percent = _value("a percentage above 0, at most 100", float, lambda x: 0 < x <= 100)
 whole = _value("a whole number from 0", int, lambda x: x >= 0)
 positive = _value("a whole number from 1", int, lambda x: x >= 1)
-workers = _value("a whole number from 1, or tcp://HOST:PORT", lambda text: text if "://" in text else positive(text))
+workers = _value(
+    "a whole number from 1, or tcp://HOST:PORT",
+    lambda text: text if "://" in text else positive(text),
+)
 at_least_two = _value("a whole number from 2", int, lambda x: x >= 2)
-cutoff = _value("a number above 0, or none", lambda text: 0.0 if text == "none" else above_zero(text))
+cutoff = _value(
+    "a number above 0, or none", lambda text: 0.0 if text == "none" else above_zero(text)
+)
 seconds_or_none = _value("a number, or none", lambda text: text if text == "none" else finite(text))
 list_of_values = _values(above_zero)
 list_of_ratios = _values(_value("a number that is not 0", float, lambda x: 0 < abs(x) < INF))
@@ -55,15 +64,21 @@ list_of_names = _values(_value("a name", str, bool))
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """Settings of a fit, some of them options, that replace the rules; None keeps the rule, or the key of robot.toml.
+    """Settings of a fit, some of them options, that replace the rules; None keeps the rule, or
+    the key of robot.toml.
 
-    `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv, and `method` takes its own, by
-    the recording if it is None; `ramp_rows` as of `Settings`; `torque_lag_s` "none" means no correction.
+    `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv,
+    and `method` takes its own, by the recording if it is None; `ramp_rows` as of `Settings`;
+    `torque_lag_s` "none" means no correction.
     """
 
     cutoff_hz: Annotated[
         float | None,
-        option("low-pass cut-off of the position in Hz, or none (default: 5 times the bandwidth)", "F", cutoff),
+        option(
+            "low-pass cut-off of the position in Hz, or none (default: 5 times the bandwidth)",
+            "F",
+            cutoff,
+        ),
     ] = None
     decimation: int | None = None
     span: Span | None = None
@@ -74,7 +89,8 @@ class Overrides:
     torque_lag_s: Annotated[
         float | Literal["none"] | None,
         option(
-            "known delay of the recorded torque in s (positive: late), which the fit compensates, or none (default: estimated "
+            "known delay of the recorded torque in s (positive: late), which the fit compensates, "
+            "or none (default: estimated "
             "if the reference is recorded, else by effort_timing)",
             "S",
             seconds_or_none,
@@ -84,7 +100,8 @@ class Overrides:
     gains: Annotated[
         tuple[str, ...] | None,
         option(
-            "identify the drive gains of all motors, or of these, from recordings with and without a weighed payload",
+            "identify the drive gains of all motors, or of these, from recordings with and "
+            "without a weighed payload",
             "MOTOR,MOTOR",
             list_of_names,
             nargs="?",
@@ -94,18 +111,29 @@ class Overrides:
 
     def over(self, others: "Overrides") -> "Overrides":
         """These options; those that are None come from `others`."""
-        return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
+        return replace(
+            others, **{name: value for name, value in vars(self).items() if value is not None}
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellOptions:
-    """Noise of a simulated cell, none by default; of the torque in percent of each joint's rms torque."""
+    """Noise of a simulated cell, none by default; of the torque in percent of
+    each joint's rms torque.
+    """
 
     encoder_step: Annotated[float, option("encoder step, rad or m", "Q", not_negative)] = 0.0
-    position: Annotated[float, option("encoder noise, rad or m rms", "Q", not_negative, "--position-noise")] = 0.0
+    position: Annotated[
+        float, option("encoder noise, rad or m rms", "Q", not_negative, "--position-noise")
+    ] = 0.0
     effort_percent: Annotated[
         float,
-        option("white noise of the recorded torque, %% of the rms torque", "P", not_negative, "--effort-noise-percent"),
+        option(
+            "white noise of the recorded torque, %% of the rms torque",
+            "P",
+            not_negative,
+            "--effort-noise-percent",
+        ),
     ] = 0.0
     coloured_percent: Annotated[
         float,
@@ -133,8 +161,12 @@ class StudyOptions:
 class ReferenceOptions:
     """An exciting reference: a Fourier series that is repeated."""
 
-    period_s: Annotated[float, option("period of the Fourier series in s", "S", above_zero, "--period")] = 10.0
+    period_s: Annotated[
+        float, option("period of the Fourier series in s", "S", above_zero, "--period")
+    ] = 10.0
     harmonics: Annotated[int, option("number of harmonics", "H", at_least_two)] = 10
     periods: Annotated[int, option("number of repetitions", "N", positive)] = 3
     seed: Annotated[int, option("seed of the random search", "K", whole)] = 1
-    limits_percent: Annotated[float, option("percentage of each limit that may be used", "P", percent)] = 80.0
+    limits_percent: Annotated[
+        float, option("percentage of each limit that may be used", "P", percent)
+    ] = 80.0

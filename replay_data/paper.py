@@ -3,13 +3,14 @@
 # %% [markdown]
 # # Least squares and instrumental variables, on the records of the paper
 #
-# A. Janot, P.-O. Vandanjon, M. Gautier, *An instrumental variable approach for rigid industrial robots identification*, Control
-# Engineering Practice 25 (2014) 85-101. Run the cells one by one in an editor that knows `# %%`, or all of them:
+# A. Janot, P.-O. Vandanjon, M. Gautier, *An instrumental variable approach for rigid industrial
+# robots identification*, Control Engineering Practice 25 (2014) 85-101. Run the cells one by one in
+# an editor that knows `# %%`, or all of them:
 #
 #     python replay_data/paper.py [DATA_EMPS.mat]
 #
-# The recordings in this folder are simulated, so the true values are known. With the real record of the EMPS axis the last cell
-# compares with the digits that its authors published.
+# The recordings in this folder are simulated, so the true values are known. With the real record of
+# the EMPS axis the last cell compares with the digits that its authors published.
 
 # %%
 import sys
@@ -35,21 +36,25 @@ def mass(fit: idim.Fit) -> str:
 
 # %% [markdown]
 # ## Noise of the position
-# Least squares has the noise of the position in W, twice differentiated: it is biased. The instruments come from a simulated
-# robot and contain none. The true mass is 95.1089 kg.
+# Least squares has the noise of the position in W, twice differentiated: it is biased. The
+# instruments come from a simulated robot and contain none. The true mass is 95.1089 kg.
 
 # %%
 print("position noise      LS                     IV")
 for noise_m in (0.0, 5e-6, 1e-5, 2e-5):
     noise = noise_m * np.random.default_rng(0).standard_normal(emps.q.shape)
     noisy = replace(emps, q=emps.q + noise)
-    ls, iv = idim.identify_ls(noisy, idim.Overrides()), idim.identify_iv(noisy, idim.Overrides(), idim.Iteration())
+    ls, iv = (
+        idim.identify_ls(noisy, idim.Overrides()),
+        idim.identify_iv(noisy, idim.Overrides(), idim.Iteration()),
+    )
     print(f"{1e6 * noise_m:8.0f} µm   {mass(ls)}   {mass(iv)}   {iv.status}")
 
 # %% [markdown]
 # ## The filter of the position
-# The paper's rule is five times the bandwidth of the position loop, 100 Hz here. Torque and regressor go through the same
-# filters: from 5 Hz to no filter at all both estimates of this clean recording move by less than their intervals.
+# The paper's rule is five times the bandwidth of the position loop, 100 Hz here. Torque and
+# regressor go through the same filters: from 5 Hz to no filter at all both estimates of this clean
+# recording move by less than their intervals.
 
 # %%
 print("cut-off             LS                     IV")
@@ -60,8 +65,9 @@ for cutoff_hz in (5.0, 20.0, 100.0, 0.0):
 
 # %% [markdown]
 # ## The start, and the gain update
-# The passes begin with a regular inertia matrix and nothing else known. With the gain update, equation (E) of the method, the
-# simulated loop keeps the bandwidth of the real one: any start leads to the same estimate, in fewer passes.
+# The passes begin with a regular inertia matrix and nothing else known. With the gain update,
+# equation (E) of the method, the simulated loop keeps the bandwidth of the real one: any start
+# leads to the same estimate, in fewer passes.
 
 # %%
 print("start, gain update   passes   IV")
@@ -69,29 +75,40 @@ for start_kg, gain_update in ((1e-3, True), (1.0, True), (1e3, True), (1.0, Fals
     iteration = idim.Iteration(inertias=np.array([start_kg]), gain_update=gain_update)
     iv = idim.identify_iv(emps, idim.Overrides(), iteration)
     assert iv.iv is not None
-    print(f"{start_kg:8g} kg  {'on' if gain_update else 'off':>5}   {len(iv.iv.passes):6}   {mass(iv)}")
+    print(
+        f"{start_kg:8g} kg  {'on' if gain_update else 'off':>5}   {len(iv.iv.passes):6}   "
+        f"{mass(iv)}"
+    )
 
 # %% [markdown]
 # ## Six joints, 60 parameters
 
 # %%
-tx40 = idim.identify_iv(idim.load_signals(HERE / "tx40" / "session.mcap"), idim.Overrides(), idim.Iteration())
+tx40 = idim.identify_iv(
+    idim.load_signals(HERE / "tx40" / "session.mcap"), idim.Overrides(), idim.Iteration()
+)
 true = idim.read_fit(HERE / "tx40" / "truth.json")
 inside = sum(p.low <= true.parameters[k].value <= p.high for k, p in enumerate(tx40.parameters))
 assert tx40.iv is not None
-print(f"TX40: {len(tx40.beta)} parameters, {tx40.status} in {len(tx40.iv.passes)} passes; {inside} true values inside")
+print(
+    f"TX40: {len(tx40.beta)} parameters, {tx40.status} in {len(tx40.iv.passes)} passes; {inside} "
+    "true values inside"
+)
 
 # %% [markdown]
 # ## Published digits
-# LS of the real EMPS record with MATLAB's edge rules, as its authors published it: 95.1089, 203.5034, 20.3935, -3.1648,
-# 4.0834 %.
+# LS of the real EMPS record with MATLAB's edge rules, as its authors published it: 95.1089,
+# 203.5034, 20.3935, -3.1648, 4.0834 %.
 
 # %%
 if len(sys.argv) > 1:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "emps.mcap"
         import_tables(
-            [Path(sys.argv[1])], load_robot(HERE / "emps" / "robot.toml"), HERE / "emps" / "map.toml", recording
+            [Path(sys.argv[1])],
+            load_robot(HERE / "emps" / "robot.toml"),
+            HERE / "emps" / "map.toml",
+            recording,
         )
         published = load_robot(HERE / "emps" / "robot_published.toml")
         fit = idim.identify_ls(idim.load_signals(recording, published), idim.Overrides())

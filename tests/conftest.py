@@ -17,7 +17,9 @@ from identification.model import InverseModel
 
 pytest_plugins = ["slow_tests"]
 # However long this machine takes for an example.
-hypothesis.settings.register_profile("busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.register_profile(
+    "busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("busy")
 ROOT = Path(__file__).resolve().parents[1]
 REPLAY = ROOT / "replay_data"
@@ -31,16 +33,21 @@ RECORDS = {"emps": ("DATA_EMPS.mat",), "tx40": ("pos_read_data.csv", "curr_data.
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("benchmark_enable", False):
-        skip = pytest.mark.skip(reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`")
+        skip = pytest.mark.skip(
+            reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
+        )
         for item in items:
             if "benchmarks" in item.path.parts:
                 item.add_marker(skip)
 
 
 def pytest_configure() -> None:
-    """One thread for matrices, as in a fit: of two processes on two cores, the threads of each wait for the other's."""
+    """One thread for matrices, as in a fit: of two processes on two cores, the threads of
+    each wait for the other's.
+    """
     threadpool_limits(1)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of libraries loaded later, and of processes that tests start
+    # of libraries loaded later, and of processes that tests start
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(autouse=True)
@@ -61,7 +68,9 @@ def described_chi(dynamics: InverseModel) -> np.ndarray:
 def needs_data(*parts: str) -> Path:
     path = DATA.joinpath(*parts)
     if not path.exists():
-        pytest.skip(f"real recording not here: ../shared/data/{'/'.join(parts)} (see replay_data/README.md)")
+        pytest.skip(
+            f"real recording not here: ../shared/data/{'/'.join(parts)} (see replay_data/README.md)"
+        )
     return path
 
 
@@ -81,7 +90,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
 
 def imported(name: str, out: Path) -> Path:
     """The real record of a robot as a recording."""
-    import_tables([DATA / name / part for part in RECORDS[name]], robot_named(name), REPLAY / name / "map.toml", out)
+    import_tables(
+        [DATA / name / part for part in RECORDS[name]],
+        robot_named(name),
+        REPLAY / name / "map.toml",
+        out,
+    )
     return out
 
 

@@ -1,6 +1,8 @@
-"""The reference of all keys and options: tables made from the structures and parsers that read them.
+"""The reference of all keys and options: tables made from the structures and
+parsers that read them.
 
-`python tests/key_reference.py` writes identification/reference.md and acquisition/reference.md again.
+`python tests/key_reference.py` writes identification/reference.md and
+acquisition/reference.md again.
 """
 
 import argparse
@@ -30,16 +32,23 @@ ROBOT_TABLES = {
     "PayloadFile": "[payload]",
 }
 BUS_TABLES = {"BusFile": "[bus]", "DriveFile": "[[bus.drive]]", "PdoFile": "tpdo, rpdo"}
-MAP_TABLES = {"TableMap": "top level", "Time": "[time]", "Quantity": "[position], [effort] and others"}
+MAP_TABLES = {
+    "TableMap": "top level",
+    "Time": "[time]",
+    "Quantity": "[position], [effort] and others",
+}
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 
 
 def keys_of(kind: type) -> dict[str, dict[str, Any]]:
-    """By structure the keys, each with its JSON Schema and under `required` whether it must be stated."""
+    """By structure the keys, each with its JSON Schema and under `required`
+    whether it must be stated.
+    """
     _, found = to_builtins(schema_components((kind,)))
     return {
         name: {
-            key: {**schema, "required": key in table.get("required", ())} for key, schema in table["properties"].items()
+            key: {**schema, "required": key in table.get("required", ())}
+            for key, schema in table["properties"].items()
         }
         for name, table in found.items()
     }
@@ -57,7 +66,12 @@ def values_of(schema: Mapping[str, Any]) -> str:
     if schema["type"] == "array":
         items = schema.get("prefixItems")
         return f"{len(items)} numbers" if items else f"list of {values_of(schema['items'])}"
-    names = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true`, `false`"}
+    names = {
+        "number": "number",
+        "integer": "whole number",
+        "string": "text",
+        "boolean": "`true`, `false`",
+    }
     return {**names, "object": "table"}[schema["type"]]
 
 
@@ -75,12 +89,17 @@ def key_tables(kind: type, places: Mapping[str, str]) -> Iterator[str]:
     for name, place in places.items():
         yield f"\n### {place}\n\n| key | value | default | meaning |\n|---|---|---|---|"
         for key, schema in tables[name].items():
-            yield f"| `{key}` | {values_of(schema)} | {default_of(schema)} | {schema['description']} |"
+            yield (
+                f"| `{key}` | {values_of(schema)} | {default_of(schema)} | "
+                f"{schema['description']} |"
+            )
 
 
 def options_of(program: Program) -> Iterator[tuple[str, argparse.Action]]:
     """Command, action: of all commands of a program but `--help`."""
-    commands = next(action for action in program.parser(*program.commands)._actions if action.choices)
+    commands = next(
+        action for action in program.parser(*program.commands)._actions if action.choices
+    )
     assert isinstance(commands.choices, dict)
     for name, command in commands.choices.items():
         for action in command._actions:
@@ -89,7 +108,9 @@ def options_of(program: Program) -> Iterator[tuple[str, argparse.Action]]:
 
 
 def option_name(action: argparse.Action) -> str:
-    metavar = action.metavar or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
+    metavar = action.metavar or (
+        "|".join(map(str, action.choices)) if action.choices else action.dest.upper()
+    )
     value = "" if action.nargs == 0 else f" {metavar}"
     if action.nargs == "?":
         value = f" [{metavar}]"
@@ -109,7 +130,10 @@ def option_table(program: Program) -> Iterator[str]:
 
 def pages() -> dict[Path, str]:
     """Path and text of each reference."""
-    unstated = "An empty default: the key may be left out, and is then not used, unless its meaning says otherwise."
+    unstated = (
+        "An empty default: the key may be left out, and is then not used, unless its meaning "
+        "says otherwise."
+    )
     robot = ["# Reference: robot.toml, options of robot-identify", "", HEAD, ""]
     robot += ["Angles are in degrees, everything else in SI. Unknown keys are refused. " + unstated]
     robot += [
@@ -118,13 +142,26 @@ def pages() -> dict[Path, str]:
         "",
         "The table `[bus]` is in [acquisition/reference.md](../acquisition/reference.md).",
     ]
-    robot += [*key_tables(RobotFile, ROBOT_TABLES), "", "## Options of robot-identify", *option_table(IDENTIFY)]
-    bus = ["# Reference: bus keys of robot.toml, map.toml, options of robot-acquire", "", HEAD, "", unstated]
+    robot += [
+        *key_tables(RobotFile, ROBOT_TABLES),
+        "",
+        "## Options of robot-identify",
+        *option_table(IDENTIFY),
+    ]
+    bus = [
+        "# Reference: bus keys of robot.toml, map.toml, options of robot-acquire",
+        "",
+        HEAD,
+        "",
+        unstated,
+    ]
     bus += ["", "## Bus keys of robot.toml", *key_tables(BusFile, BUS_TABLES)]
     bus += ["", "## map.toml", *key_tables(TableMap, MAP_TABLES)]
     bus += ["", "## Options of robot-acquire", *option_table(ACQUIRE)]
     texts = {"identification": robot, "acquisition": bus}
-    return {ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()}
+    return {
+        ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()
+    }
 
 
 if __name__ == "__main__":

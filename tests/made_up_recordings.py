@@ -19,7 +19,9 @@ from acquisition.recording import (
 from acquisition.robot import Robot
 
 
-def some_samples(count: int, *, n: int = 2, reference: bool = True, rate_hz: float = 1000.0, first: int = 0) -> Block:
+def some_samples(
+    count: int, *, n: int = 2, reference: bool = True, rate_hz: float = 1000.0, first: int = 0
+) -> Block:
     samples = np.zeros(count, sample_dtype(n, reference=reference))
     rng = np.random.default_rng(first)
     samples["stamp_ns"] = np.rint((first + np.arange(count)) * 1e9 / rate_hz)
@@ -43,7 +45,9 @@ def header(robot: Robot, sample_rate_hz: float = 1000.0) -> Header:
     return Header(robot=robot, source="", sample_rate_hz=sample_rate_hz, effort_provenance="")
 
 
-def write(path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40, with_frames: bool = True) -> None:
+def write(
+    path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40, with_frames: bool = True
+) -> None:
     """A small recording with something of everything, in as many chunks as there are blocks."""
     with RecordingWriter(
         path,
@@ -78,7 +82,10 @@ def same(a: Recording, b: Recording) -> bool:
 
 def is_prefix(a: Recording, b: Recording) -> bool:
     """All that `a` holds stands at the beginning of what `b` holds, byte for byte."""
-    pairs = [(a.samples, b.samples), *((block, b.frames.get(name)) for name, block in a.frames.items())]
+    pairs = [
+        (a.samples, b.samples),
+        *((block, b.frames.get(name)) for name, block in a.frames.items()),
+    ]
     return (
         all(x is None or (y is not None and y.tobytes().startswith(x.tobytes())) for x, y in pairs)
         and a.events == b.events[: len(a.events)]

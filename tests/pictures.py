@@ -1,4 +1,6 @@
-"""Pictures of the READMEs, cut out of reports in Chromium. `python tests/pictures.py` writes replay_data/pictures again.
+"""Pictures of the READMEs, cut out of reports in Chromium.
+
+`python tests/pictures.py` writes replay_data/pictures again.
 
 The real record of the EMPS is not here (see replay_data/README.md); without it its picture stays.
 """
@@ -19,9 +21,14 @@ from browser import Browser, browser
 EMPS, TX40 = (REPLAY / robot / "session.mcap" for robot in ("emps", "tx40"))
 NOISE = ",".join(f"{k}e-6" for k in range(2, 21, 2))  # m rms
 MARGIN = 4  # pixels around a figure
-# Name of a picture, command, script of the element to cut out of its report, and pixels per pixel of the page.
+# Name of a picture, command, script of the element to cut out of its report, and pixels
+# per pixel of the page.
 PICTURES = {
-    "noise.png": (["sensitivity", EMPS, "--position-noise", NOISE], "return document.querySelector('.first')", 2),
+    "noise.png": (
+        ["sensitivity", EMPS, "--position-noise", NOISE],
+        "return document.querySelector('.first')",
+        2,
+    ),
     "torque.png": (["fit", TX40], "return document.querySelector('.first')", 2),
     "report.png": (
         ["fit", TX40],
@@ -30,7 +37,8 @@ PICTURES = {
     ),
     "sensitivity.png": (
         ["sensitivity", "emps.mcap"],
-        "document.querySelector('details').open = true; return document.querySelector('details section')",
+        "document.querySelector('details').open = true; return document.querySelector('details "
+        "section')",
         1,
     ),
 }
@@ -39,7 +47,8 @@ PICTURES = {
 def cut_out(window: Browser, element: str, scale: int) -> bytes:
     """The element that a script returns, as a PNG."""
     place = (
-        f"const b = (() => {{ {element} }})().getBoundingClientRect(); return [b.x, b.y + scrollY, b.width, b.height]"
+        f"const b = (() => {{ {element} }})().getBoundingClientRect(); return [b.x, b.y + "
+        "scrollY, b.width, b.height]"
     )
     x, y, width, height = window.run(place)
     clip = {
@@ -48,7 +57,9 @@ def cut_out(window: Browser, element: str, scale: int) -> bytes:
         "width": width + 2 * MARGIN,
         "height": height + 2 * MARGIN,
     }
-    found = window.cdp("Page.captureScreenshot", captureBeyondViewport=True, clip={**clip, "scale": scale})
+    found = window.cdp(
+        "Page.captureScreenshot", captureBeyondViewport=True, clip={**clip, "scale": scale}
+    )
     return base64.b64decode(found["data"])
 
 

@@ -1,4 +1,6 @@
-"""Published digits and ours, side by side. `python tests/published.py` writes replay_data/published.md again.
+"""Published digits and ours, side by side.
+
+`python tests/published.py` writes replay_data/published.md again.
 
 The real records are not here (see replay_data/README.md); without them the page cannot be made.
 """
@@ -23,24 +25,28 @@ ASYMMETRIC = EMPS.replace("published.toml", "published_asymmetric.toml")
 TX40_LS = "robot-identify fit tx40.mcap --method wls --robot replay_data/tx40/robot_published.toml"
 TX40_IV = "robot-identify fit tx40.mcap --method iv"
 SCARA = "robot-identify fit replay_data/scara/session.mcap --method iv"
-CROSS = "robot-identify validate emps.json pulses.mcap --robot replay_data/emps/robot_published.toml"
+CROSS = (
+    "robot-identify validate emps.json pulses.mcap --robot replay_data/emps/robot_published.toml"
+)
 HEAD = """# Published digits, and ours
 
-Made by `tests/published.py`, and compared by a test where the real records are there; do not edit. The records are imported
-as the READMEs of [EMPS](emps/README.md) and [TX40](tx40/README.md) say. The time is that of one fit in a running process on
-two shared cores, with all its tests.
+Made by `tests/published.py`, and compared by a test where the real records are there; do not edit.
+The records are imported as the READMEs of [EMPS](emps/README.md) and [TX40](tx40/README.md) say.
+The time is that of one fit in a running process on two shared cores, with all its tests.
 
 | what | published | ours | command |
 |---|---|---|---|
 """
 TAIL = """
-Sources: EMPS by the authors of the record (A. Janot, M. Gautier, M. Brunot, 2019). TX40: number of parameters, passes, time by
-Janot, Vandanjon, Gautier (2014), whose record may be another one; single values by the earlier identification that came with
-the record. The cross-test needs `DATA_EMPS_PULSES.mat` of the benchmark's authors, imported as `pulses.mcap` with its pulses
-as `[feedforward]`; it was not at hand. The record of the SCARA is simulated, with values that have the orders of magnitude of
-the paper's section 4.
+Sources: EMPS by the authors of the record (A. Janot, M. Gautier, M. Brunot, 2019). TX40: number of
+parameters, passes, time by Janot, Vandanjon, Gautier (2014), whose record may be another one;
+single values by the earlier identification that came with the record. The cross-test needs
+`DATA_EMPS_PULSES.mat` of the benchmark's authors, imported as `pulses.mcap` with its pulses as
+`[feedforward]`; it was not at hand. The record of the SCARA is simulated, with values that have the
+orders of magnitude of the paper's section 4.
 """
-# The earlier identification of this arm, in the source's configuration (figaroh-examples, examples/staubli_TX40).
+# The earlier identification of this arm, in the source's configuration (figaroh-examples,
+# examples/staubli_TX40).
 EARLIER = {
     "ZZ1R": 1.24,
     **{f"Fv{j}": v for j, v in enumerate([8.05, 5.53, 1.97, 1.11, 1.86, 0.65], 1)},
@@ -82,13 +88,20 @@ def emps_rows(recording: Path) -> Iterator[Row]:
     ours = ", ".join(f"{value:.4f}" for value in asymmetric.estimate.beta)
     names = ", ".join(asymmetric.base.names)
     yield f"EMPS, asymmetric friction: {names}", published_digits, ours, ASYMMETRIC
-    yield "EMPS, asymmetric friction: relative error, %", "3.1117", f"{error(asymmetric):.4f}", ASYMMETRIC
+    yield (
+        "EMPS, asymmetric friction: relative error, %",
+        "3.1117",
+        f"{error(asymmetric):.4f}",
+        ASYMMETRIC,
+    )
     yield "EMPS, cross-test on the record with pulses", "see the benchmark", "not made", CROSS
 
 
 def tx40_rows(recording: Path) -> Iterator[Row]:
     signals = load_signals(recording)
-    ls = identify_ls(load_signals(recording, load_robot(REPLAY / "tx40" / "robot_published.toml")), Overrides())
+    ls = identify_ls(
+        load_signals(recording, load_robot(REPLAY / "tx40" / "robot_published.toml")), Overrides()
+    )
     begin = time.perf_counter()
     iv = identify_iv(signals, Overrides(), Iteration())
     seconds = time.perf_counter() - begin
@@ -98,7 +111,12 @@ def tx40_rows(recording: Path) -> Iterator[Row]:
     yield "TX40: time of iv, s", "11", f"{seconds:.0f} s", TX40_IV
     yield "TX40, least squares: relative error, %", "not stated", f"{error(ls):.2f}", TX40_LS
     for name in ("ZZ1R", "Fv1", "Fc1", "Ia3", "Ia4", "Fvm6", "Fcm6"):
-        yield f"TX40, least squares: {name}", f"{EARLIER[name]:.3g}", f"{values(ls)[name]:.3g}", TX40_LS
+        yield (
+            f"TX40, least squares: {name}",
+            f"{EARLIER[name]:.3g}",
+            f"{values(ls)[name]:.3g}",
+            TX40_LS,
+        )
 
 
 def scara_rows() -> Iterator[Row]:
@@ -108,7 +126,12 @@ def scara_rows() -> Iterator[Row]:
     for k, (name, value) in enumerate(zip(fit.base.names, fit.beta, strict=True)):
         if name in robot.parameters:
             half = fit.intervals.half[k]
-            yield f"SCARA: {name}", f"{robot.parameters[name]:g} (simulated)", f"{value:.4f} ± {half:.4f}", SCARA
+            yield (
+                f"SCARA: {name}",
+                f"{robot.parameters[name]:g} (simulated)",
+                f"{value:.4f} ± {half:.4f}",
+                SCARA,
+            )
     yield "SCARA: passes of iv", "not stated", f"{len(fit.iv.passes)}, {fit.status}", SCARA
 
 

@@ -1,8 +1,10 @@
-"""Which tests are slow: those of slow.txt, which have taken over half a second of CPU time; `-m "not slow"` leaves them out.
+"""Which tests are slow: those of slow.txt, which have taken over half a second of CPU time; `-m
+"not slow"` leaves them out.
 
-With TEST_CPU=FILE the CPU time of each test is written there. `python tests/slow_tests.py FILE...` makes the list of such
-files; `--check FILE` fails with those of the list that took less than LEAST_S and others that took more than MOST_S, in seconds
-of the machine of the list, and do so again alone: two tests on one core take up to twice the time of one.
+With TEST_CPU=FILE the CPU time of each test is written there. `python tests/slow_tests.py FILE...`
+makes the list of such files; `--check FILE` fails with those of the list that took less than
+LEAST_S and others that took more than MOST_S, in seconds of the machine of the list, and do so
+again alone: two tests on one core take up to twice the time of one.
 """
 
 import os
@@ -62,28 +64,41 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
 
 
 def wrongly_listed(found: dict[str, float], speed: float) -> dict[str, str]:
-    """Lines by test on those that the list has and should not, or the reverse; `speed` is that of this machine."""
+    """Lines by test on those that the list has and should not, or the reverse; `speed`
+    is that of this machine.
+    """
     names, lines = listed(), {}
     for name, seconds in sorted(found.items(), key=lambda one: -one[1]):
         here = is_listed(name, names)
         if seconds * speed < LEAST_S if here else seconds * speed > MOST_S:
-            lines[name] = f"{seconds * speed:.2f} s of CPU {'and' if here else 'but not'} in slow.txt: {name}"
+            lines[name] = (
+                f"{seconds * speed:.2f} s of CPU {'and' if here else 'but not'} in slow.txt: {name}"
+            )
     return lines
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     if config.getoption("markexpr") == "not slow":
-        terminalreporter.write_line(f"slow tests are left to .ci/run: {len(listed()) - 1} lines of tests/slow.txt")
+        terminalreporter.write_line(
+            f"slow tests are left to .ci/run: {len(listed()) - 1} lines of tests/slow.txt"
+        )
     if (path := os.environ.get("TEST_CPU")) is None:
         return
     stats = terminalreporter.stats
-    reports = [one for name in ("passed", "failed") for one in stats.get(name, []) if one.when == "call"]
+    reports = [
+        one for name in ("passed", "failed") for one in stats.get(name, []) if one.when == "call"
+    ]
     found = {one.nodeid: dict(one.user_properties)["cpu_s"] for one in reports}
-    Path(path).write_text("\n".join(f"{seconds:.3f} {name}" for name, seconds in found.items()) + "\n")
+    Path(path).write_text(
+        "\n".join(f"{seconds:.3f} {name}" for name, seconds in found.items()) + "\n"
+    )
 
 
 def lines_of(found: dict[str, float], before: set[str]) -> list[str]:
-    """The list for measured times; of functions whose cases are all slow the function. Tests not measured stay as they were."""
+    """The list for measured times; of functions whose cases are all slow the function.
+
+    Tests not measured stay as they were.
+    """
     cases: dict[str, dict[str, float]] = {}
     for name, seconds in found.items():
         cases.setdefault(name.split("[")[0], {})[name] = seconds
@@ -101,7 +116,9 @@ def times_in(*files: str) -> dict[str, float]:
 
 
 def confirmed(file: str) -> dict[str, str]:
-    """Lines on tests that are wrongly listed by a file of TEST_CPU, and are so when they run alone."""
+    """Lines on tests that are wrongly listed by a file of TEST_CPU, and are
+    so when they run alone.
+    """
     if lines := wrongly_listed(times_in(file), REFERENCE_S / reference_s()):
         with tempfile.NamedTemporaryFile() as again:
             command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *lines]

@@ -1,7 +1,9 @@
-"""The wordings of errors, in one table: `python tests/wordings.py` writes wordings.txt anew from the packages.
+"""The wordings of errors, in one table: `python tests/wordings.py` writes wordings.txt
+anew from the packages.
 
-A line is a file, the class of the error, its text, and what it expects. What stands in braces is filled in when it is raised.
-Tests assert an error's class and its data; a better wording changes its line here and no test.
+A line is a file, the class of the error, its text, and what it expects. What stands in braces is
+filled in when it is raised. Tests assert an error's class and its data; a better wording changes
+its line here and no test.
 """
 
 import ast
@@ -10,7 +12,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = Path(__file__).with_name("wordings.txt")
-CLASSES = ("BadInputError", "NoFitError", "RefusedError", "BusFaultError", "NoAnswerError", "SdoAbortedError")
+CLASSES = (
+    "BadInputError",
+    "NoFitError",
+    "RefusedError",
+    "BusFaultError",
+    "NoAnswerError",
+    "SdoAbortedError",
+)
 # Of each way to raise: the names of the positional arguments.
 POSITIONS = dict.fromkeys(CLASSES, ("text",)) | {"refuse": ("key", "value", "expected")}
 
@@ -47,7 +56,9 @@ def lines_of(path: Path) -> Iterator[str]:
             continue
         around = [one for one in functions if one.lineno <= call.lineno <= (one.end_lineno or 0)]
         names = assigned(around[-1]) if around else {}
-        given = dict(zip(POSITIONS[name], call.args, strict=False)) | {k.arg: k.value for k in call.keywords}
+        given = dict(zip(POSITIONS[name], call.args, strict=False)) | {
+            k.arg: k.value for k in call.keywords
+        }
         text, expected = (
             wording(names.get(x.id, x) if isinstance(x := given.get(key), ast.Name) else x)
             for key in ("text", "expected")
@@ -58,7 +69,11 @@ def lines_of(path: Path) -> Iterator[str]:
 
 def table() -> str:
     """All lines, in the order of files and places."""
-    files = sorted(path for package in ("acquisition", "identification") for path in (ROOT / package).rglob("*.py"))
+    files = sorted(
+        path
+        for package in ("acquisition", "identification")
+        for path in (ROOT / package).rglob("*.py")
+    )
     return "\n".join(line for path in files for line in lines_of(path)) + "\n"
 
 

@@ -1,4 +1,6 @@
-"""The bus as frames and times, and the CANopen master on it: requests, listening, heartbeat, the one stop of all drives."""
+"""The bus as frames and times, and the CANopen master on it: requests, listening, heartbeat, the
+one stop of all drives.
+"""
 
 from .before_motion import (
     LISTEN_S,
@@ -13,7 +15,17 @@ from .before_motion import (
     refuse_enabled,
 )
 from .frames import SUFFIXES, Frame, Tap, block_of, command_ids, read_log, service_of
-from .links import QUEUE_BYTES, SHARED, Link, MasterLink, kernel_drops, open_bus, open_link, queue_bytes, socket_of
+from .links import (
+    QUEUE_BYTES,
+    SHARED,
+    Link,
+    MasterLink,
+    kernel_drops,
+    open_bus,
+    open_link,
+    queue_bytes,
+    socket_of,
+)
 from .master import OPERATIONAL, Master, Orders, send_orders
 from .passive import listening_words
 from .receiving import Receiver, WallClock, describe_step

@@ -1,6 +1,8 @@
-"""Checks before sending and before motion: no other master, no enabled drive, all drives homed, joint positions confirmed.
+"""Checks before sending and before motion: no other master, no enabled drive, all drives homed,
+joint positions confirmed.
 
-Before homing, the zero of an incremental encoder is the position at which it was switched on: position limits do not hold yet.
+Before homing, the zero of an incremental encoder is the position at which it was switched on:
+position limits do not hold yet.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +21,9 @@ LISTEN_S = 0.5
 
 
 def listen_for_others(master: Master) -> RefusedError | None:
-    """Listen for half a second; the error for another master, else for a device that is not described. Nothing is sent."""
+    """Listen for half a second; the error for another master, else for a device that is not
+    described. Nothing is sent.
+    """
     device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
     while master.link.now_ns() < until_ns:
         frame = master.link.receive(until_ns)
@@ -29,39 +33,62 @@ def listen_for_others(master: Master) -> RefusedError | None:
             master.dispatch(frame)
         sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
         if sign is not None:
-            expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
-            return RefusedError(f"{sign}: another master is active", what="sending", place="bus", expected=expected)
+            expected = (
+                "none; `robot-acquire record --passive` records without sending. Nothing was sent"
+            )
+            return RefusedError(
+                f"{sign}: another master is active", what="sending", place="bus", expected=expected
+            )
         if node is not None:
-            text = f"heartbeat of node {node}: a device that robot.toml does not describe, or a wrong node id"
-            expected = f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing was sent"
+            text = (
+                f"heartbeat of node {node}: a device that robot.toml does not describe, or a "
+                "wrong node id"
+            )
+            expected = (
+                f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing was sent"
+            )
             known = master.bus.file.other_nodes
-            device = RefusedError(text, what="sending", place="bus", key="other_nodes", value=known, expected=expected)
+            device = RefusedError(
+                text, what="sending", place="bus", key="other_nodes", value=known, expected=expected
+            )
     return device
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Nodes in fault, found by reading only. Raises `RefusedError`: a drive is enabled, or two are one node."""
+    """Nodes in fault, found by reading only.
+
+    Raises `RefusedError`: a drive is enabled, or two are one node.
+    """
     in_fault = []
     for drive in master.bus.drives:
         state = master.state(drive)
         if state not in DISABLED:
             problem = f"{state.words} before the session began, but no other master was heard"
-            expected = "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
-            raise RefusedError(problem, what="the session", place=f"node {drive.node}", expected=expected)
+            expected = (
+                "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
+            )
+            raise RefusedError(
+                problem, what="the session", place=f"node {drive.node}", expected=expected
+            )
         if state is State.FAULT:
             in_fault.append(drive.node)
-    master.wait(master.link.now_ns() + 30_000_000)  # for a second device's answer to the last request
+    # for a second device's answer to the last request
+    master.wait(master.link.now_ns() + 30_000_000)
     master.refuse_doubled()
     return in_fault
 
 
 ERROR_REGISTER, ERROR_FIELD, ERROR_CODE = 0x1001, 0x1003, 0x603F
-# Shows joint positions, and drives in fault that would be reset, to the operator; True where both are confirmed.
+# Shows joint positions, and drives in fault that would be reset, to the operator; True
+# where both are confirmed.
 Confirm = Callable[[list[str], list[str]], bool]
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
-    """Joint positions (n,) in rad or m, read by SDO. Raises `RefusedError` where a drive does not answer."""
+    """Joint positions (n,) in rad or m, read by SDO.
+
+    Raises `RefusedError` where a drive does not answer.
+    """
     counts = []
     for drive in master.bus.drives:
         raw = master.read(drive.node, drive.position.index, drive.position.sub)
@@ -71,20 +98,26 @@ def joint_positions(robot: Robot, master: Master) -> Array:
 
 def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
     """Joint positions (n,) in rad or m of the drives' `counts` (n), in the order of the drives."""
-    motors = [drive.position_codec.si(np.array(c)) for drive, c in zip(bus.drives, counts, strict=True)]
+    motors = [
+        drive.position_codec.si(np.array(c)) for drive, c in zip(bus.drives, counts, strict=True)
+    ]
     return np.asarray(robot.joint_position(np.array(motors, dtype=float)[None])[0])
 
 
 def position_words(robot: Robot, q: Array) -> list[str]:
     """One text for each joint, in degrees or metres: `joint_1 = 12.34 deg`."""
     return [
-        f"{joint.name} = {value:.5f} m" if joint.type == "prismatic" else f"{joint.name} = {np.rad2deg(value):.2f} deg"
+        f"{joint.name} = {value:.5f} m"
+        if joint.type == "prismatic"
+        else f"{joint.name} = {np.rad2deg(value):.2f} deg"
         for joint, value in zip(robot.joints, q, strict=True)
     ]
 
 
 def is_homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
-    """Whether the drive's object or bit named by `is_homed` is set; None where the description names none."""
+    """Whether the drive's object or bit named by `is_homed` is set; None where the
+    description names none.
+    """
     if file.homed is None:
         return None
     index, sub, bit = parse_homed(file.homed)
@@ -92,29 +125,49 @@ def is_homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
     return bool(value if bit is None else value >> bit & 1)
 
 
-def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False) -> list[str]:
-    """Refuse drives that are not homed, then ask the operator about the measured joint positions and drives in fault.
+def confirm_motion(
+    robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False
+) -> list[str]:
+    """Refuse drives that are not homed, then ask the operator about the measured joint
+    positions and drives in fault.
 
-    With `reset_faults` drives in fault are reset without asking. Returns the confirmed texts, one for each joint and drive in
-    fault: `joint_1 = 12.34 deg`. Raises `RefusedError`: not homed, no answer, or not confirmed.
+    With `reset_faults` drives in fault are reset without asking. Returns the confirmed texts, one
+    for each joint and drive in fault: `joint_1 = 12.34 deg`. Raises `RefusedError`: not homed, no
+    answer, or not confirmed.
     """
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
         if is_homed(master, drive, file) is False:
             where, expected = f"node {drive.node} ({drive.name})", "a homed drive before motion"
-            raise RefusedError("not set", what="motion", place=where, key="homed", value=file.homed, expected=expected)
+            raise RefusedError(
+                "not set",
+                what="motion",
+                place=where,
+                key="homed",
+                value=file.homed,
+                expected=expected,
+            )
     words = position_words(robot, joint_positions(robot, master))
     in_fault = [drive for drive in master.bus.drives if master.state(drive) is State.FAULT]
-    faults = [f"in fault: {error_report(master, drive) or f'node {drive.node} ({drive.name})'}" for drive in in_fault]
+    faults = [
+        f"in fault: {error_report(master, drive) or f'node {drive.node} ({drive.name})'}"
+        for drive in in_fault
+    ]
     if confirm(words, [] if reset_faults else faults):
         return words + faults
     if faults and not reset_faults:
         expected = "yes to their reset, or --reset-faults. Nothing was moved"
-        raise RefusedError(f"not confirmed: {'; '.join(faults)}", what="motion", place="drives", expected=expected)
-    raise RefusedError(f"joint angles not confirmed ({', '.join(words)}): nothing was moved", what="motion")
+        raise RefusedError(
+            f"not confirmed: {'; '.join(faults)}", what="motion", place="drives", expected=expected
+        )
+    raise RefusedError(
+        f"joint angles not confirmed ({', '.join(words)}): nothing was moved", what="motion"
+    )
 
 
 def error_report(master: Master, drive: Drive) -> str:
-    """Error register (1001h), last error (1003h:1) and error code (603Fh) in one line; empty where a drive has none of them."""
+    """Error register (1001h), last error (1003h:1) and error code (603Fh) in one line; empty where
+    a drive has none of them.
+    """
     values = []
     for index, sub, name in (
         (ERROR_REGISTER, 0, "error register 1001"),
@@ -125,5 +178,8 @@ def error_report(master: Master, drive: Drive) -> str:
             value = master.read(drive.node, index, sub)
         except (NoAnswerError, SdoAbortedError):
             continue  # many drives lack one of them
-        values.append(f"{name} = " + (f"0x{value:02X}" if index == ERROR_REGISTER else error_words(value & 0xFFFF)))
+        values.append(
+            f"{name} = "
+            + (f"0x{value:02X}" if index == ERROR_REGISTER else error_words(value & 0xFFFF))
+        )
     return f"node {drive.node} ({drive.name}): {', '.join(values)}" if values else ""

@@ -1,4 +1,6 @@
-"""CAN frames, blocks of frames, the service of a frame in words (CiA 301's connection set), and CAN logs of other tools."""
+"""CAN frames, blocks of frames, the service of a frame in words (CiA 301's connection set), and
+CAN logs of other tools.
+"""
 
 import logging
 import re
@@ -34,7 +36,9 @@ def block_of(frames: list[Frame]) -> Block:
         block["can_id"] = [f.can_id for f in frames]
         block["flags"] = [f.flags for f in frames]
         block["length"] = [len(f.data) for f in frames]
-        block["data"] = np.frombuffer(b"".join(f.data.ljust(8, b"\0") for f in frames), np.uint8).reshape(-1, 8)
+        block["data"] = np.frombuffer(
+            b"".join(f.data.ljust(8, b"\0") for f in frames), np.uint8
+        ).reshape(-1, 8)
     return block
 
 
@@ -47,10 +51,17 @@ def frame_of(message: Any) -> Frame:
         | (0 if message.is_rx else SENT)
         | (CAN_FD if message.is_fd else 0)
     )
-    return Frame(round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags)
+    return Frame(
+        round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags
+    )
 
 
-_OF_NODES = {EMERGENCY: "emergency of", ANSWER: "SDO answer of", REQUEST: "SDO request to", HEARTBEAT: "heartbeat of"}
+_OF_NODES = {
+    EMERGENCY: "emergency of",
+    ANSWER: "SDO answer of",
+    REQUEST: "SDO request to",
+    HEARTBEAT: "heartbeat of",
+}
 _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
 
 
@@ -76,7 +87,9 @@ def service_of(frame: Frame, sync_can_id: int) -> str:
 
 
 def command_ids(bus: Bus) -> set[int]:
-    """Identifiers of the frames by which a master commands the drives of `bus`: NMT, SDO requests, PDOs to drives."""
+    """Identifiers of the frames by which a master commands the drives of `bus`: NMT, SDO
+    requests, PDOs to drives.
+    """
     to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
     return {0} | to_drives | {REQUEST + drive.node for drive in bus.drives}
 
@@ -84,8 +97,8 @@ def command_ids(bus: Bus) -> set[int]:
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:
     """The service in words if a frame shows another master on the bus, else None.
 
-    Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests, the heartbeat of `master_node` and,
-    unless the description says that another device does, SYNC.
+    Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests, the heartbeat
+    of `master_node` and, unless the description says that another device does, SYNC.
     """
     service = service_of(frame, bus.file.sync_can_id)
     if frame.flags & EXTENDED:
@@ -93,7 +106,11 @@ def sign_of_master(frame: Frame, bus: Bus) -> str | None:
     function, node = frame.can_id & 0x780, frame.can_id & 0x7F
     if frame.can_id == bus.file.sync_can_id:
         return service if bus.file.sync_producer == "recorder" else None
-    if frame.flags & REMOTE_REQUEST or frame.can_id in command_ids(bus) or (function == REQUEST and node):
+    if (
+        frame.flags & REMOTE_REQUEST
+        or frame.can_id in command_ids(bus)
+        or (function == REQUEST and node)
+    ):
         return service
     if function == HEARTBEAT and node == bus.file.master_node and not _is_boot_up(frame):
         return f"{service}, which is master_node of robot.toml"
@@ -106,9 +123,16 @@ def _is_boot_up(frame: Frame) -> bool:
 
 
 def other_node(frame: Frame, bus: Bus) -> int | None:
-    """Node id of a heartbeat (not a boot-up) of a node that is neither a drive nor in `other_nodes`, else None."""
-    node, known = frame.can_id & 0x7F, {0, *bus.file.other_nodes, *(drive.node for drive in bus.drives)}
-    is_heartbeat = frame.can_id & 0x780 == HEARTBEAT and not frame.flags & EXTENDED and not _is_boot_up(frame)
+    """Node id of a heartbeat (not a boot-up) of a node that is neither a drive nor in
+    `other_nodes`, else None.
+    """
+    node, known = (
+        frame.can_id & 0x7F,
+        {0, *bus.file.other_nodes, *(drive.node for drive in bus.drives)},
+    )
+    is_heartbeat = (
+        frame.can_id & 0x780 == HEARTBEAT and not frame.flags & EXTENDED and not _is_boot_up(frame)
+    )
     return node if is_heartbeat and node not in known else None
 
 
@@ -118,7 +142,9 @@ _TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # python-can reads any othe
 
 
 class _FirstWarning(logging.Handler):
-    """Stores the first warning of python-can's TRC reader, which skips lines that it cannot read."""
+    """Stores the first warning of python-can's TRC reader, which skips
+    lines that it cannot read.
+    """
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -126,16 +152,19 @@ class _FirstWarning(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         line = str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
-        if line.strip() and not line.startswith(";"):  # the reader takes the last header line for a frame
+        # the reader takes the last header line for a frame
+        if line.strip() and not line.startswith(";"):
             self.first = self.first or record.getMessage()
 
 
 def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Yield interface and frame from a log: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
+    """Yield interface and frame from a log: candump (.log), Vector ASC or BLF,
+    PCAN TRC, by the suffix.
 
-    The interface is None for error frames of a candump log, where python-can does not give it. The frame is None for CAN FD,
-    which CANopen does not use. Raises `BadInputError` with file and frame (from 1): the log cannot be read or is damaged, a
-    time does not fit into a recording, or a frame has more than 8 bytes.
+    The interface is None for error frames of a candump log, where python-can does not give it. The
+    frame is None for CAN FD, which CANopen does not use. Raises `BadInputError` with file and frame
+    (from 1): the log cannot be read or is damaged, a time does not fit into a recording, or a frame
+    has more than 8 bytes.
     """
     import can
 
@@ -153,7 +182,9 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
                 count += 1
                 if not 0 <= message.timestamp <= max_time_s:  # nor is NaN
                     problem = f"time {message.timestamp:.10g} s"
-                    raise BadInputError(problem, place=f"{path}: frame {count}", expected=f"0 to {max_time_s:.10g}")
+                    raise BadInputError(
+                        problem, place=f"{path}: frame {count}", expected=f"0 to {max_time_s:.10g}"
+                    )
                 interface = None if message.channel is None else str(message.channel)
                 if getattr(message, "is_fd", False):
                     yield interface, None
@@ -169,10 +200,14 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
     except BadInputError:
         raise
     except OSError as error:
-        raise BadInputError(f"cannot be read: {error.strerror or error}", place=str(path)) from error
+        raise BadInputError(
+            f"cannot be read: {error.strerror or error}", place=str(path)
+        ) from error
     except Exception as error:  # on damaged files the readers raise errors of any kind
         problem = str(error) or type(error).__name__
-        raise BadInputError(f"damaged after {count} frames: {problem[:200]}", place=str(path)) from error
+        raise BadInputError(
+            f"damaged after {count} frames: {problem[:200]}", place=str(path)
+        ) from error
     finally:
         logger.removeHandler(warnings)
 
@@ -183,4 +218,6 @@ def _refuse_version(path: Path) -> None:
     version = found[1].decode(errors="replace") if found else "1.0"
     if version not in _TRC_VERSIONS:
         expected = f"one of {', '.join(_TRC_VERSIONS)}"
-        raise BadInputError(f"version {version} of PCAN's format", place=str(path), expected=expected)
+        raise BadInputError(
+            f"version {version} of PCAN's format", place=str(path), expected=expected
+        )

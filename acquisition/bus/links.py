@@ -17,7 +17,8 @@ from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
 from .passive import LISTEN_ONLY, refuse_unconfirmed
 
-QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the default of 212992 holds 31 ms of a full bus
+# of the kernel's receive queue; the default of 212992 holds 31 ms of a full bus
+QUEUE_BYTES = 4 * 2**20
 
 # Constants of Linux. The last of SO_MEMINFO's nine counters counts the dropped frames.
 _SO_RCVBUFFORCE, _SO_MEMINFO, _DROPS = 33, 55, 8
@@ -35,12 +36,16 @@ def stay_on_loopback(bus: Any, file: BusFile) -> None:
     except OSError:
         return  # loopback is the group's interface already
     with suppress(OSError):  # the group was not joined on another interface
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
+        sock.setsockopt(
+            socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton(group) + bytes(4)
+        )
 
 
 def socket_of(bus: Any) -> socket.socket | None:
     """The socket under a bus, where there is one."""
-    found = getattr(bus, "socket", None) or getattr(getattr(bus, "_multicast", None), "_socket", None)
+    found = getattr(bus, "socket", None) or getattr(
+        getattr(bus, "_multicast", None), "_socket", None
+    )
     return found if isinstance(found, socket.socket) else None
 
 
@@ -67,7 +72,8 @@ def kernel_drops(sock: socket.socket | None) -> int:
         return 0
 
 
-SHARED = ("socketcan", "udp_multicast", "virtual")  # interfaces that several programs (or bus objects) may open at once
+# interfaces that several programs (or bus objects) may open at once
+SHARED = ("socketcan", "udp_multicast", "virtual")
 
 # python-can's own warnings are not printed; its errors are raised and reported in one line.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -76,7 +82,9 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 def refuse_to_send(*_: object, **__: object) -> None:
     """Raise `RefusedError`: replaces the sending functions of a passive bus."""
     expected = "an active session for that"
-    raise RefusedError("passive: nothing is ever sent", what="sending", place="bus", expected=expected)
+    raise RefusedError(
+        "passive: nothing is ever sent", what="sending", place="bus", expected=expected
+    )
 
 
 def is_group(bus: Any) -> bool:
@@ -85,7 +93,9 @@ def is_group(bus: Any) -> bool:
 
 
 def is_no_frame(bus: Any, error: Exception) -> bool:
-    """Whether a read error is due to a datagram that is no frame, which any program may send to a group."""
+    """Whether a read error is due to a datagram that is no frame, which any
+    program may send to a group.
+    """
     import can
 
     failed = isinstance(error.__cause__, OSError)  # of the socket itself
@@ -93,11 +103,18 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """The python-can bus of a description. A `passive` bus cannot send, and an adapter of `LISTEN_ONLY` only listens."""
+    """The python-can bus of a description.
+
+    A `passive` bus cannot send, and an adapter of `LISTEN_ONLY` only listens.
+    """
     import can
 
     place = f"bus: {file.interface} {file.channel}"
-    options: dict[str, Any] = {"interface": file.interface, "channel": file.channel, "ignore_config": True}
+    options: dict[str, Any] = {
+        "interface": file.interface,
+        "channel": file.channel,
+        "ignore_config": True,
+    }
     if file.interface == "udp_multicast":
         # A hop limit of 0 keeps every frame on this machine.
         options |= {"hop_limit": 0 if file.loopback else 1, "fd": False}
@@ -108,18 +125,30 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
     elif file.interface not in SHARED:
         options["bitrate"] = file.bitrate
         if file.interface == "gs_usb" and file.channel.isdigit():
-            options["channel"] = int(file.channel)  # the number of the device; python-can takes no text
+            # the number of the device; python-can takes no text
+            options["channel"] = int(file.channel)
         options |= LISTEN_ONLY.get(file.interface, {}) if passive else {}
     if "state" in options:
         options["state"] = can.BusState[options["state"]]
     try:
         bus = can.Bus(**options)
-    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+    except (
+        can.CanError,
+        OSError,
+        ValueError,
+        TypeError,
+        ImportError,
+        NotImplementedError,
+    ) as error:
         problem = str(error) or type(error).__name__
         expected = ""
         if file.interface == "socketcan":
-            expected = "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
-        raise BusFaultError(f"cannot be opened: {problem}", place=place, expected=expected) from error
+            expected = (
+                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
+            )
+        raise BusFaultError(
+            f"cannot be opened: {problem}", place=place, expected=expected
+        ) from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
     if passive:
@@ -132,7 +161,8 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
     return bus
 
 
-ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return every frame sent, marked as not received
+# modules of python-can whose buses return every frame sent, marked as not received
+ECHOING = ("gs_usb", "cantact")
 
 
 class MasterLink(Protocol):
@@ -145,11 +175,17 @@ class MasterLink(Protocol):
         """Send a frame. Raises `BusFaultError` where that fails."""
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`. Raises `BusFaultError` when the bus fails."""
+        """The next frame, None when there is none until `until_ns`.
+
+        Raises `BusFaultError` when the bus fails.
+        """
 
 
 class Link:
-    """A bus in real time. A `passive` link raises on sending. `tap` is called with every frame sent and received."""
+    """A bus in real time.
+
+    A `passive` link raises on sending. `tap` is called with every frame sent and received.
+    """
 
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
         self._bus, self._passive, self._tap = bus, passive, tap
@@ -159,11 +195,16 @@ class Link:
         self._own: deque[tuple[int, bytes]] | None = deque(maxlen=1000) if echoes else None
 
     def now_ns(self) -> int:
-        """Time of this link, of events and deadlines: the wall clock's at opening, continued by the monotonic clock."""
+        """Time of this link, of events and deadlines: the wall clock's at opening, continued
+        by the monotonic clock.
+        """
         return self._epoch_ns + time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `RobotIdimError` where the link is passive or the bus does not take it."""
+        """Send a frame.
+
+        Raises `RobotIdimError` where the link is passive or the bus does not take it.
+        """
         if self._passive:
             refuse_to_send()
         import can
@@ -171,9 +212,13 @@ class Link:
         if self._own is not None:
             self._own.append((can_id, data))
         try:
-            self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05)
+            self._bus.send(
+                can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05
+            )
         except can.CanError as error:
-            raise BusFaultError(f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus") from error
+            raise BusFaultError(
+                f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus"
+            ) from error
         if self._tap is not None:
             self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
@@ -182,7 +227,10 @@ class Link:
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when there is none within `timeout_s`. Raises `BusFaultError` when the bus fails."""
+        """The next frame, None when there is none within `timeout_s`.
+
+        Raises `BusFaultError` when the bus fails.
+        """
         import can
 
         until_s = time.monotonic() + timeout_s
@@ -202,7 +250,11 @@ class Link:
                     self._tap(frame_of(message))
                 continue
             sent = (message.arbitration_id, bytes(message.data))
-            if not self._own or sent not in self._own or (message.is_rx and not is_group(self._bus)):
+            if (
+                not self._own
+                or sent not in self._own
+                or (message.is_rx and not is_group(self._bus))
+            ):
                 break
             self._own.remove(sent)
         frame = frame_of(message)

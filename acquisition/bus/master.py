@@ -1,4 +1,6 @@
-"""A CANopen master over a link: NMT, SDO, PDO configuration, orders, and the last values of every node."""
+"""A CANopen master over a link: NMT, SDO, PDO configuration, orders, and the
+last values of every node.
+"""
 
 from collections import Counter
 from collections.abc import Callable
@@ -32,7 +34,8 @@ class NodeWatch:
     heard_ns: int = 0
     emergency: int | None = None
     booted: bool = False
-    ramp_objects: dict[int, int | None] = field(default_factory=dict)  # of `RAMP_OBJECTS`; None where it has none
+    # of `RAMP_OBJECTS`; None where it has none
+    ramp_objects: dict[int, int | None] = field(default_factory=dict)
 
     @property
     def state(self) -> cia.State | None:
@@ -44,20 +47,29 @@ class NodeWatch:
 
 
 class Master:
-    """Sends requests and stores the last values received. Every frame received goes through `dispatch`."""
+    """Sends requests and stores the last values received.
+
+    Every frame received goes through `dispatch`.
+    """
 
     def __init__(self, link: MasterLink, bus: Bus) -> None:
         self.link, self.bus = link, bus
         self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
         self.bus_error: str | None = None
-        self.signs: dict[str, bool] = {}  # of another master, in words, and whether they command our drives
-        self.while_awaiting: Callable[[], None] = lambda: None  # called every 50 ms while an SDO answer is awaited
+        # of another master, in words, and whether they command our drives
+        self.signs: dict[str, bool] = {}
+        # called every 50 ms while an SDO answer is awaited
+        self.while_awaiting: Callable[[], None] = lambda: None
         self._commands = command_ids(bus)
         self.by_node = {watch.drive.node: watch for watch in self.nodes}
-        self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
+        self._by_pdo = {
+            pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos
+        }
         self._answers: dict[int, bytes] = {}
-        self.unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
-        self.doubled: set[int] = set()  # nodes with more SDO answers than requests: two devices have their id
+        # SDO requests of any master, by node; a late answer is one too
+        self.unanswered = Counter[int]()
+        # nodes with more SDO answers than requests: two devices have their id
+        self.doubled: set[int] = set()
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
         self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
@@ -93,13 +105,18 @@ class Master:
         elif frame.can_id == self.bus.file.sync_can_id:
             self.sync_times.append(frame.time_ns)
             if self.bus.file.sync_producer == "recorder":
-                self.bus_error = "another producer sends SYNC"  # drives would apply targets at its times
+                # drives would apply targets at its times
+                self.bus_error = "another producer sends SYNC"
             self._next_sync()
         elif function == cia.ANSWER and node:
             self._answers[node] = frame.data
             answer = cia.answer_of(frame.data)
-            # Transfers in segments are left open here: their server may abort them, besides the next answer or in time.
-            if answer.kind != "other" and (answer.kind, answer.number) != ("abort", cia.ABORTS["timed out"]):
+            # Transfers in segments are left open here: their server may abort them, besides the
+            # next answer or in time.
+            if answer.kind != "other" and (answer.kind, answer.number) != (
+                "abort",
+                cia.ABORTS["timed out"],
+            ):
                 self.unanswered[node] -= 1
                 self.doubled |= {node} if self.unanswered[node] < 0 else set()
         elif node in self.by_node and function == cia.HEARTBEAT and frame.data:
@@ -148,7 +165,9 @@ class Master:
         self.link.send(self.bus.file.sync_can_id, b"")
 
     def _next_sync(self) -> None:
-        """Count the drives that did not answer the SYNC before, once they have reported operational or sent a position."""
+        """Count the drives that did not answer the SYNC before, once they have reported
+        operational or sent a position.
+        """
         for watch in self.nodes:
             late = not watch.answers and (watch.started or watch.counts is not None)
             watch.silent_syncs = watch.silent_syncs + 1 if late else 0
@@ -156,11 +175,16 @@ class Master:
         self.at_sync()
 
     def nmt(self, command: int, node: int) -> None:
-        """Send an NMT command to one node; never to all (0), because other devices may be on the bus."""
+        """Send an NMT command to one node; never to all (0), because other
+        devices may be on the bus.
+        """
         self.link.send(0, bytes([command, node]))
 
     def start(self) -> None:
-        """Send START to all drives. Values received before are discarded, so that no old position is taken for a new one."""
+        """Send START to all drives.
+
+        Values received before are discarded, so that no old position is taken for a new one.
+        """
         for watch in self.nodes:
             watch.statusword, watch.counts = None, None
             watch.answers, watch.silent_syncs = 0, 0
@@ -176,17 +200,26 @@ class Master:
         return cia.state_of(self.read(drive.node, drive.status.index, drive.status.sub))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
-        """Read an object, as an unsigned number. Raises `BusFaultError` when refused or not answered."""
-        return cia.check_answer(self.upload(node, index, sub), "value", node, _place(node, index, sub))
+        """Read an object, as an unsigned number.
+
+        Raises `BusFaultError` when refused or not answered.
+        """
+        return cia.check_answer(
+            self.upload(node, index, sub), "value", node, _place(node, index, sub)
+        )
 
     def upload(self, node: int, index: int, sub: int = 0) -> cia.Transfer:
         """The answer of any kind to a read request. Raises `NoAnswerError` when there is none."""
-        return cia.answer_of(self.exchange(node, cia.read_request(index, sub), _place(node, index, sub)))
+        return cia.answer_of(
+            self.exchange(node, cia.read_request(index, sub), _place(node, index, sub))
+        )
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        answer = cia.answer_of(self.exchange(node, cia.write_request(index, sub, value, size), place))
+        answer = cia.answer_of(
+            self.exchange(node, cia.write_request(index, sub, value, size), place)
+        )
         cia.check_answer(answer, "written", node, place)
 
     def post(self, node: int, request: bytes) -> None:
@@ -220,15 +253,23 @@ class Master:
         raise NoAnswerError(problem, node=node, place=place)
 
     def configure(self) -> None:
-        """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO parameters as described."""
+        """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO
+        parameters as described.
+        """
         for drive in self.bus.drives:
             self.nmt(PRE_OPERATIONAL, drive.node)
         self.wait(self.link.now_ns() + 20_000_000)
         every_ms = round(self.bus.file.heartbeat_s * 1000)
         for drive in self.bus.drives:
-            # Written where it differs, in the size of the drive's answer: not all have the U16 of CiA 301.
+            # Written where it differs, in the size of the drive's answer: not all
+            # have the U16 of CiA 301.
             answer = self.upload(drive.node, cia.HEARTBEAT_TIME)
-            if cia.check_answer(answer, "value", drive.node, _place(drive.node, cia.HEARTBEAT_TIME, 0)) != every_ms:
+            if (
+                cia.check_answer(
+                    answer, "value", drive.node, _place(drive.node, cia.HEARTBEAT_TIME, 0)
+                )
+                != every_ms
+            ):
                 self.write(drive.node, cia.HEARTBEAT_TIME, 0, every_ms, len(answer.data))
             for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
                 for pdo in pdos:
@@ -236,10 +277,16 @@ class Master:
                         self.write(drive.node, *write)
 
     def choose_mode(self, mode: cia.Mode) -> None:
-        """Set mode of operation (6060h) and interpolation period (60C2h). Raises `BusFaultError` unless 6061h follows."""
+        """Set mode of operation (6060h) and interpolation period (60C2h).
+
+        Raises `BusFaultError` unless 6061h follows.
+        """
         for drive in self.bus.drives:
             axis = axis_of(drive)
-            if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
+            if (
+                drive.dictionary is None
+                or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries
+            ):
                 count, unit = cia.interpolation_period(self.bus.file.sync_period_s)
                 self.write(drive.node, INTERPOLATION_PERIOD + axis, 1, count, 1)
                 self.write(drive.node, INTERPOLATION_PERIOD + axis, 2, unit, 1)
@@ -251,11 +298,15 @@ class Master:
                     if self.link.now_ns() > until_ns:
                         key = f"mode of operation ({display:04X}:0)"
                         expected = f"{int(mode)} ({mode.name.lower().replace('_', ' ')})"
-                        raise BusFaultError(place=f"node {drive.node}", key=key, value=shown, expected=expected)
+                        raise BusFaultError(
+                            place=f"node {drive.node}", key=key, value=shown, expected=expected
+                        )
                     self.wait(self.link.now_ns() + 10_000_000)
 
     def differences(self) -> list[str]:
-        """Differences between drives and description in identity (1018h) and rated values, one line each."""
+        """Differences between drives and description in identity (1018h) and rated
+        values, one line each.
+        """
         found = []
         for drive in self.bus.drives:
             dictionary = drive.dictionary
@@ -277,11 +328,15 @@ def _place(node: int, index: int, sub: int) -> str:
     return f"node {node}: object {index:04X}:{sub}"
 
 
-Orders = list[tuple[int, int]]  # controlword and target counts of each drive, in the order of the drives
+# controlword and target counts of each drive, in the order of the drives
+Orders = list[tuple[int, int]]
 
 
 def send_orders(master: Master, orders: Orders) -> None:
-    """Send the orders to all drives by PDO. Raises `BusFaultError` when the bus accepts no frame."""
+    """Send the orders to all drives by PDO.
+
+    Raises `BusFaultError` when the bus accepts no frame.
+    """
     for watch, (control, target) in zip(master.nodes, orders, strict=True):
         send_order(master, watch, control, target)
 

@@ -15,7 +15,9 @@ from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Bl
 from .frames import block_of, frame_of
 from .links import is_no_frame, socket_of
 
-_CAN_FRAME = np.dtype([("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))])
+_CAN_FRAME = np.dtype(
+    [("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))]
+)
 _FD_BYTES = 72  # of a frame of CAN FD, which begins as a classic one
 _TIMESPEC_BYTES = 16
 
@@ -34,7 +36,9 @@ class Receiver:
         self.error: str | None = None
 
     def run(self) -> None:
-        """Receive until `stopped` and the queue is empty; an error of the bus ends it and is stored in `error`."""
+        """Receive until `stopped` and the queue is empty; an error of the bus ends it
+        and is stored in `error`.
+        """
         try:
             if self._raw is None:
                 self._run_messages()
@@ -126,7 +130,8 @@ class WallClock:
         self._begin_ns = wall_ns() - monotonic_ns() if offset_ns is None else offset_ns
         self._offset_ns = self._begin_ns
         self._last_ns: int | None = None  # latest stamp, uncorrected
-        self._pending_ns, self._waited = 0, 0  # a step not yet seen in the stamps, and for how many blocks
+        # a step not yet seen in the stamps, and for how many blocks
+        self._pending_ns, self._waited = 0, 0
         self.shift_ns = 0  # sum of the steps removed from stamps
 
     def now_ns(self) -> int:
@@ -149,7 +154,9 @@ class WallClock:
         return step
 
     def continued(self, stamps: Ints) -> Ints:
-        """Stamps of the next block of frames without the steps that `step_ns` found: each begins where the stamps jump."""
+        """Stamps of the next block of frames without the steps that `step_ns` found: each begins
+        where the stamps jump.
+        """
         if not len(stamps):
             return stamps
         shifts: Ints = np.full(len(stamps), self.shift_ns)
@@ -169,4 +176,6 @@ class WallClock:
 
 def describe_step(step_ns: int) -> str:
     """For the events of a recording."""
-    return f"the clock was set {'forward' if step_ns > 0 else 'back'} by {abs(step_ns) * 1e-9:.3g} s"
+    return (
+        f"the clock was set {'forward' if step_ns > 0 else 'back'} by {abs(step_ns) * 1e-9:.3g} s"
+    )

@@ -1,4 +1,5 @@
-"""Stops all drives: quick stop, voltage off at standstill, then the state of every drive is read back.
+"""Stops all drives: quick stop, voltage off at standstill, then the state of
+every drive is read back.
 
 The session, the recorder's process (after the session has died) and the command `disable` use it.
 It never raises `RobotIdimError`: if one step fails, the next is tried.
@@ -10,14 +11,24 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from ..errors import RobotIdimError
-from ..protocol import RAMP_OBJECTS, Command, State, answer_of, quick_stop_ramp, read_request, state_of, write_request
+from ..protocol import (
+    RAMP_OBJECTS,
+    Command,
+    State,
+    answer_of,
+    quick_stop_ramp,
+    read_request,
+    state_of,
+    write_request,
+)
 from ..robot import Bus, axis_index
 from .links import open_link
 from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch, send_order
 
 FALL_S = 0.05  # over which the speed must fall in a quick stop
 FALL_SLOPE = -0.2  # of the acceleration limit: below this slope the speed counts as falling
-FALL_SHARE = 0.95  # of the speed at the start: with an unknown ramp, the speed has fallen when below this
+# of the speed at the start: with an unknown ramp, the speed has fallen when below this
+FALL_SHARE = 0.95
 RAMP_SHARE = 1.2  # of the time that the ramp takes from the speed at the start
 CAP_S = 0.5  # after the time to stop, voltage is switched off even in motion
 CONFIRM_S = 1.0  # in which drives must confirm, after voltage is off
@@ -25,7 +36,8 @@ ASK_S = 0.05  # between SDO requests to one drive
 WINDOW_S = 0.02  # over which speed is measured
 STANDSTILL_SHARE = 0.01  # of the speed limit
 STANDSTILL_COUNTS = 2  # in the window: encoder noise does not count as motion
-# In these states a drive gives no torque and needs a whole new enabling sequence. Switched on does not count as disabled.
+# In these states a drive gives no torque and needs a whole new enabling sequence. Switched on does
+# not count as disabled.
 CONFIRMED = frozenset({State.SWITCH_ON_DISABLED, State.FAULT})
 
 
@@ -49,13 +61,22 @@ class _Stopping:
     def observe(self, sampled_ns: int) -> None:
         """Take the position that the drive sent at the SYNC of `sampled_ns`, if it sent one."""
         counts = self.watch.counts
-        if self.watch.answers and counts is not None and (not self.seen or sampled_ns > self.seen[-1][0]):
-            self.seen = [*self.seen[-max(2, round(FALL_S / WINDOW_S * self.window)) :], (sampled_ns, counts)]
+        if (
+            self.watch.answers
+            and counts is not None
+            and (not self.seen or sampled_ns > self.seen[-1][0])
+        ):
+            self.seen = [
+                *self.seen[-max(2, round(FALL_S / WINDOW_S * self.window)) :],
+                (sampled_ns, counts),
+            ]
             if self.speed_then is None and sampled_ns - self.seen[0][0] >= 0.5e9 * WINDOW_S:
                 self.speed_then = _speed(self.seen)
 
     def must_go_off(self, now_ns: int) -> bool:
-        """Whether to switch voltage off: standstill, the speed does not fall, or the time to stop is over."""
+        """Whether to switch voltage off: standstill, the speed does not fall, or
+        the time to stop is over.
+        """
         elapsed_s, then, drive = (now_ns - self.since_ns) * 1e-9, self.speed_then, self.watch.drive
         # A drive that sends no positions any more is switched off by time alone.
         if then is None or now_ns - self.seen[-1][0] > (self.window + 1) * self.period_ns:
@@ -68,7 +89,9 @@ class _Stopping:
         if elapsed_s >= FALL_S and between_s:
             slope = (speed - _speed(first)) / between_s
             unknown = self.ramp is None and len(self.watch.ramp_objects) == len(RAMP_OBJECTS)
-            rises = slope >= FALL_SLOPE * (drive.acceleration_limit or 0.0) and speed >= then - noise
+            rises = (
+                slope >= FALL_SLOPE * (drive.acceleration_limit or 0.0) and speed >= then - noise
+            )
             if rises or (unknown and speed >= FALL_SHARE * then):
                 return True
         return elapsed_s >= self.longest_s
@@ -80,7 +103,9 @@ class _Stopping:
 
     @property
     def longest_s(self) -> float:
-        """Time to stop from the speed at the start (unknown: the speed limit) by the ramp, with a margin, and CAP_S."""
+        """Time to stop from the speed at the start (unknown: the speed limit) by the ramp,
+        with a margin, and CAP_S.
+        """
         drive = self.watch.drive
         speed = self.speed_then if self.speed_then is not None else drive.speed_limit or 0.0
         slowing = self.ramp / RAMP_SHARE if self.ramp else drive.acceleration_limit
@@ -94,23 +119,31 @@ def _speed(seen: list[tuple[int, int]]) -> float:
 def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None) -> list[int]:
     """Stop and disable every drive of `master`; returns the node ids of those that did not confirm.
 
-    All drives get the quick stop at once, by PDO (where configured) and by SDO, while SYNC continues. Voltage is switched off
-    for each drive at its measured standstill, where its speed rises or holds for 50 ms, and at the latest 0.5 s after 1.2
-    times the time that its ramp takes (the ramp is read on the way; unknown: after v/a + 0.5 s). Then each drive's statusword
-    (6041h) is read for up to a second, until it shows switch on disabled or fault (CiA 402). `after_sync` is called after
-    every SYNC; an `RobotIdimError` from it is ignored.
+    All drives get the quick stop at once, by PDO (where configured) and by SDO, while SYNC
+    continues. Voltage is switched off for each drive at its measured standstill, where its speed
+    rises or holds for 50 ms, and at the latest 0.5 s after 1.2 times the time that its ramp takes
+    (the ramp is read on the way; unknown: after v/a + 0.5 s). Then each drive's statusword (6041h)
+    is read for up to a second, until it shows switch on disabled or fault (CiA 402). `after_sync`
+    is called after every SYNC; an `RobotIdimError` from it is ignored.
     """
     now_ns = master.link.now_ns()
     period_ns = master.bus.period_ns
     window = max(1, round(WINDOW_S * 1e9 / period_ns))
-    drives = [_Stopping(watch=w, since_ns=now_ns, period_ns=period_ns, window=window) for w in master.nodes]
-    next_ns = max(now_ns, (master.synced_ns or 0) + period_ns)  # the period of earlier SYNCs continues
-    # The loop is also limited by the number of SYNCs: on a link that cannot be read, time may stand still.
+    drives = [
+        _Stopping(watch=w, since_ns=now_ns, period_ns=period_ns, window=window)
+        for w in master.nodes
+    ]
+    # the period of earlier SYNCs continues
+    next_ns = max(now_ns, (master.synced_ns or 0) + period_ns)
+    # The loop is also limited by the number of SYNCs: on a link that cannot be read,
+    # time may stand still.
     for count in itertools.count():
         if count * period_ns > 2e9 * (max(one.longest_s for one in drives) + CONFIRM_S):
             break
         for one in drives:
-            _command(master, one, Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE)
+            _command(
+                master, one, Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
+            )
         next_ns = _sync(master, next_ns)
         with suppress(RobotIdimError):
             after_sync()
@@ -120,7 +153,9 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
             _collect(master, one)
             if one.off_ns is None and (one.confirmed or one.must_go_off(now_ns)):
                 one.off_ns = now_ns
-        waited = all(one.off_ns is not None and now_ns - one.off_ns > CONFIRM_S * 1e9 for one in drives)
+        waited = all(
+            one.off_ns is not None and now_ns - one.off_ns > CONFIRM_S * 1e9 for one in drives
+        )
         if waited or all(one.confirmed for one in drives):
             break
     unconfirmed = [one for one in drives if not one.confirmed]
@@ -130,7 +165,9 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
 
 
 def stop_drives(bus: Bus) -> list[int]:
-    """Open the bus, `safe_stop`, then PRE-OPERATIONAL; the node ids of the drives that did not confirm to be disabled."""
+    """Open the bus, `safe_stop`, then PRE-OPERATIONAL; the node ids of the drives that did not
+    confirm to be disabled.
+    """
     link = open_link(bus.file, passive=False)
     try:
         master = Master(link, bus)
@@ -155,7 +192,9 @@ def leave_operational(master: Master) -> None:
 
 
 def _command(master: Master, one: _Stopping, command: Command) -> None:
-    """Send the command by PDO, with the last measured position as target (without one: not at all), and by SDO."""
+    """Send the command by PDO, with the last measured position as target (without one:
+    not at all), and by SDO.
+    """
     with suppress(RobotIdimError):  # a bus that refuses frames now may accept them later
         if one.watch.counts is not None:
             send_order(master, one.watch, command.controlword, one.watch.counts)
@@ -164,7 +203,9 @@ def _command(master: Master, one: _Stopping, command: Command) -> None:
 
 
 def _ask(master: Master, one: _Stopping, command: Command) -> None:
-    """Send a new command by SDO at once; then read the statusword each time the last request was answered or has timed out."""
+    """Send a new command by SDO at once; then read the statusword each time the last request was
+    answered or has timed out.
+    """
     drive, now_ns = one.watch.drive, master.link.now_ns()
     since_ns = now_ns - one.asked_ns
     if one.wrote is command and since_ns < (SDO_TIMEOUT_NS if one.request else ASK_S * 1e9):
@@ -174,8 +215,14 @@ def _ask(master: Master, one: _Stopping, command: Command) -> None:
     one.reading = 0
     if one.wrote is command:
         if one.off_ns is None:  # the ramp matters in motion only
-            one.reading = next((index for index in RAMP_OBJECTS if index not in one.watch.ramp_objects), 0)
-        key = (axis_index(drive, one.reading), 0) if one.reading else (drive.status.index, drive.status.sub)
+            one.reading = next(
+                (index for index in RAMP_OBJECTS if index not in one.watch.ramp_objects), 0
+            )
+        key = (
+            (axis_index(drive, one.reading), 0)
+            if one.reading
+            else (drive.status.index, drive.status.sub)
+        )
         one.request = read_request(*key)
     else:
         word, size = command.controlword, drive.control.bits // 8
@@ -185,7 +232,9 @@ def _ask(master: Master, one: _Stopping, command: Command) -> None:
 
 
 def _collect(master: Master, one: _Stopping) -> None:
-    """Take the answer to the last request; where the drive is in another state than commanded, the command is sent again."""
+    """Take the answer to the last request; where the drive is in another state than commanded, the
+    command is sent again.
+    """
     data = master.answered(one.watch.drive.node, one.request) if one.request else None
     if data is None:
         return
@@ -204,7 +253,9 @@ def _collect(master: Master, one: _Stopping) -> None:
 
 
 def _sync(master: Master, next_ns: int) -> int:
-    """Send SYNC, or await that of the other producer, and take the answers; the time at which the next one is due."""
+    """Send SYNC, or await that of the other producer, and take the answers; the time at
+    which the next one is due.
+    """
     link, period_ns = master.link, master.bus.period_ns
     with suppress(RobotIdimError):
         if master.bus.file.sync_producer == "recorder":

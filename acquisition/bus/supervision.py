@@ -1,6 +1,8 @@
-"""The heartbeat of this master, and the drives' own reactions to faults, read from them and reported as text.
+"""The heartbeat of this master, and the drives' own reactions to faults, read from
+them and reported as text.
 
-The heartbeat is sent only at SYNC: a session that hangs sends none, so the drives that supervise it (CiA 301, 1016h) stop.
+The heartbeat is sent only at SYNC: a session that hangs sends none, so the drives that supervise it
+(CiA 301, 1016h) stop.
 """
 
 import math
@@ -15,12 +17,18 @@ HEARTBEATS_PER_TIMEOUT = 3
 
 
 def timeout_ms(file: BusFile) -> int:
-    """Time without a heartbeat after which a drive reacts: three heartbeat intervals or SYNC periods, whichever is longer."""
-    return math.ceil(round(HEARTBEATS_PER_TIMEOUT * max(file.heartbeat_s, file.sync_period_s) * 1000, 6))
+    """Time without a heartbeat after which a drive reacts: three heartbeat intervals or SYNC
+    periods, whichever is longer.
+    """
+    return math.ceil(
+        round(HEARTBEATS_PER_TIMEOUT * max(file.heartbeat_s, file.sync_period_s) * 1000, 6)
+    )
 
 
 def entry_of(file: BusFile) -> int:
-    """The value (U32) that this master writes to a sub-index of 1016h: node id << 16 | time-out in ms."""
+    """The value (U32) that this master writes to a sub-index of 1016h: node id
+    << 16 | time-out in ms.
+    """
     return file.master_node << 16 | timeout_ms(file)
 
 
@@ -31,24 +39,34 @@ def heartbeat_consumers(master: Master, node: int) -> list[int]:
 
 
 def free_entry(entries: list[int], master_node: int) -> int | None:
-    """Sub-index of 1016h for `master_node`: its own, or an unused one (time 0, or no node id); None where there is none."""
+    """Sub-index of 1016h for `master_node`: its own, or an unused one (time 0, or no node id);
+    None where there is none.
+    """
     own = [k for k, entry in enumerate(entries, 1) if entry >> 16 == master_node]
-    unused = [k for k, entry in enumerate(entries, 1) if not entry & 0xFFFF or not 1 <= entry >> 16 <= 127]
+    unused = [
+        k for k, entry in enumerate(entries, 1) if not entry & 0xFFFF or not 1 <= entry >> 16 <= 127
+    ]
     return next(iter(own + unused), None)
 
 
 class MasterHeartbeat:
-    """Produces the heartbeat; call `request` before the first SYNC, and `release` once drives are disabled."""
+    """Produces the heartbeat; call `request` before the first SYNC, and `release`
+    once drives are disabled.
+    """
 
     def __init__(self, master: Master) -> None:
         self._master, self._file = master, master.bus.file
-        self._before: dict[int, tuple[int, int]] = {}  # by node: sub-index of 1016h, and its value before
-        # A heartbeat is due at the last SYNC that is not later than `heartbeat_s` after the one before.
+        # by node: sub-index of 1016h, and its value before
+        self._before: dict[int, tuple[int, int]] = {}
+        # A heartbeat is due at the last SYNC that is not later than `heartbeat_s`
+        # after the one before.
         self._due_ns = round(self._file.heartbeat_s * 1e9) - master.bus.period_ns
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
-        """Write this master to 1016h of every drive, and start the heartbeat; a line for each drive without supervision."""
+        """Write this master to 1016h of every drive, and start the heartbeat; a line for each
+        drive without supervision.
+        """
         refused = []
         for drive in self._master.bus.drives:
             node, entry = drive.node, entry_of(self._file)
@@ -56,19 +74,26 @@ class MasterHeartbeat:
                 entries = heartbeat_consumers(self._master, node)
                 sub = free_entry(entries, self._file.master_node)
                 if sub is None:
-                    raise BusFaultError("no free sub-index", place=f"node {node}: object 1016", expected="one")
+                    raise BusFaultError(
+                        "no free sub-index", place=f"node {node}: object 1016", expected="one"
+                    )
                 before = entries[sub - 1]
-                # An entry of this master was left by a session that was killed: it is removed at the end.
+                # An entry of this master was left by a session that was killed: it
+                # is removed at the end.
                 self._before[node] = (sub, 0 if before == entry else before)
                 self._master.write(node, cia.CONSUMER_HEARTBEAT, sub, entry, 4)
             except BusFaultError as error:
                 self._before.pop(node, None)
-                refused.append(f"{error.args[0]}: the drive does not detect the loss of this master")
+                refused.append(
+                    f"{error.args[0]}: the drive does not detect the loss of this master"
+                )
         self._master.at_sync = self._at_sync
         return refused
 
     def release(self, disabled: list[int]) -> list[str]:
-        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which the others stop; a line for each refusal."""
+        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which the others stop;
+        a line for each refusal.
+        """
         refused = []
         for node in disabled:
             if node in self._before:
@@ -96,7 +121,9 @@ NO_WINDOW = 2**32 - 1
 MIN_RAMP_SHARE = 0.5  # of the acceleration limit: a slower quick stop is refused
 
 _RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
-_THEN_OFF = {0: "voltage off at once, the motor coasts"} | {k: f"{ramp}, then off" for k, ramp in _RAMPS.items()}
+_THEN_OFF = {0: "voltage off at once, the motor coasts"} | {
+    k: f"{ramp}, then off" for k, ramp in _RAMPS.items()
+}
 # Values of the option codes (CiA 402-2, IEC 61800-7-201) and of 1029h (CiA 301) in words.
 OPTIONS = {
     cia.ABORT_CONNECTION: {
@@ -105,13 +132,20 @@ OPTIONS = {
         2: "voltage off when the connection is lost",
         3: "quick stop when the connection is lost",
     },
-    cia.QUICK_STOP_OPTION: _THEN_OFF | {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in _RAMPS.items()},
+    cia.QUICK_STOP_OPTION: _THEN_OFF
+    | {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in _RAMPS.items()},
     cia.SHUTDOWN_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
     cia.DISABLE_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
     cia.FAULT_OPTION: _THEN_OFF,
     ERROR_BEHAVIOUR: {0: "pre-operational", 1: "no change of the NMT state", 2: "stopped"},
 }
-_STOPS = dict(zip(cia.STOP_OPTIONS, ("quick stop", "shutdown", "disable operation", "fault reaction"), strict=True))
+_STOPS = dict(
+    zip(
+        cia.STOP_OPTIONS,
+        ("quick stop", "shutdown", "disable operation", "fault reaction"),
+        strict=True,
+    )
+)
 NOT_THERE = "not there"
 Property = tuple[str, str]  # of a drive: name, value in words
 
@@ -119,11 +153,18 @@ Property = tuple[str, str]  # of a drive: name, value in words
 def supervision_of(master: Master, drive: Drive) -> list[Property]:
     """Each supervision object of a drive in words: loss of the master, stops, following error.
 
-    Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object that the drive does not
-    have is reported as not there; nothing is raised.
+    Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object
+    that the drive does not have is reported as not there; nothing is raised.
     """
-    behaviour, timer = _read(master, drive, ERROR_BEHAVIOUR, 1), _read(master, drive, RPDO_PARAMETERS, 5)
-    behaves = f"{NOT_THERE}: pre-operational (CiA 301)" if behaviour is None else _in_words(ERROR_BEHAVIOUR, behaviour)
+    behaviour, timer = (
+        _read(master, drive, ERROR_BEHAVIOUR, 1),
+        _read(master, drive, RPDO_PARAMETERS, 5),
+    )
+    behaves = (
+        f"{NOT_THERE}: pre-operational (CiA 301)"
+        if behaviour is None
+        else _in_words(ERROR_BEHAVIOUR, behaviour)
+    )
     missed = f"{timer}: an error after {timer} ms without the PDO"
     if not timer:
         missed = f"{0 if timer == 0 else NOT_THERE}: a missing PDO to the drive has no effect"
@@ -138,23 +179,37 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
 
 
 def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
-    """The quick-stop ramp in words, and the ramp that `--track` requires where it is too slow, else an empty text."""
+    """The quick-stop ramp in words, and the ramp that `--track` requires where it is too
+    slow, else an empty text.
+    """
     watch = master.by_node[drive.node]
     for index in cia.RAMP_OBJECTS:
         watch.ramp_objects[index] = _read(master, drive, index + axis_of(drive))
     ramp = cia.quick_stop_ramp(watch.ramp_objects, drive.position_codec)
     scale, unit = drive.counts_per_joint
     if ramp is None:
-        return "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s", ""
+        return (
+            "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 "
+            "% in 0.05 s",
+            "",
+        )
     speed, min_ramp = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
     rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
     text = f"quick stop ramp {ramp / scale:.4g} {unit}/s²{rest}"
     fast_enough = ramp >= min_ramp - 1  # drives state whole counts
-    return text, "" if fast_enough else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit"
+    return (
+        text,
+        ""
+        if fast_enough
+        else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit",
+    )
 
 
 def refuse_slow_ramps(master: Master) -> list[str]:
-    """Read the ramps for a later stop; a line for each unknown ramp. Raises `RefusedError` if one is too slow."""
+    """Read the ramps for a later stop; a line for each unknown ramp.
+
+    Raises `RefusedError` if one is too slow.
+    """
     unknown = []
     for watch in master.nodes:
         place = f"node {watch.drive.node} ({watch.drive.name})"
@@ -166,7 +221,9 @@ def refuse_slow_ramps(master: Master) -> list[str]:
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:
-    """The supervision that a drive lacks, empty where none: after a power cut of this computer nothing would stop it."""
+    """The supervision that a drive lacks, empty where none: after a power cut of this computer
+    nothing would stop it.
+    """
     axis = axis_of(drive)
     try:
         sub = free_entry(heartbeat_consumers(master, drive.node), master.bus.file.master_node)
@@ -174,9 +231,13 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
         sub = None
     missing = []
     if sub is None and not _read(master, drive, cia.ABORT_CONNECTION + axis):
-        missing.append(f"of the master (no free 1016, {cia.ABORT_CONNECTION + axis:04X} is 0 or not there)")
+        missing.append(
+            f"of the master (no free 1016, {cia.ABORT_CONNECTION + axis:04X} is 0 or not there)"
+        )
     if _read(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
-        missing.append(f"of the following error ({cia.FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there)")
+        missing.append(
+            f"of the following error ({cia.FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there)"
+        )
     return f"none {' and none '.join(missing)}" if missing else ""
 
 
@@ -185,14 +246,21 @@ def refuse_unsupervised(master: Master) -> None:
     for drive in master.bus.drives:
         if refusal := supervision_refusal(master, drive):
             where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"
-            raise RefusedError(refusal, what="motion", place=where, key="supervision", expected=expected)
+            raise RefusedError(
+                refusal, what="motion", place=where, key="supervision", expected=expected
+            )
 
 
 def second_stop(file: BusFile) -> str:
-    """Whether the recorder's process can stop the drives when the session's process dies or hangs."""
+    """Whether the recorder's process can stop the drives when the session's
+    process dies or hangs.
+    """
     if file.interface in SHARED:
         return "the recorder's process stops the drives of a tracking session that dies or hangs"
-    return f"none: {file.interface} opens once only: if the session dies or hangs, only the drives' own supervision stops them"
+    return (
+        f"none: {file.interface} opens once only: if the session dies or hangs, only the "
+        "drives' own supervision stops them"
+    )
 
 
 def _consumers(master: Master, drive: Drive) -> Property:
@@ -205,14 +273,18 @@ def _consumers(master: Master, drive: Drive) -> Property:
     text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
     if sub is None:
         return name, f"{text}: no free sub-index: the drive does not detect the loss of the master"
-    writes = f"--track writes 0x{entry_of(file):08X} (node {file.master_node}, {timeout_ms(file)} ms)"
+    writes = (
+        f"--track writes 0x{entry_of(file):08X} (node {file.master_node}, {timeout_ms(file)} ms)"
+    )
     return name, f"{text}; {writes} to sub-index {sub}"
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
     """An option code in words; the CiA 402 objects of each further axis are 800h higher."""
     raw, name = _read(master, drive, index + axis_of(drive)), f"{name} {index + axis_of(drive):04X}"
-    return name, NOT_THERE if raw is None else _in_words(index, raw - 0x10000 if raw >= 0x8000 else raw)
+    return name, NOT_THERE if raw is None else _in_words(
+        index, raw - 0x10000 if raw >= 0x8000 else raw
+    )
 
 
 def _in_words(index: int, value: int) -> str:
@@ -226,7 +298,11 @@ def _following_error(master: Master, drive: Drive) -> Property:
     name = f"following error {cia.FOLLOWING_ERROR_WINDOW + axis:04X}"
     if window is None or window == NO_WINDOW:
         return name, NOT_THERE if window is None else f"0x{window:X}: off"
-    after = f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
+    after = (
+        f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})"
+        if time_ms is not None
+        else ""
+    )
     return name, f"{window}: an error above {window} of the drive's position units{after}"
 
 

@@ -1,4 +1,6 @@
-"""The nodes of an unknown bus and what they state, read by SDO (upload); nothing else can be sent."""
+"""The nodes of an unknown bus and what they state, read by SDO (upload);
+nothing else can be sent.
+"""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -14,13 +16,16 @@ from .links import MasterLink
 from .master import SDO_TIMEOUT_NS, Master
 
 REQUEST_INTERVAL_NS = 1_000_000
-TRIES = 2  # a server may abort the upload before, which was too long for one frame, in place of an answer
+# a server may abort the upload before, which was too long for one frame, in place of an answer
+TRIES = 2
 MAX_UNANSWERED = 2  # objects in a row; then a node is asked for nothing more
 MAX_ENTRIES = 8  # of an array
 
 
 class Reading(NamedTuple):
-    """The value (or text) of an object, and what is wrong with the answer: none, an abort, another size; else empty."""
+    """The value (or text) of an object, and what is wrong with the answer: none, an abort,
+    another size; else empty.
+    """
 
     value: int | None
     problem: str = ""
@@ -32,12 +37,15 @@ Readings = dict[tuple[int, int], Reading]  # by index and sub-index
 
 
 class Uploads:
-    """A link that sends SDO read requests only, and from the first frame of another master or error frame on nothing.
+    """A link that sends SDO read requests only, and from the first frame of another master or
+    error frame on nothing.
 
     `heard`: the services received, by node. `say` is called with the node of each request.
     """
 
-    def __init__(self, link: MasterLink, file: BusFile, say: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(
+        self, link: MasterLink, file: BusFile, say: Callable[[str], None] = lambda text: None
+    ) -> None:
         self.bus, self.heard = Bus(file=file, drives=()), dict[int, set[str]]()
         self._link, self._say, self._received, self._refusal = link, say, deque[Frame](), ""
         self._sent = self._next_ns = 0
@@ -47,7 +55,9 @@ class Uploads:
         return self._link.now_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a read request, a millisecond after the last one and after a look at all frames received until then."""
+        """Send a read request, a millisecond after the last one and after a look at all
+        frames received until then.
+        """
         while (frame := self._link.receive(self._next_ns)) is not None:
             self._received.append(self._checked(frame))
         is_read = data[:1] == b"\x40" and data[4:] == bytes(4)
@@ -60,7 +70,10 @@ class Uploads:
         self._link.send(can_id, data)
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame. Raises `RefusedError` for one of another master, and for an error frame."""
+        """The next frame.
+
+        Raises `RefusedError` for one of another master, and for an error frame.
+        """
         frame = None if self._received else self._link.receive(until_ns)
         return self._received.popleft() if self._received else frame and self._checked(frame)
 
@@ -79,11 +92,17 @@ class Uploads:
     def _refuse(self) -> None:
         if self._refusal:
             sent = f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"
-            raise RefusedError(self._refusal, what="sending", place="bus", expected=f"none during a scan; {sent}")
+            raise RefusedError(
+                self._refusal, what="sending", place="bus", expected=f"none during a scan; {sent}"
+            )
 
 
-def scan_nodes(uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]) -> dict[int, Readings]:
-    """Listen, find the nodes that answer 1000h, and read `objects` and the entries of `arrays` of each."""
+def scan_nodes(
+    uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]
+) -> dict[int, Readings]:
+    """Listen, find the nodes that answer 1000h, and read `objects` and the
+    entries of `arrays` of each.
+    """
     master, request = Master(uploads, uploads.bus), cia.read_request(cia.DEVICE_TYPE, 0)
     master.wait(uploads.now_ns() + round(LISTEN_S * 1e9))
     for node in range(1, 128):
@@ -93,7 +112,9 @@ def scan_nodes(uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Seq
     return {node: _read_node(master, node, objects, arrays) for node in found}
 
 
-def _read_node(master: Master, node: int, objects: Sequence[tuple[int, int]], arrays: Sequence[int]) -> Readings:
+def _read_node(
+    master: Master, node: int, objects: Sequence[tuple[int, int]], arrays: Sequence[int]
+) -> Readings:
     readings, keys, unanswered = Readings(), [*objects, *((index, 0) for index in arrays)], 0
     for index, sub in keys:
         reading = _read(master, node, index, sub) if unanswered < MAX_UNANSWERED else NO_ANSWER
@@ -106,7 +127,10 @@ def _read_node(master: Master, node: int, objects: Sequence[tuple[int, int]], ar
 
 
 def upload_segments(master: Master, node: int, index: int) -> cia.Transfer:
-    """The value whose upload has begun with an answer of kind `other`, or an abort. Raises as `Master.upload`."""
+    """The value whose upload has begun with an answer of kind `other`, or an abort.
+
+    Raises as `Master.upload`.
+    """
     data = b""
     for k in range(64):  # 448 bytes
         request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")  # with the toggle bit
@@ -139,5 +163,7 @@ def _read(master: Master, node: int, index: int, sub: int) -> Reading:
         if index in cia.TEXTS:
             return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
         value = int.from_bytes(answer.data[:size], "little", signed=signed)
-        return Reading(value, "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}")
+        return Reading(
+            value, "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}"
+        )
     return NO_ANSWER

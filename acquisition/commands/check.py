@@ -1,4 +1,6 @@
-"""`robot-acquire check`: which drives answer, and whether they match the description; go or no go."""
+"""`robot-acquire check`: which drives answer, and whether they match the
+description; go or no go.
+"""
 
 import argparse
 

@@ -1,4 +1,5 @@
-"""`robot-acquire check`: which drives answer, whether they match the description, and whether the bus carries the load.
+"""`robot-acquire check`: which drives answer, whether they match the description, and whether
+the bus carries the load.
 
 Nothing moves and no PDO is configured; objects are read and SYNC is measured.
 """
@@ -28,7 +29,12 @@ from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
 from ..robot import FILL_IN, MAX_LOAD, Bus, Drive, Robot, lines_to_fill_in, ripple_notes
 from ..session import DEVIATIONS, real_time_scheduling, sync_jitter
 
-SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
+SCALES = {
+    0x608F: "encoder increments per turns",
+    0x6091: "gear",
+    0x6092: "feed",
+    0x60A8: "position unit",
+}
 MAX_OFF_SHARE = 0.01  # of SYNC intervals that deviate by more than half a period
 OTHER_NODES = "other nodes"
 NO_ANSWER = "no drive answers; without hardware: `robot-acquire record --dry-run`"
@@ -47,20 +53,32 @@ class Finding:
 
 
 def check(robot: Robot, bus: Bus) -> list[Finding]:
-    """Check the bus, the drives and the computer, without motion. A session may start if all findings are `ok`."""
+    """Check the bus, the drives and the computer, without motion.
+
+    A session may start if all findings are `ok`.
+    """
     handle = open_bus(bus.file, passive=False)
     link = Link(handle, passive=False)
     try:
         sock = socket_of(handle)
         findings = [_load(bus), Finding("second stop", second_stop(bus.file))]
-        findings += [Finding("effort", text) for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)]
+        findings += [
+            Finding("effort", text)
+            for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)
+        ]
         if lines := lines_to_fill_in(robot):
             text = f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses"
             findings.append(Finding(FILL_IN, text, ok=False, track=True))
         if sock is not None:
             granted = queue_bytes(sock)
-            text = "" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
-            findings.append(Finding("kernel queue", f"{granted} bytes{text}", ok=granted >= QUEUE_BYTES // 10))
+            text = (
+                ""
+                if granted >= QUEUE_BYTES
+                else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
+            )
+            findings.append(
+                Finding("kernel queue", f"{granted} bytes{text}", ok=granted >= QUEUE_BYTES // 10)
+            )
         with real_time_scheduling() as scheduling:
             findings.append(Finding("scheduling", scheduling.words))
             found = check_drives(link, bus)
@@ -77,26 +95,46 @@ def table(findings: list[Finding]) -> list[str]:
     for finding in findings:
         same = nodes.setdefault((finding.subject, one_line(finding.found), finding.ok), [])
         same += [] if finding.node is None else [str(finding.node)]
-    order = list(dict.fromkeys(subject for subject, _, _ in nodes))  # different drives stand below each other
-    rows = sorted(((*key, ", ".join(same)) for key, same in nodes.items()), key=lambda row: order.index(row[0]))
-    names, of_nodes = (max((len(cell) for cell in cells), default=0) for cells in (order, [row[3] for row in rows]))
-    return [f"{'ok' if ok else 'NO'}  {name:{names}}  {of:{of_nodes}}  {found}" for name, found, ok, of in rows]
+    # different drives stand below each other
+    order = list(dict.fromkeys(subject for subject, _, _ in nodes))
+    rows = sorted(
+        ((*key, ", ".join(same)) for key, same in nodes.items()),
+        key=lambda row: order.index(row[0]),
+    )
+    names, of_nodes = (
+        max((len(cell) for cell in cells), default=0) for cells in (order, [row[3] for row in rows])
+    )
+    return [
+        f"{'ok' if ok else 'NO'}  {name:{names}}  {of:{of_nodes}}  {found}"
+        for name, found, ok, of in rows
+    ]
 
 
 def refusal(findings: list[Finding]) -> str:
     """The findings that forbid a session, or only `--track`, in one line; empty if none does."""
     failed = [finding for finding in findings if not finding.ok]
-    names = dict.fromkeys(f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed)
+    names = dict.fromkeys(
+        f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed
+    )
     if any(f.found == NO_ANSWER for f in failed):
         return f"no go: {NO_ANSWER}"
-    return f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}" if failed else ""
+    return (
+        f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}"
+        if failed
+        else ""
+    )
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
-    """Findings about the drives and SYNC over an open link; nothing is sent if another node is heard first."""
+    """Findings about the drives and SYNC over an open link; nothing is sent if
+    another node is heard first.
+    """
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
-        text = f"{other}; states, PDOs, supervision, scales, identity, rated values and SYNC are not checked"
+        text = (
+            f"{other}; states, PDOs, supervision, scales, identity, rated values and SYNC are "
+            "not checked"
+        )
         return [Finding(OTHER_NODES, text, ok=False)]
     by_drive = [_of_drive(master, drive) for drive in bus.drives]
     findings = [finding for of_drive in by_drive for finding in of_drive]
@@ -111,7 +149,10 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
         findings += [Finding("description", text, ok=False) for text in differences]
         findings += [] if differences else [Finding("description", _agreement(bus))]
     findings.append(_jitter(master))
-    return findings + [Finding("node ids", f"two devices answer as node {node}", ok=False) for node in master.doubled]
+    return findings + [
+        Finding("node ids", f"two devices answer as node {node}", ok=False)
+        for node in master.doubled
+    ]
 
 
 def _of_drive(master: Master, drive: Drive) -> list[Finding]:
@@ -125,7 +166,9 @@ def _of_drive(master: Master, drive: Drive) -> list[Finding]:
     text = "fault: remove its cause and reset it" if fault else state.words
     findings = [Finding("state", text, ok=not fault, node=drive.node)]
     properties = [("PDOs", _mapped(master, drive.node)), *supervision_of(master, drive)]
-    properties += [("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())]
+    properties += [
+        ("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())
+    ]
     if scale := _scale(master, drive):
         properties.append(("scale", scale))
     findings += [Finding(name, text, node=drive.node) for name, text in properties]
@@ -139,7 +182,9 @@ def _of_drive(master: Master, drive: Drive) -> list[Finding]:
 
 
 def _scale(master: Master, drive: Drive) -> str:
-    """The drive's objects of position units, and the units of the description; manufacturers combine them differently."""
+    """The drive's objects of position units, and the units of the description; manufacturers
+    combine them differently.
+    """
     entries = drive.dictionary.entries if drive.dictionary is not None else {}
     values = []
     for index, name in SCALES.items():
@@ -152,7 +197,10 @@ def _scale(master: Master, drive: Drive) -> str:
         except BusFaultError:
             values.append(f"{name} {index:04X} not answered")
     counts = drive.position_codec.counts_per_unit
-    text = f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that they agree"
+    text = (
+        f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that "
+        "they agree"
+    )
     return ", ".join([*values, text]) if values else ""
 
 
@@ -160,8 +208,14 @@ def _agreement(bus: Bus) -> str:
     """The values that were compared."""
     identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
     compared = {"identity": identity, "rated values": [d.name for d in bus.drives if d.rated]}
-    agree = " and ".join(f"{what} of {', '.join(names)}" for what, names in compared.items() if names)
-    return f"agrees with {agree}" if agree else "nothing to compare: no dictionary with an identity and no rated value"
+    agree = " and ".join(
+        f"{what} of {', '.join(names)}" for what, names in compared.items() if names
+    )
+    return (
+        f"agrees with {agree}"
+        if agree
+        else "nothing to compare: no dictionary with an identity and no rated value"
+    )
 
 
 def _mapped(master: Master, node: int) -> str:
@@ -182,7 +236,9 @@ def _load(bus: Bus) -> Finding:
     bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
     fastest_hz = MAX_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
     rate_hz = 1 / bus.file.sync_period_s
-    text = f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
+    text = (
+        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
+    )
     return Finding("bus load", text, ok=bus.load <= MAX_LOAD)
 
 
@@ -192,7 +248,11 @@ def _jitter(master: Master) -> Finding:
         jitter = sync_jitter(master)
     except BusFaultError as error:
         return Finding("SYNC", error.args[0], ok=False)
-    period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, jitter.sd_s * 1e3, jitter.worst_s * 1e3
+    period_ms, sd_ms, worst_ms = (
+        master.bus.file.sync_period_s * 1e3,
+        jitter.sd_s * 1e3,
+        jitter.worst_s * 1e3,
+    )
     text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
     if not jitter.fit_for_motion:
         text += f"; {DEVIATIONS} sd are more than {jitter.largest_s * 1e3:g} ms: --track refuses"
@@ -205,13 +265,22 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
     """Reported joint positions, and whether the drives are homed."""
     findings = []
     try:
-        text = f"{', '.join(position_words(robot, joint_positions(robot, master)))}: check that the robot stands there"
+        text = (
+            f"{', '.join(position_words(robot, joint_positions(robot, master)))}: check that "
+            "the robot stands there"
+        )
         findings.append(Finding("joint positions", text))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             homed = is_homed(master, drive, file)
             stated = f"{'yes' if homed else 'NO'} ({file.homed})"
-            text = "not described: the drive's zero may be its position at power-on" if homed is None else stated
-            findings.append(Finding("homed", text, ok=homed is not False, node=drive.node, track=True))
+            text = (
+                "not described: the drive's zero may be its position at power-on"
+                if homed is None
+                else stated
+            )
+            findings.append(
+                Finding("homed", text, ok=homed is not False, node=drive.node, track=True)
+            )
     except BusFaultError as error:
         findings.append(Finding("joint positions", error.args[0], ok=False))
     return findings

@@ -1,7 +1,8 @@
 """The command line of both packages: parser, standard streams, errors in one line, exit statuses.
 
-Each command is a module with `add(parser)`, which declares its options, and `run(options)`: parse, one library call, print.
-A command's module is imported when the command is chosen, and `run` imports the libraries, so that `--help` is fast.
+Each command is a module with `add(parser)`, which declares its options, and `run(options)`: parse,
+one library call, print. A command's module is imported when the command is chosen, and `run`
+imports the libraries, so that `--help` is fast.
 """
 
 import argparse
@@ -18,7 +19,18 @@ from difflib import get_close_matches
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TextIO, TypeVar, cast, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NoReturn,
+    TextIO,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+)
 
 from ..errors import one_line
 
@@ -30,19 +42,30 @@ T = TypeVar("T", bound="DataclassInstance")
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files"}  # of shtab, `FILE`
 STATUSES = (
     "exit status: 0 done; 1 an error, in one line on standard error; 2 wrong usage; "
-    "3 done, but the result is not to be trusted (robot-identify fit, fleet, validate); 130 interrupted by Ctrl-C"
+    "3 done, but the result is not to be trusted (robot-identify fit, fleet, validate); 130 "
+    "interrupted by Ctrl-C"
 )
 DISTRIBUTION = "robot-idim"
-PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can", "canopen", "msgspec")
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "pin",
+    "rerun-sdk",
+    "mcap",
+    "rosbags",
+    "python-can",
+    "canopen",
+    "msgspec",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
     """A command line: its name, one line about it, and the errors that it prints in one line.
 
-    `commands` gives the help of each command, in order. Its module in `package` has the same name, with an underscore if the
-    name is a Python keyword. `gone`: what to use instead of a command, an option, or an option of one command
-    ("command --option") of older versions.
+    `commands` gives the help of each command, in order. Its module in `package` has the same name,
+    with an underscore if the name is a Python keyword. `gone`: what to use instead of a command, an
+    option, or an option of one command ("command --option") of older versions.
     """
 
     name: str
@@ -54,12 +77,16 @@ class Program:
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
         """The parser of all commands; only those `chosen` have their options, and `run`."""
-        parser = _Parser(prog=self.name, description=self.description, epilog=STATUSES, allow_abbrev=False)
+        parser = _Parser(
+            prog=self.name, description=self.description, epilog=STATUSES, allow_abbrev=False
+        )
         versions = "versions of this program and its dependencies"
         parser.add_argument("--version", action=_Versions, nargs=0, help=versions)
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
         for name, help_text in self.commands.items():
-            command = commands.add_parser(name, help=help_text, description=help_text, allow_abbrev=False)
+            command = commands.add_parser(
+                name, help=help_text, description=help_text, allow_abbrev=False
+            )
             if name in chosen:
                 module = import_module(f"{self.package}.{name}{'_' * iskeyword(name)}")
                 module.add(command)
@@ -67,14 +94,20 @@ class Program:
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Run the command in `arguments` (default: those of the process); return one of `STATUSES`."""
+        """Run the command in `arguments` (default: those of the process);
+        return one of `STATUSES`.
+        """
         given = sys.argv[1:] if arguments is None else arguments
-        gc.set_threshold(50_000)  # imports leave little garbage: to look for it takes 0.08 s of a fit
+        # imports leave little garbage: to look for it takes 0.08 s of a fit
+        gc.set_threshold(50_000)
 
         def command() -> int | None:
             # No option before the command takes a value.
             chosen = next((argument for argument in given if not argument.startswith("-")), "")
-            parser, flags = self.parser(chosen), [word.partition("=")[0] for word in given if word.startswith("-")]
+            parser, flags = (
+                self.parser(chosen),
+                [word.partition("=")[0] for word in given if word.startswith("-")],
+            )
             for name in (chosen, *flags, *(f"{chosen} {flag}" for flag in flags)):
                 if name in self.gone:
                     parser.error(f"{name} is gone: {self.gone[name]}")
@@ -83,7 +116,9 @@ class Program:
                 try:
                     import_module("shtab").add_argument_to(parser, "--print-completion")
                 except ImportError:
-                    parser.error("--print-completion needs shtab: pip install 'robot-idim[completion]'")
+                    parser.error(
+                        "--print-completion needs shtab: pip install 'robot-idim[completion]'"
+                    )
             options = parser.parse_args(given)
             return cast(int | None, options.run(options))
 
@@ -95,12 +130,24 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the line, and exit with status 2."""
-        commands = [c for a in self._actions if isinstance(a.choices, dict) for c in a.choices.values()]
+        commands = [
+            c for a in self._actions if isinstance(a.choices, dict) for c in a.choices.values()
+        ]
         known = [str(choice) for action in self._actions for choice in action.choices or ()]
-        known += [option for parser in (self, *commands) for option in parser._option_string_actions]
-        wrong = re.findall(r"(?:unrecognized arguments|invalid choice): (.*?)(?: \(choose|$)", message)
-        near = [x for word in re.findall(r"-*\w[\w-]*", *wrong or [""]) for x in get_close_matches(word, known, 1)]
-        message = f"{message.partition(' (choose')[0]}: did you mean {near[0]}?" if near else message
+        known += [
+            option for parser in (self, *commands) for option in parser._option_string_actions
+        ]
+        wrong = re.findall(
+            r"(?:unrecognized arguments|invalid choice): (.*?)(?: \(choose|$)", message
+        )
+        near = [
+            x
+            for word in re.findall(r"-*\w[\w-]*", *wrong or [""])
+            for x in get_close_matches(word, known, 1)
+        ]
+        message = (
+            f"{message.partition(' (choose')[0]}: did you mean {near[0]}?" if near else message
+        )
         self.exit(2, one_line(f"{self.prog}: error: {message}") + "\n")
 
 
@@ -117,16 +164,24 @@ class _Versions(argparse.Action):
                 return "not installed"
 
         print(f"{parser.prog} {of(DISTRIBUTION)}")
-        print(f"Python {sys.version.split()[0]}", *(f"{package} {of(package)}" for package in PACKAGES), sep="\n")
+        print(
+            f"Python {sys.version.split()[0]}",
+            *(f"{package} {of(package)}" for package in PACKAGES),
+            sep="\n",
+        )
         parser.exit()
 
 
 def add_options(
-    parser: "argparse._ActionsContainer", record: type["DataclassInstance"], *names: str, **defaults: Any
+    parser: "argparse._ActionsContainer",
+    record: type["DataclassInstance"],
+    *names: str,
+    **defaults: Any,
 ) -> None:
     """Declare options for the fields of `record` that have an `option`: all, or those in `names`.
 
-    An option that is not given is None, for which `from_options` uses the field's default, or has the value in `defaults`.
+    An option that is not given is None, for which `from_options` uses the field's default, or has
+    the value in `defaults`.
     """
     for field in fields(record):
         if get_origin(field.type) is not Annotated or (names and field.name not in names):
@@ -151,14 +206,20 @@ def _default_text(default: Any) -> str:
 
 
 def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
-    """A dataclass from the options named like its fields, and `others`; None leaves the field's default."""
+    """A dataclass from the options named like its fields, and `others`; None
+    leaves the field's default.
+    """
     given = {field.name: getattr(options, field.name, None) for field in fields(kind)}
     return kind(**{**{name: value for name, value in given.items() if value is not None}, **others})
 
 
-def add_path(parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any) -> None:
+def add_path(
+    parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any
+) -> None:
     """Declare a file or a folder; `names` of an option are separated by blanks."""
-    vars(parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how))["complete"] = _FILES
+    vars(parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how))[
+        "complete"
+    ] = _FILES
 
 
 def add_flag(parser: "argparse._ActionsContainer", name: str, help: str) -> None:
@@ -197,13 +258,16 @@ class Progress:
 
 
 class _Stream:
-    """A text stream that stores its first error and drops later text, so that a failed `print` does not end a command."""
+    """A text stream that stores its first error and drops later text, so that a failed `print`
+    does not end a command.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
         self.error: OSError | None = None
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without Unicode shows ? for other characters
+            # a terminal without Unicode shows ? for other characters
+            stream.reconfigure(errors="replace")
 
     def write(self, text: str) -> int:
         self._unless_failed(lambda: self.stream.write(text))
@@ -222,18 +286,22 @@ class _Stream:
             call()
         except OSError as error:
             self.error = error
-            # Python flushes again at exit and would report the error, so the rest goes to /dev/null.
+            # Python flushes again at exit and would report the error, so the
+            # rest goes to /dev/null.
             with suppress(OSError):  # the stream of a test has no descriptor
                 null = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(null, self.stream.fileno())
                 os.close(null)
 
 
-def run_command(program: str, errors: Sequence[type[Exception]], command: Callable[[], int | None]) -> int:
-    """Run `command` and return the exit status: that of `command` (None is 0), 1 after one of `errors`, 130 on Ctrl-C.
+def run_command(
+    program: str, errors: Sequence[type[Exception]], command: Callable[[], int | None]
+) -> int:
+    """Run `command` and return the exit status: that of `command` (None is 0), 1 after one of
+    `errors`, 130 on Ctrl-C.
 
-    A pipe of standard output that is closed early (`| head -1`) is no error. If standard output cannot be written for
-    another reason (a full disk), the command finishes, then the status is 1.
+    A pipe of standard output that is closed early (`| head -1`) is no error. If standard output
+    cannot be written for another reason (a full disk), the command finishes, then the status is 1.
     """
     with _standard_streams() as (out, err):
         try:
@@ -259,12 +327,15 @@ def _refuse(err: _Stream, program: str, text: str, status: int) -> int:
 
 @contextmanager
 def _standard_streams() -> Iterator[tuple[_Stream, _Stream]]:
-    """Standard output and error, guarded inside the block; output to a closed stream (`>&-`) is discarded."""
+    """Standard output and error, guarded inside the block; output to a closed
+    stream (`>&-`) is discarded.
+    """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # reserves this number, which the next opened file would get otherwise
+            # reserves this number, which the next opened file would get otherwise
+            os.open(os.devnull, os.O_RDWR)
     before = sys.stdout, sys.stderr
     with suppress(OSError):
         null = open(os.devnull, "w")  # noqa: SIM115

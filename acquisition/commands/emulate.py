@@ -11,8 +11,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "robot", "ROBOT.toml", "description of robot and drives")
     add_path(parser, "--replay", "LOG.mcap", "the drives follow the samples of this recording")
-    add_flag(parser, "--unsupervised", "simulate drives that do not detect a lost SYNC or a lost master")
-    parser.add_argument("--duration", type=float, metavar="S", help="seconds to run (default: until Ctrl-C)")
+    add_flag(
+        parser, "--unsupervised", "simulate drives that do not detect a lost SYNC or a lost master"
+    )
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="seconds to run (default: until Ctrl-C)"
+    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -24,22 +28,37 @@ def run(options: argparse.Namespace) -> None:
     from ..recording import read_recording
     from ..robot import load_robot, resolve
     from ..session import Stop, stop_on_signals
-    from ..simulated import DrivenPlant, SimulatedDrives, TablePlant, cascaded_loops, driven_plant, serve
+    from ..simulated import (
+        DrivenPlant,
+        SimulatedDrives,
+        TablePlant,
+        cascaded_loops,
+        driven_plant,
+        serve,
+    )
 
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
     if bus.file.interface == "virtual":
         expected = "udp_multicast or socketcan"
-        Place(str(options.robot), "bus").refuse("interface", "virtual", expected, text="other programs cannot join it")
+        Place(str(options.robot), "bus").refuse(
+            "interface", "virtual", expected, text="other programs cannot join it"
+        )
     if options.replay is None:
         mechanism = driven_plant(robot, bus)
     else:
         recording = read_recording(options.replay)
         if recording.samples is None:
-            raise BadInputError(recording.no_samples, place=str(options.replay), expected="some to replay")
+            raise BadInputError(
+                recording.no_samples, place=str(options.replay), expected="some to replay"
+            )
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
-        mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # the loops have no effect
-    stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))
+        # the loops have no effect
+        mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))
+    stop, end_s = (
+        Stop(),
+        time.monotonic() + (options.duration if options.duration is not None else float("inf")),
+    )
     nodes = ", ".join(str(drive.node) for drive in bus.drives)
     text = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"
     text += f"; {mechanism.warning}" if mechanism.warning else ""

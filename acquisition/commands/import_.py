@@ -1,4 +1,6 @@
-"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag, a CAN log, an EtherCAT capture or a recording."""
+"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag, a CAN log, an EtherCAT
+capture or a recording.
+"""
 
 import argparse
 import math
@@ -20,51 +22,89 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
     text = (
-        "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN "
+        "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, "
+        ".mcap, .db3); or one CAN "
     )
     text += (
-        "log (candump .log, .asc, .blf, .trc); or one EtherCAT capture (pcap, pcapng); or one recording: its frames "
+        "log (candump .log, .asc, .blf, .trc); or one EtherCAT capture (pcap, pcapng); or one "
+        "recording: its frames "
     )
     text += "are decoded, and a cut one is repaired"
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
-    add_path(inputs, "--map", "MAP.toml", "meaning of the columns (default: FILE.map.toml; proposed if it is missing)")
+    add_path(
+        inputs,
+        "--map",
+        "MAP.toml",
+        "meaning of the columns (default: FILE.map.toml; proposed if it is missing)",
+    )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
-    text = "topic of JointState; after a comma of JointTrajectoryControllerState (default: the only one with the "
+    text = (
+        "topic of JointState; after a comma of JointTrajectoryControllerState (default: the "
+        "only one with the "
+    )
     text += "joints)"
     bag.add_argument("--topic", metavar="NAME", help=text)
     text = (
-        "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the "
+        "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in "
+        "N), or A, V, ... at the "
     )
     text += "motors; one for all joints, or one per joint separated by commas"
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
     text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
     capture = parser.add_argument_group("EtherCAT capture")
-    text = "for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the order of the bus"
-    capture.add_argument("--mapping", metavar="0x6041:16,0x6064:32,...", action="append", default=[], help=text)
+    text = (
+        "for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the "
+        "order of the bus"
+    )
+    capture.add_argument(
+        "--mapping", metavar="0x6041:16,0x6064:32,...", action="append", default=[], help=text
+    )
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --output", "LOG.mcap", "the recording to write (default: named as the first FILE)")
+    add_path(
+        outputs,
+        "-o --output",
+        "LOG.mcap",
+        "the recording to write (default: named as the first FILE)",
+    )
     add_overwrite(outputs)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import a bag (with a topic), tables (with a map), a CAN log or a recording, and print a summary."""
+    """Import a bag (with a topic), tables (with a map), a CAN log or a
+    recording, and print a summary.
+    """
     from ..files import is_recording, refuse_clash
 
     options.output = options.output or options.tables[0].with_suffix(".mcap")
-    refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
+    refuse_clash(
+        [options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite
+    )
     with Progress("importing"):
-        from ..importing import BagOptions, import_bag, import_log, import_recording, import_tables, is_log
+        from ..importing import (
+            BagOptions,
+            import_bag,
+            import_log,
+            import_recording,
+            import_tables,
+            is_log,
+        )
         from ..robot import load_robot, parse_payload
 
         out, tables = options.output, options.tables
         if options.mapping and (options.topic or options.map or not is_log(tables[0])):
-            raise BadInputError(key="--mapping", value=options.mapping[0], expected="an EtherCAT capture")
+            raise BadInputError(
+                key="--mapping", value=options.mapping[0], expected="an EtherCAT capture"
+            )
         again = options.topic is None and options.map is None and is_recording(tables[0])
         robot = None if options.robot is None else load_robot(options.robot)
-        payload = None if options.payload is None or robot is None else parse_payload(options.payload, robot)
+        payload = (
+            None
+            if options.payload is None or robot is None
+            else parse_payload(options.payload, robot)
+        )
         if again:
             _refuse_bag_options(options)
             _refuse_as_recording(options)
@@ -78,7 +118,12 @@ def run(options: argparse.Namespace) -> None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
             topic, _, other = (name.strip() for name in options.topic.partition(","))
-            bag = BagOptions(topic=topic, reference_topic=other, effort_unit=units, resample_hz=options.resample_hz)
+            bag = BagOptions(
+                topic=topic,
+                reference_topic=other,
+                effort_unit=units,
+                resample_hz=options.resample_hz,
+            )
             found = import_bag(tables[0], robot, out, bag, payload)
         else:
             _refuse_bag_options(options)
@@ -86,15 +131,26 @@ def run(options: argparse.Namespace) -> None:
                 found = import_tables(tables, robot, options.map, out, payload)
             else:
                 _refuse_as_log(tables)
-                found = import_log(tables[0], out, robot, str(options.robot), payload, options.mapping)
+                found = import_log(
+                    tables[0], out, robot, str(options.robot), payload, options.mapping
+                )
     _print(found, sys.stderr if options.topic is None and options.map is None else sys.stdout)
 
 
 def _print(found: "ImportSummary", warnings: TextIO) -> None:
-    parts = [f"{found.out}: {found.robot}", f"{found.samples} samples at {found.sample_rate_hz:g} Hz"]
-    parts += [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
+    parts = [
+        f"{found.out}: {found.robot}",
+        f"{found.samples} samples at {found.sample_rate_hz:g} Hz",
+    ]
+    parts += (
+        [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
+    )
     parts += ["with reference"] if found.has_reference else []
-    print(one_line(", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])))
+    print(
+        one_line(
+            ", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])
+        )
+    )
     for name, text in (("times", found.times), ("reference", found.reference)):
         if text:
             print(one_line(f"{name}: {text}"))
@@ -103,7 +159,9 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
 
 
 def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
-    """Use the map of one CSV table, after it was proposed if there is none; whether the user has to go on."""
+    """Use the map of one CSV table, after it was proposed if there is none; whether
+    the user has to go on.
+    """
     from ..files import atomic_write
     from ..importing import TORQUE_SENSORS, is_bag, is_log, lines_to_fill_in, propose_map
 
@@ -117,20 +175,41 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
     with atomic_write(options.map) as partial:
         partial.write_text(text, encoding="utf-8")
     missing, sensors = lines_to_fill_in(text.encode()), TORQUE_SENSORS in text
-    print(one_line(f"{options.map}: proposed; {f'to be filled in: lines {missing}' if missing else 'complete'}"))
+    print(
+        one_line(
+            f"{options.map}: proposed; "
+            f"{f'to be filled in: lines {missing}' if missing else 'complete'}"
+        )
+    )
     if robot is not None and sensors and any(joint.rotor_inertia for joint in robot.joints):
-        print(one_line(f"note: {TORQUE_SENSORS} do not see the rotors: state rotor_inertia = false in {options.robot}"))
+        print(
+            one_line(
+                f"note: {TORQUE_SENSORS} do not see the rotors: state rotor_inertia = false in "
+                f"{options.robot}"
+            )
+        )
     if robot is None:
-        effort = '"N m" --torque-sensor' if sensors else "A --ratio R --drive-gain K" if '"A"' in text else "UNIT"
+        effort = (
+            '"N m" --torque-sensor'
+            if sensors
+            else "A --ratio R --drive-gain K"
+            if '"A"' in text
+            else "UNIT"
+        )
         print(f"without a robot.toml: robot-identify init ARM.urdf --effort {effort} -o robot.toml")
     if robot is None or missing:
         described = options.robot or "robot.toml"
-        print(one_line(f"next: robot-acquire import {table} --robot {described} -o {options.output}"))
+        print(
+            one_line(f"next: robot-acquire import {table} --robot {described} -o {options.output}")
+        )
     return robot is None or bool(missing)
 
 
 def _refuse_bag_options(options: argparse.Namespace) -> None:
-    for name, value in (("--effort-unit", options.effort_unit), ("--resample-hz", options.resample_hz)):
+    for name, value in (
+        ("--effort-unit", options.effort_unit),
+        ("--resample-hz", options.resample_hz),
+    ):
         if value is not None:
             expected = "--topic; for tables, time.resample_hz and effort.unit in MAP.toml"
             raise BadInputError("is only for ROS 2 bags", key=name, value=value, expected=expected)
@@ -138,21 +217,33 @@ def _refuse_bag_options(options: argparse.Namespace) -> None:
 
 def _refuse_as_bag(options: argparse.Namespace) -> None:
     if options.map is not None:
-        raise BadInputError("is only for tables", key="--map", value=str(options.map), expected="no --map with --topic")
+        raise BadInputError(
+            "is only for tables",
+            key="--map",
+            value=str(options.map),
+            expected="no --map with --topic",
+        )
     if len(options.tables) > 1:
         raise BadInputError("is a second bag", place=str(options.tables[1]), expected="one")
     if options.effort_unit is None:
         expected = "the unit that the driver's manual states: 'N m', A, ..."
-        raise BadInputError("a bag does not contain it", key="--effort-unit", value=None, expected=expected)
+        raise BadInputError(
+            "a bag does not contain it", key="--effort-unit", value=None, expected=expected
+        )
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
-        raise BadInputError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
+        raise BadInputError(
+            key="--resample-hz", value=options.resample_hz, expected="a number above 0"
+        )
 
 
 def _refuse_as_recording(options: argparse.Namespace) -> None:
     if len(options.tables) > 1:
         raise BadInputError("is a second recording", place=str(options.tables[1]), expected="one")
     if options.payload is not None:
-        expected = "none with a recording, whose payload is kept; `robot-identify fit --payload` replaces it"
+        expected = (
+            "none with a recording, whose payload is kept; `robot-identify fit --payload` "
+            "replaces it"
+        )
         raise BadInputError(key="--payload", value=options.payload, expected=expected)
 
 

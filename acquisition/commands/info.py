@@ -25,7 +25,8 @@ def run(options: argparse.Namespace) -> None:
     else:
         from rich.console import Console
 
-        # Do not break lines in a pipe, which has no width; without trailing blanks, since one long line pads all others.
+        # Do not break lines in a pipe, which has no width; without trailing blanks, since one long
+        # line pads all others.
         console = Console(width=None if sys.stdout.isatty() else 500)
         with console.capture() as shown:
             console.print(as_tables(found))

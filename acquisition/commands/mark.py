@@ -8,7 +8,9 @@ from .command_line import add_path
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap", "the recording in progress")
-    parser.add_argument("text", metavar="TEXT", help="the note; it is stored as an event, with the time")
+    parser.add_argument(
+        "text", metavar="TEXT", help="the note; it is stored as an event, with the time"
+    )
 
 
 def run(options: argparse.Namespace) -> None:

@@ -12,9 +12,11 @@ PROGRAM = Program(
         "check": "check which drives answer, and whether they match the description",
         "record": "record drives; nothing moves without --track",
         "mark": "add a note to the recording in progress",
-        "disable": "stop and disable all drives, even if another program enabled them; never refused",
+        "disable": "stop and disable all drives, even if another program enabled them; never "
+        "refused",
         "emulate": "simulated drives that any CANopen master can use",
-        "import": "make a recording from tables, a ROS 2 bag, a CAN log, or the frames of a recording, which may be cut off",
+        "import": "make a recording from tables, a ROS 2 bag, a CAN log, or the frames of a "
+        "recording, which may be cut off",
         "info": "show what a recording contains",
         "export": "export joint samples as CSV",
         "replay": "play the drives' frames and SYNC of a recording onto an idle bus",

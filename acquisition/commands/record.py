@@ -1,4 +1,6 @@
-"""`robot-acquire record`: a session with the drives of a description; nothing moves without `--track`."""
+"""`robot-acquire record`: a session with the drives of a description; nothing
+moves without `--track`.
+"""
 
 import argparse
 import os
@@ -30,16 +32,23 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Record, show the status, and print what was recorded; 1 when the session ended with a fault."""
+    """Record, show the status, and print what was recorded; 1 when the
+    session ended with a fault.
+    """
     from ..robot import load_robot, parse_payload
     from ..session import Stop, UserInterface, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
-        raise BadInputError(key="--duration", value=options.duration_s, expected="more than 0, and finite")
+        raise BadInputError(
+            key="--duration", value=options.duration_s, expected="more than 0, and finite"
+        )
     robot = load_robot(options.robot)
     if options.payload is not None:
         payload = parse_payload(options.payload, robot).describe(robot.joints[-1].name)
-        print(f"payload {payload}: no limit of robot.toml counts it; is it within the rated payload?", file=sys.stderr)
+        print(
+            f"payload {payload}: no limit of robot.toml counts it; is it within the rated payload?",
+            file=sys.stderr,
+        )
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
         text = "nobody can confirm the joint positions"
@@ -64,7 +73,10 @@ def run(options: argparse.Namespace) -> int:
         print(one_line(text), file=sys.stderr, flush=True)
 
     if sys.stderr.isatty():
-        print(f"watch it in a second terminal: robot-identify view {options.output} --follow", file=sys.stderr)
+        print(
+            f"watch it in a second terminal: robot-identify view {options.output} --follow",
+            file=sys.stderr,
+        )
     line.show(("starting", False))
     interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=note)
     try:
@@ -79,7 +91,11 @@ def run(options: argparse.Namespace) -> int:
 def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> int:
     if outcome.fault:  # the reason is printed before what was recorded
         reason = "; ".join((outcome.reason, *outcome.reports))
-        print(one_line(f"robot-acquire: {out}: ended by a fault: {reason}"), file=sys.stderr, flush=True)
+        print(
+            one_line(f"robot-acquire: {out}: ended by a fault: {reason}"),
+            file=sys.stderr,
+            flush=True,
+        )
     for text in () if outcome.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     counts = f"{recorded.samples} samples, {recorded.frames} CAN frames"
@@ -89,7 +105,9 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
     if outcome.alarm:
         raise BusFaultError(outcome.alarm, place=str(out))
     if recorded.no_samples:
-        raise BadInputError(f"no samples, but the frames are in the recording: {recorded.no_samples}")
+        raise BadInputError(
+            f"no samples, but the frames are in the recording: {recorded.no_samples}"
+        )
     return 0
 
 
@@ -100,7 +118,12 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
     line.show()
     for text in words:
         print(one_line(text), file=sys.stderr)
-    print("Are these joint positions right, and may the robot move? yes or no: ", end="", file=sys.stderr, flush=True)
+    print(
+        "Are these joint positions right, and may the robot move? yes or no: ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
     while not stop.reason:
         if select.select([sys.stdin], [], [], 0.1)[0]:
             return sys.stdin.readline().strip().lower() in ("yes", "y")
@@ -109,19 +132,26 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
 
 
 class StatusLine:
-    """The status line of a session on the terminal, if there is one; the SYNC loop writes it after the drives have answered.
+    """The status line of a session on the terminal, if there is one; the SYNC loop writes it after
+    the drives have answered.
 
-    A drawing thread would hold Python's lock when SYNC is due. The loop does not wait for a stopped terminal (Ctrl-S).
+    A drawing thread would hold Python's lock when SYNC is due. The loop does not wait for a
+    stopped terminal (Ctrl-S).
     """
 
     def __init__(self) -> None:
         self._rows, self._terminal = 0, -1
         if sys.stderr.isatty():
-            with suppress(OSError):  # opened again, because other processes share standard error and expect it to block
-                self._terminal = os.open(os.ttyname(sys.stderr.fileno()), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+            # opened again, because other processes share standard error and expect it to block
+            with suppress(OSError):
+                self._terminal = os.open(
+                    os.ttyname(sys.stderr.fileno()), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
+                )
 
     def show(self, *parts: tuple[str, bool]) -> None:
-        """Replace the line by `parts`, bold and red where the flag is true; without parts, remove it."""
+        """Replace the line by `parts`, bold and red where the flag is true;
+        without parts, remove it.
+        """
         if self._terminal >= 0 and (parts or self._rows):
             text = "".join(f"\x1b[1;31m{part}\x1b[0m" if bad else part for part, bad in parts)
             above = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
@@ -134,7 +164,11 @@ class StatusLine:
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
     """Rate, losses (true if there are any), range of each joint so far, time left."""
     parts = [(f"{status.rate_hz:.0f} frames/s", False)]
-    for count, name in ((status.drops, "dropped"), (status.missing, "missing"), (status.late, "late")):
+    for count, name in (
+        (status.drops, "dropped"),
+        (status.missing, "missing"),
+        (status.late, "late"),
+    ):
         parts.append((f", {count} {name}", bool(count)))
     for joint, low, high in zip(robot.joints, status.lowest, status.highest, strict=False):
         parts.append((f", {joint.name} {low:.3f}..{high:.3f} {joint.position_unit}", False))

@@ -10,7 +10,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap", "the recording")
     add_bus(parser)
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="speed factor, above 0 (default 1)")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="speed factor, above 0 (default 1)"
+    )
     add_flag(parser, "--onto-bus", "allow an interface that may lead to hardware")
 
 
@@ -18,7 +20,12 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
     """Declare the bus of a command without robot.toml."""
     text = "interface name of python-can: socketcan, udp_multicast, ..."
     parser.add_argument("--interface", required=True, metavar="NAME", help=text)
-    parser.add_argument("--channel", required=True, metavar="NAME", help="channel, such as can0 or a multicast group")
+    parser.add_argument(
+        "--channel",
+        required=True,
+        metavar="NAME",
+        help="channel, such as can0 or a multicast group",
+    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -27,7 +34,11 @@ def run(options: argparse.Namespace) -> None:
     from ..session import Stop, replay, stop_on_signals
 
     stop = Stop()
-    file = BusFile(interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0)
+    file = BusFile(
+        interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
+    )
     with stop_on_signals(stop):
-        count = replay(options.recording, file, stop, speed=options.speed, onto_bus=options.onto_bus)
+        count = replay(
+            options.recording, file, stop, speed=options.speed, onto_bus=options.onto_bus
+        )
     print(one_line(f"{count} frames sent on {options.interface} {options.channel}"))

@@ -1,4 +1,6 @@
-"""`robot-acquire scan`: the nodes of an unknown bus and what they state, by listening and SDO reads only."""
+"""`robot-acquire scan`: the nodes of an unknown bus and what they state, by
+listening and SDO reads only.
+"""
 
 import argparse
 from contextlib import closing
@@ -11,8 +13,15 @@ from .replay import add_bus
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_bus(parser)
-    parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="needed for an adapter; ip link sets socketcan's")
-    add_path(parser, "--toml", "BUS.toml", "write [bus] with a block for each drive, to be filled in")
+    parser.add_argument(
+        "--bitrate",
+        type=int,
+        metavar="BIT/S",
+        help="needed for an adapter; ip link sets socketcan's",
+    )
+    add_path(
+        parser, "--toml", "BUS.toml", "write [bus] with a block for each drive, to be filled in"
+    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -29,19 +38,33 @@ def run(options: argparse.Namespace) -> None:
         raise BadInputError("of socketcan", key="--bitrate", value=bitrate, expected=expected)
     if bitrate not in BITRATES and (bitrate is not None or interface not in SHARED):
         text = "a wrong one destroys the frames of others"
-        raise BadInputError(text, key="--bitrate", value=bitrate, expected=f"one of {', '.join(map(str, BITRATES))}")
+        raise BadInputError(
+            text, key="--bitrate", value=bitrate, expected=f"one of {', '.join(map(str, BITRATES))}"
+        )
     if out is not None and out.exists():
-        raise BadInputError("already exists", place=str(out), expected="a new name; descriptions are not replaced")
+        raise BadInputError(
+            "already exists", place=str(out), expected="a new name; descriptions are not replaced"
+        )
     bit_s = {} if bitrate is None else {"bitrate": bitrate}
-    # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node id of many new drives.
-    file = BusFile(interface=interface, channel=options.channel, drive=(), sync_period_s=1.0, master_node=0, **bit_s)
+    # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node
+    # id of many new drives.
+    file = BusFile(
+        interface=interface,
+        channel=options.channel,
+        drive=(),
+        sync_period_s=1.0,
+        master_node=0,
+        **bit_s,
+    )
     with closing(open_link(file, passive=False)) as link, Progress("listening") as line:
         uploads = Uploads(link, file, line.say)
         nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
     print(*table(findings_of(nodes, uploads.heard)), sep="\n")
     if not nodes:
         expected = "one at least: drives on, cable, terminators, bitrate"
-        raise BadInputError("no node answers", place=f"bus: {interface} {options.channel}", expected=expected)
+        raise BadInputError(
+            "no node answers", place=f"bus: {interface} {options.channel}", expected=expected
+        )
     if out is not None:
         text = "\n".join([*bus_lines(file, nodes, uploads.heard), ""])
         with atomic_write(out) as partial:

@@ -1,4 +1,6 @@
-"""`robot-acquire scan`: what the nodes of a bus state, as rows of a table and as `[bus]` of robot.toml."""
+"""`robot-acquire scan`: what the nodes of a bus state, as rows of a table and as
+`[bus]` of robot.toml.
+"""
 
 import json
 from collections.abc import Collection, Iterator, Mapping
@@ -6,11 +8,23 @@ from contextlib import suppress
 
 from ..bus import Readings
 from ..errors import BusFaultError
-from ..protocol import EFFORT_OBJECTS, NOT_VALID, PARAMETERS, RULES, TEXTS, position_units_per_turn, state_of
+from ..protocol import (
+    EFFORT_OBJECTS,
+    NOT_VALID,
+    PARAMETERS,
+    RULES,
+    TEXTS,
+    position_units_per_turn,
+    state_of,
+)
 from ..robot import FILL_IN, BusFile
 from .checking import Finding
 
-PDOS = {f"{way} {k + 1}": (first + k, mapping + k) for way, (first, mapping) in PARAMETERS.items() for k in range(4)}
+PDOS = {
+    f"{way} {k + 1}": (first + k, mapping + k)
+    for way, (first, mapping) in PARAMETERS.items()
+    for k in range(4)
+}
 GROUPS = {
     "drive": (0x1000, 0x1018),
     "name, versions": TEXTS,
@@ -23,7 +37,9 @@ GROUPS = {
     "efforts": tuple(index for index, _ in EFFORT_OBJECTS),
 }
 _SUBS = {0x1016: (), 0x1018: (1, 2, 3, 4)} | dict.fromkeys((0x6092, 0x6091, 0x608F, 0x607D), (1, 2))
-OBJECTS = [(index, sub) for group in GROUPS.values() for index in group for sub in _SUBS.get(index, (0,))]
+OBJECTS = [
+    (index, sub) for group in GROUPS.values() for index in group for sub in _SUBS.get(index, (0,))
+]
 OBJECTS += [(parameters, 1) for parameters, _ in PDOS.values()]
 ARRAYS = (0x1016, *(mapping for _, mapping in PDOS.values()))
 _HEXADECIMAL = (0x1000, 0x1016, 0x1018, 0x6041, 0x6065, 0x6502)
@@ -43,14 +59,27 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
         for subject, group in (GROUPS if is_drive(readings) else others).items():
             keys = [key for key in readings if key[0] in group]
             ok = all("not exist" in readings[key].problem for key in keys if readings[key].problem)
-            rows.append(Finding(subject, ", ".join(_words(readings, *key) for key in keys), ok=ok, node=node))
+            rows.append(
+                Finding(
+                    subject, ", ".join(_words(readings, *key) for key in keys), ok=ok, node=node
+                )
+            )
         if is_drive(readings):
-            problems = {reading.problem for (index, _), reading in readings.items() if 0x1400 <= index < 0x1C00}
-            unread = sorted(problem for problem in problems if problem and "not exist" not in problem)
+            problems = {
+                reading.problem
+                for (index, _), reading in readings.items()
+                if 0x1400 <= index < 0x1C00
+            }
+            unread = sorted(
+                problem for problem in problems if problem and "not exist" not in problem
+            )
             text = "; ".join([*_pdos(readings), *unread]) or "none is mapped"
             rows.append(Finding("PDOs", text, ok=not unread, node=node))
     silent = [node for node in sorted(heard) if node not in nodes]
-    return rows + [Finding("only heard", ", ".join(sorted(heard[node])), ok=False, node=node) for node in silent]
+    return rows + [
+        Finding("only heard", ", ".join(sorted(heard[node])), ok=False, node=node)
+        for node in silent
+    ]
 
 
 def _words(readings: Readings, index: int, sub: int) -> str:
@@ -72,24 +101,48 @@ def _words(readings: Readings, index: int, sub: int) -> str:
 def _pdos(readings: Readings) -> Iterator[str]:
     for name, (parameters, mapping) in PDOS.items():
         can_id = readings[parameters, 1].value
-        entries = [reading.value or 0 for key, reading in readings.items() if key[0] == mapping and key[1]]
+        entries = [
+            reading.value or 0 for key, reading in readings.items() if key[0] == mapping and key[1]
+        ]
         if can_id is not None and (entries or not can_id & NOT_VALID):
-            objects = (f" {entry >> 16:04X}:{entry >> 8 & 0xFF}".removesuffix(":0") for entry in entries)
-            yield f"{name} 0x{can_id & 0x7FF:03X}{' off' if can_id & NOT_VALID else ''}{''.join(objects)}"
+            objects = (
+                f" {entry >> 16:04X}:{entry >> 8 & 0xFF}".removesuffix(":0") for entry in entries
+            )
+            yield (
+                f"{name} "
+                f"0x{can_id & 0x7FF:03X}{' off' if can_id & NOT_VALID else ''}{''.join(objects)}"
+            )
 
 
-def bus_lines(file: BusFile, nodes: Mapping[int, Readings], heard: Collection[int] = ()) -> Iterator[str]:
-    """`[bus]` with a block for each drive; lines with `FILL_IN` need the engineer. No node of `heard` is the master's."""
+def bus_lines(
+    file: BusFile, nodes: Mapping[int, Readings], heard: Collection[int] = ()
+) -> Iterator[str]:
+    """`[bus]` with a block for each drive; lines with `FILL_IN` need the engineer.
+
+    No node of `heard` is the master's.
+    """
     yield "[bus]"
     yield f"interface = {json.dumps(file.interface)}"
     yield f"channel = {json.dumps(file.channel)}"
-    yield f"bitrate = {file.bitrate}" + (f" # {FILL_IN}: as ip link shows it" if file.interface == "socketcan" else "")
-    yield f"sync_period_s = 0.002 # {FILL_IN}: the period that you want; robot-acquire check shows the load of the bus"
-    yield f"other_nodes = {[node for node, readings in nodes.items() if not is_drive(readings)]} # no drives"
+    yield f"bitrate = {file.bitrate}" + (
+        f" # {FILL_IN}: as ip link shows it" if file.interface == "socketcan" else ""
+    )
+    yield (
+        f"sync_period_s = 0.002 # {FILL_IN}: the period that you want; robot-acquire check "
+        "shows the load of the bus"
+    )
+    yield (
+        f"other_nodes = {[node for node, readings in nodes.items() if not is_drive(readings)]} "
+        "# no drives"
+    )
     free = max(set(range(1, 128)) - {*nodes, *heard}, default=None)
     if free != 127:
         text = f"master_node = {free} # of this program; no device has it"
-        yield text if free else f"# master_node = ... # {FILL_IN}: of this program; no node id is free"
+        yield (
+            text
+            if free
+            else f"# master_node = ... # {FILL_IN}: of this program; no node id is free"
+        )
     for node, readings in nodes.items():
         yield from _drive_lines(node, readings) if is_drive(readings) else ()
 
@@ -97,16 +150,32 @@ def bus_lines(file: BusFile, nodes: Mapping[int, Readings], heard: Collection[in
 def _drive_lines(node: int, readings: Readings) -> Iterator[str]:
     yield f"\n[[bus.drive]] # {FILL_IN}: which joint? The order of the blocks is that of the motors"
     yield f"node = {node} # {', '.join(_words(readings, 0x1018, sub) for sub in range(1, 5))}"
-    efforts = [key for key in EFFORT_OBJECTS if readings[key].value is not None and not readings[key].problem]
+    efforts = [
+        key
+        for key in EFFORT_OBJECTS
+        if readings[key].value is not None and not readings[key].problem
+    ]
     if not efforts:
         yield f'# reference = "..." # {FILL_IN}: object of the current or torque reference'
     for key in sorted(efforts, key=lambda key: "actual" in EFFORT_OBJECTS[key][2])[:1]:
         _, rule, meaning = EFFORT_OBJECTS[key]
         certain = "" if key[0] >= 0x6000 else f"{FILL_IN}: if it is "
-        yield f'{"actual" if "actual" in meaning else "reference"} = "{key[0]:04X}" # {certain}{meaning}'
+        yield (
+            f'{"actual" if "actual" in meaning else "reference"} = "{key[0]:04X}" # '
+            f"{certain}{meaning}"
+        )
         if rated := RULES[rule].rated:
-            raw = (readings[0x6075 if "current" in rated else 0x6076, 0].value or 0) % 0xFFFFFFFF  # with all bits: none
-            yield f"{rated} = {raw / 1000:.10g}" if raw else f"# {rated} = ... # {FILL_IN}: the drive states none"
+            # with all bits: none
+            raw = (readings[0x6075 if "current" in rated else 0x6076, 0].value or 0) % 0xFFFFFFFF
+            yield (
+                f"{rated} = {raw / 1000:.10g}"
+                if raw
+                else f"# {rated} = ... # {FILL_IN}: the drive states none"
+            )
     counts = position_units_per_turn({key: reading.value for key, reading in readings.items()})
     comment = f"# {FILL_IN}: turn the motor once and compare, sign too; counts_per_m if it slides"
-    yield f"counts_per_turn = {counts:.12g} {comment}" if counts else f"# counts_per_turn = ... {comment}"
+    yield (
+        f"counts_per_turn = {counts:.12g} {comment}"
+        if counts
+        else f"# counts_per_turn = ... {comment}"
+    )

@@ -1,4 +1,6 @@
-"""Atomic writing: an output file is written under a temporary name and renamed when it is complete."""
+"""Atomic writing: an output file is written under a temporary name and
+renamed when it is complete.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -12,10 +14,12 @@ MAGIC = b"\x89MCAP"  # first bytes of a recording
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path in the folder of `path` to write to; rename it to `path` if the block ends without an exception.
+    """Yield a temporary path in the folder of `path` to write to; rename it to `path` if the block
+    ends without an exception.
 
-    On an exception the partial file is removed, and an earlier file at `path` is left as it was. Raises `BadInputError` if
-    `path` is a folder or a device, its folder is missing or not writable, or the disk is full.
+    On an exception the partial file is removed, and an earlier file at `path` is left as it was.
+    Raises `BadInputError` if `path` is a folder or a device, its folder is missing or not
+    writable, or the disk is full.
     """
     place = Place(str(path))
     if not path.name:
@@ -32,24 +36,32 @@ def atomic_write(path: Path) -> Iterator[Path]:
     except OSError as error:
         place.refuse(text=f"cannot be written: {error.strerror or error}")
     finally:
-        with suppress(OSError):  # the folder may be missing or be a file: reported by the error above
+        # the folder may be missing or be a file: reported by the error above
+        with suppress(OSError):
             partial.unlink()
 
 
 def refuse_clash(
-    inputs: Sequence[Path | None], *outputs: Path | None, overwrite: bool | None = None, option: str = "-o"
+    inputs: Sequence[Path | None],
+    *outputs: Path | None,
+    overwrite: bool | None = None,
+    option: str = "-o",
 ) -> None:
-    """Raise `BadInputError` if writing one of `outputs` would replace one of `inputs`, another output, or a recording.
+    """Raise `BadInputError` if writing one of `outputs` would replace one of `inputs`, another
+    output, or a recording.
 
-    None stands for a file that was not asked for. Links to one file count as that file. `overwrite`: whether recordings may be
-    replaced, by the option of that name; None if a command does not have it. `option` names the output.
+    None stands for a file that was not asked for. Links to one file count as that file.
+    `overwrite`: whether recordings may be replaced, by the option of that name; None if a command
+    does not have it. `option` names the output.
     """
     earlier: list[Path] = []
     for output in (path for path in outputs if path is not None):
         place = Place(str(output))
         for path in inputs:
             if path is not None and _same(output, path):
-                place.refuse(text=f"is an input too ({path})", expected="another name for the output")
+                place.refuse(
+                    text=f"is an input too ({path})", expected="another name for the output"
+                )
         if any(_same(output, path) for path in earlier):
             place.refuse(text="named twice; expected a different file for each output")
         earlier.append(output)

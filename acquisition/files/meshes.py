@@ -11,13 +11,18 @@ MAX_MESH_BYTES = 64 * 2**20  # bytes of all meshes of a robot
 
 
 def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
-    """Content of the meshes of a URDF's visual shapes, by name; `folder`: of the URDF. Refuses what is missing or too large."""
+    """Content of the meshes of a URDF's visual shapes, by name; `folder`: of the URDF.
+
+    Refuses what is missing or too large.
+    """
     at = Place(place)
     try:
         visuals = ET.fromstring(urdf).iter("visual")
     except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
         at.refuse("urdf", text=f"not valid XML: {error}")
-    names = dict.fromkeys(mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh"))
+    names = dict.fromkeys(
+        mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh")
+    )
     meshes, size = dict[str, bytes](), 0
     for name in names:
         file = find_mesh(name, folder)
@@ -38,21 +43,30 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
 def find_mesh(name: str, folder: Path | None = None) -> Path | None:
     """The mesh file that a URDF names; None if it does not exist or has an unknown format.
 
-    A name is a path, absolute or relative to the `folder` of the URDF, or `package://PACKAGE/REST`. Packages are searched
-    in the folder of the URDF, in those above it, and in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`.
+    A name is a path, absolute or relative to the `folder` of the URDF, or `package://PACKAGE/REST`.
+    Packages are searched in the folder of the URDF, in those above it, and in `ROS_PACKAGE_PATH`
+    and `AMENT_PREFIX_PATH`.
     """
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")
         sources, installed = (
-            [Path(path).resolve() for path in os.environ.get(variable, "").split(os.pathsep) if path]
+            [
+                Path(path).resolve()
+                for path in os.environ.get(variable, "").split(os.pathsep)
+                if path
+            ]
             for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
         )
         if folder is not None:
             near = folder.resolve()
             sources = [near, *near.parents, *sources]
         folders = [path if path.name == package else path / package for path in sources]
-        files = [path / rest for path in (*folders, *(path / "share" / package for path in installed))]
+        files = [
+            path / rest for path in (*folders, *(path / "share" / package for path in installed))
+        ]
     else:
         path = Path(name.removeprefix("file://"))
         files = [path if folder is None else folder.resolve() / path]
-    return next((f for f in files if f.is_absolute() and f.suffix.lower() in MESHES and f.is_file()), None)
+    return next(
+        (f for f in files if f.is_absolute() and f.suffix.lower() in MESHES and f.is_file()), None
+    )

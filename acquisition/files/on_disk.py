@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_BYTES_IN_MEMORY = 2**26  # of one array: an hour of six joints at 500 Hz has some five, which do not fit in 1 GB
+# of one array: an hour of six joints at 500 Hz has some five, which do not fit in 1 GB
+MAX_BYTES_IN_MEMORY = 2**26
 _BLOCK_ROWS = 100_000
 
 
 class GrowingBytes:
-    """Bytes that grow, in memory or, if they exceed an eighth of `MAX_BYTES_IN_MEMORY`, in an unnamed temporary file."""
+    """Bytes that grow, in memory or, if they exceed an eighth of `MAX_BYTES_IN_MEMORY`, in an
+    unnamed temporary file.
+    """
 
     def __init__(self) -> None:
         """Start without bytes."""
@@ -36,7 +39,9 @@ class GrowingBytes:
 
 
 def allocate(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """An uninitialised array, in an unnamed temporary file if it is larger than `MAX_BYTES_IN_MEMORY`."""
+    """An uninitialised array, in an unnamed temporary file if it is larger than
+    `MAX_BYTES_IN_MEMORY`.
+    """
     size = 8 * int(np.prod(shape))
     if size <= MAX_BYTES_IN_MEMORY:
         return np.empty(shape)
@@ -46,7 +51,9 @@ def allocate(shape: tuple[int, ...]) -> NDArray[np.float64]:
 
 
 def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
-    """A field of rows; a copy on disk if the rows are larger than `MAX_BYTES_IN_MEMORY`, made in one pass."""
+    """A field of rows; a copy on disk if the rows are larger than
+    `MAX_BYTES_IN_MEMORY`, made in one pass.
+    """
     x = rows[name]
     if rows.nbytes <= MAX_BYTES_IN_MEMORY:
         return x
@@ -59,7 +66,9 @@ def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
 
 
 def release_pages(x: NDArray[np.generic]) -> None:
-    """Release the memory of an array in a temporary file; its pages are read again on the next access."""
+    """Release the memory of an array in a temporary file; its pages are read
+    again on the next access.
+    """
     base: object = x
     while isinstance(base, np.ndarray):
         base = base.base

@@ -1,4 +1,6 @@
-"""Columns of numbers from CSV and MAT files (version 7 or older), in the units of the file; numbers as text."""
+"""Columns of numbers from CSV and MAT files (version 7 or older), in the units of the
+file; numbers as text.
+"""
 
 import io
 import re
@@ -14,8 +16,11 @@ from ..errors import Place, listed
 from .atomic import atomic_write
 
 MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
-# `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows in MATLAB's notation.
-_NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
+# `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows
+# in MATLAB's notation.
+_NAME = re.compile(
+    r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?"
+)
 # A cell with a decimal point: commas in the same table are no decimal ones.
 _POINT = re.compile(r"(?:^|[;\t ])[-+]?\d*\.\d+(?:e[-+]?\d+)?(?:[;\t ]|$)", re.IGNORECASE)
 
@@ -28,13 +33,15 @@ def format_numbers(*values: float) -> str:
 def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     """(N, count) numbers of columns of a table, in the units of the file.
 
-    `path`: CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
-    line; other commas are decimal ones. Lines that begin with # are skipped, but the last one above the numbers may be the
-    header; below it, lines without numbers are skipped. Of an export of TwinCAT Scope, the channels' names are the header.
-    `columns`: of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
-    dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows, and one name may give several
-    columns. Raises `BadInputError` with the file and the line or row as `place`: it cannot be read, a column does not exist,
-    or a cell is not a finite number.
+    `path`: CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab
+    or blanks, as in the first line; other commas are decimal ones. Lines that begin with # are
+    skipped, but the last one above the numbers may be the header; below it, lines without numbers
+    are skipped. Of an export of TwinCAT Scope, the channels' names are the header.
+    `columns`: of a CSV file, names in the header line or numbers from 1. Of a MAT file,
+    variables, or fields of structs by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after
+    a name selects columns or rows, and one name may give several columns. Raises `BadInputError`
+    with the file and the line or row as `place`: it cannot be read, a column does not exist, or a
+    cell is not a finite number.
     """
     place = Place(str(path))
     try:
@@ -42,7 +49,9 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        place.refuse(text="a MAT file of version 7.3 (HDF5)", expected="version 7; save it with -v7")
+        place.refuse(
+            text="a MAT file of version 7.3 (HDF5)", expected="version 7; save it with -v7"
+        )
     if data.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
         values, labels = _mat(data, columns, count, place)
     else:
@@ -50,12 +59,16 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     finite = np.isfinite(values)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
-        Place(f"{path}: row {row + 1}").refuse(labels[column], float(values[row, column]), "a finite number")
+        Place(f"{path}: row {row + 1}").refuse(
+            labels[column], float(values[row, column]), "a finite number"
+        )
     return values
 
 
 def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> None:
-    """Write a CSV file of columns `names`, rows in `parts` (k, columns), atomically; `read_columns` reads the same bits."""
+    """Write a CSV file of columns `names`, rows in `parts` (k, columns), atomically;
+    `read_columns` reads the same bits.
+    """
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8") as file:
         file.write(",".join(names) + "\n")
         for values in parts:
@@ -63,7 +76,9 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
 
 
 def read_csv_head(path: Path, rows: int) -> tuple[list[str], bool, Array]:
-    """Names of the columns of a CSV file, whether they are those of a header, and its first `rows` rows; NaN for text."""
+    """Names of the columns of a CSV file, whether they are those of a header, and its first
+    `rows` rows; NaN for text.
+    """
     try:
         names, has_header, separator, lines = _parse_csv(path.read_bytes(), Place(str(path)))
     except OSError as error:
@@ -72,19 +87,29 @@ def read_csv_head(path: Path, rows: int) -> tuple[list[str], bool, Array]:
     return names, has_header, np.array(cells, dtype=np.float64)
 
 
-def _parse_csv(data: bytes, place: Place) -> tuple[list[str], bool, str | None, list[tuple[int, str]]]:
-    """Names, whether there is a header, separator (None: blanks), rows with their line numbers, decimal commas as points."""
+def _parse_csv(
+    data: bytes, place: Place
+) -> tuple[list[str], bool, str | None, list[tuple[int, str]]]:
+    """Names, whether there is a header, separator (None: blanks), rows with their line numbers,
+    decimal commas as points.
+    """
     text = data.decode("utf-8-sig", errors="replace").replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
         place.refuse(text="has no lines", expected="a table")
     while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
         del lines[0]  # a remark above the header
-    scope = [i for i, (_, line) in enumerate(lines) if line.startswith(("Name\t", "Name;", "Name,"))]
-    if len(scope) == 2:  # TwinCAT Scope: names of the project and of the channels, and other texts on them
+    scope = [
+        i for i, (_, line) in enumerate(lines) if line.startswith(("Name\t", "Name;", "Name,"))
+    ]
+    # TwinCAT Scope: names of the project and of the channels, and other texts on them
+    if len(scope) == 2:
         k, names_of_channels = lines[scope[1]]
         header = re.sub(r"(?:^|(?<=[\t;,]))Name(?=[\t;,])", "Time [ms]", names_of_channels)
-        lines = [(k, header), *((k, line) for k, line in lines[scope[1] :] if not line[0].isalpha())]
+        lines = [
+            (k, header),
+            *((k, line) for k, line in lines[scope[1] :] if not line[0].isalpha()),
+        ]
     first = lines[0][1].lstrip("# \t")
     separator = next((mark for mark in ";\t," if mark in first), None)
     names = [cell.strip() for cell in first.split(separator)]
@@ -97,7 +122,10 @@ def _parse_csv(data: bytes, place: Place) -> tuple[list[str], bool, str | None, 
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
         if found != len(names):
-            expected = f"{len(names)}, as in line {lines[0][0]}, the names of the columns; delete lines above them"
+            expected = (
+                f"{len(names)}, as in line {lines[0][0]}, the names of the columns; delete "
+                "lines above them"
+            )
             Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=expected)
     if not rows:
         place.refuse(text="has no rows", expected="numbers below the header")
@@ -111,13 +139,17 @@ def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array
     chosen = [_index(column, names, has_header, place) for column in columns]
     labels = [names[k] for k in chosen]
     try:
-        values = np.loadtxt([line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None)
+        values = np.loadtxt(
+            [line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None
+        )
     except (ValueError, OverflowError, IndexError) as error:
         for k, line in rows:  # slow, but only for an error that names the cell
             cells = line.split(separator)
             for column, label in zip(chosen, labels, strict=True):
                 if _number(cells[column]) is None:
-                    Place(f"{place}: line {k}").refuse(label, cells[column].strip()[:40], "a number")
+                    Place(f"{place}: line {k}").refuse(
+                        label, cells[column].strip()[:40], "a number"
+                    )
         place.refuse(text=str(error))
     return values, labels
 
@@ -147,10 +179,12 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Pla
     return names.index(column)
 
 
-def _mat(data: bytes, names: Sequence[str | int], count: int, place: Place) -> tuple[Array, list[str]]:
+def _mat(
+    data: bytes, names: Sequence[str | int], count: int, place: Place
+) -> tuple[Array, list[str]]:
     """The named parts of a MAT file as columns (N, count), and a label for each column."""
-    # Matrices may be samples by joints or joints by samples: the number of samples is the one that gives all parts the same
-    # length and `count` columns in all.
+    # Matrices may be samples by joints or joints by samples: the number of samples is the one that
+    # gives all parts the same length and `count` columns in all.
     matches = [_NAME.fullmatch(str(name)) for name in names]
     try:
         variables = _load(data, [match["path"].split(".")[0] for match in matches if match])
@@ -158,21 +192,33 @@ def _mat(data: bytes, names: Sequence[str | int], count: int, place: Place) -> t
         place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
     parts = []
     for name, match in zip(names, matches, strict=True):
-        found = None if isinstance(name, int) or match is None else _walk(variables, match["path"], place)
+        found = (
+            None
+            if isinstance(name, int) or match is None
+            else _walk(variables, match["path"], place)
+        )
         if found is None or match is None:
-            place.refuse(text=f"variable {name!r} does not exist", expected=f"one of {_present(data)}")
+            place.refuse(
+                text=f"variable {name!r} does not exist", expected=f"one of {_present(data)}"
+            )
         parts.append(_part(found, match, place))
     size = sum(part.size for part, _ in parts)
     rows = size // count
     fits = [rows in (part.shape[:1] if upright else part.shape) for part, upright in parts]
     sizes = [f"{name} {_size(part)}" for name, (part, _) in zip(names, parts, strict=True)]
     if rows < 2 or not all(fits) or size != rows * count:
-        place.refuse(text=", ".join(sizes), expected=f"variables of one length, {count} columns in all")
+        place.refuse(
+            text=", ".join(sizes), expected=f"variables of one length, {count} columns in all"
+        )
     turned, labels = [], []
     for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
         if part.shape == (rows, rows) and not upright:
-            expected = f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if columns are"
-            Place(f"{place}: {shown}").refuse(text="samples may be rows or columns", expected=expected)
+            expected = (
+                f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if columns are"
+            )
+            Place(f"{place}: {shown}").refuse(
+                text="samples may be rows or columns", expected=expected
+            )
         turned.append(part if len(part) == rows else part.T)
         wide = turned[-1].shape[1]
         labels += [str(name)] if wide == 1 else [f"{name}(:,{k + 1})" for k in range(wide)]
@@ -180,12 +226,17 @@ def _mat(data: bytes, names: Sequence[str | int], count: int, place: Place) -> t
 
 
 def _load(data: bytes, names: Sequence[str] | None = None) -> dict[str, Any]:
-    """The variables with these names (default: all). Others are not read, since objects of MATLAB's classes cannot be."""
+    """The variables with these names (default: all).
+
+    Others are not read, since objects of MATLAB's classes cannot be.
+    """
     import scipy.io
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # warnings about variables that are not read
-        return dict(scipy.io.loadmat(io.BytesIO(data), variable_names=names and list(dict.fromkeys(names))))
+        return dict(
+            scipy.io.loadmat(io.BytesIO(data), variable_names=names and list(dict.fromkeys(names)))
+        )
 
 
 def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
@@ -196,7 +247,9 @@ def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
         if not isinstance(value, np.ndarray) or field not in (value.dtype.names or ()):
             return None
         if value.size != 1:
-            place.refuse(text=f"variable {at!r} is an array of {value.size} structs", expected="one struct")
+            place.refuse(
+                text=f"variable {at!r} is an array of {value.size} structs", expected="one struct"
+            )
         value, at = value[field].flat[0], f"{at}.{field}"
     return value
 
@@ -204,11 +257,21 @@ def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
 def _part(value: Any, match: re.Match[str], place: Place) -> tuple[Array, bool]:
     """The matrix that a name selects, and whether the name states that its rows are samples."""
     name = match.string
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or np.squeeze(value).ndim > 2:
-        kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+    if (
+        not isinstance(value, np.ndarray)
+        or value.dtype.kind not in "fiu"
+        or np.squeeze(value).ndim > 2
+    ):
+        kind = (
+            f"{value.dtype} of shape {value.shape}"
+            if isinstance(value, np.ndarray)
+            else type(value).__name__
+        )
         if isinstance(value, np.ndarray) and value.dtype.names:
             kind = f"a struct or object with the fields {listed(value.dtype.names)}"
-        place.refuse(text=f"variable {name!r} is {kind}", expected="a vector or matrix of real numbers")
+        place.refuse(
+            text=f"variable {name!r} is {kind}", expected="a vector or matrix of real numbers"
+        )
     # Dimensions of size one are removed, such as the second of 6 x 1 x N.
     matrix = (value if value.ndim == 2 else np.squeeze(value)).astype(np.float64)
     matrix = matrix if matrix.ndim == 2 else matrix.reshape(-1, 1)
@@ -220,7 +283,9 @@ def _part(value: Any, match: re.Match[str], place: Place) -> tuple[Array, bool]:
     first, _, last = match["columns" if by_column else "rows"].partition(":")
     low, high, size = int(first), int(last or first), matrix.shape[1 if by_column else 0]
     if not 1 <= low <= high <= size:
-        place.refuse(text=f"variable {name!r}: the matrix is {_size(matrix)}", expected=f"1 to {size}")
+        place.refuse(
+            text=f"variable {name!r}: the matrix is {_size(matrix)}", expected=f"1 to {size}"
+        )
     return matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T, True
 
 
@@ -235,11 +300,14 @@ def _present(data: bytes) -> str:
     except Exception:  # scipy cannot skip objects of MATLAB's classes
         return "the file's variables (they cannot be listed, because one of them is an object)"
     names: list[str] = []
-    waiting = [(k, v) for k, v in variables.items() if not k.startswith("__") and k != "None"]  # objects have no name
+    # objects have no name
+    waiting = [(k, v) for k, v in variables.items() if not k.startswith("__") and k != "None"]
     while waiting:
         name, value = waiting.pop(0)
         if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
-            waiting = [(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names] + waiting
+            waiting = [
+                (f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names
+            ] + waiting
         else:
             names.append(name)
     return listed(names)

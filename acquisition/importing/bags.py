@@ -11,19 +11,23 @@ from ..arrays import Array, Ints
 from ..errors import BadInputError, Place, listed
 from ..recording import JOINT_STATE, Header
 from ..robot import Payload, Robot
+from .publishers import refuse_several_publishers
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
-from .stamps import smallest_difference
-from .time_base import GridValues, ImportSummary, resample, rows_to_interpolate, with_warnings, write_samples
+from .time_base import (
+    GridValues,
+    ImportSummary,
+    resample,
+    rows_to_interpolate,
+    with_warnings,
+    write_samples,
+)
 
 SUFFIXES = (".mcap", ".db3")
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
-# What the bytes of all its versions begin with: position is that of `reference`, which older ones call `desired`.
+# What the bytes of all its versions begin with: position is that of `reference`, which older
+# ones call `desired`.
 BEGIN = "std_msgs/Header header\nstring[] name\nfloat64[] position"
 Messages = list[tuple[int, Any]]  # with the times of reception, ns
-WINDOW = 16  # rows
-MIN_NYQUIST_RATIO = 100.0  # of energies at and at half the Nyquist frequency; noise and motion rarely exceed it
-MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01  # of the windows, of the rows; more are of two publishers
-MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
 
 
 def is_bag(path: Path) -> bool:
@@ -33,10 +37,12 @@ def is_bag(path: Path) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class BagOptions:
-    """Topic of the joint states; unit of the effort, one for all joints or one for each; rate of the grid.
+    """Topic of the joint states; unit of the effort, one for all joints or one for
+    each; rate of the grid.
 
-    N m and N are at the joints; A, V and their fractions are of the motors, in the order of the joints. Without a rate that
-    of the stamps is taken, rounded within their scatter; without a topic of the reference the only one of a controller.
+    N m and N are at the joints; A, V and their fractions are of the motors, in the order of the
+    joints. Without a rate that of the stamps is taken, rounded within their scatter; without a
+    topic of the reference the only one of a controller.
     """
 
     topic: str
@@ -48,14 +54,17 @@ class BagOptions:
 def import_bag(
     bag: Path, robot: Robot, out: Path, options: BagOptions, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from joint states of a ROS 2 bag; joints are assigned by their names in robot.toml.
+    """Write the recording `out` from joint states of a ROS 2 bag; joints are assigned by
+    their names in robot.toml.
 
-    Times are the headers' stamps, or those of reception if headers have none; values are interpolated to a uniform grid. The
-    recording states that efforts were measured at these times, because a JointState has no commands. The reference is of a
-    trajectory controller's states. `bag`: a folder, .mcap or .db3; `payload`: what the robot carried.
+    Times are the headers' stamps, or those of reception if headers have none; values are
+    interpolated to a uniform grid. The recording states that efforts were measured at these times,
+    because a JointState has no commands. The reference is of a trajectory controller's states.
+    `bag`: a folder, .mcap or .db3; `payload`: what the robot carried.
 
-    Raises `BadInputError`: the bag or its topic cannot be read, efforts are missing, zero, not finite or in other units than
-    those of robot.toml, stamps do not grow or have gaps. Nothing is written then.
+    Raises `BadInputError`: the bag or its topic cannot be read, efforts are missing, zero,
+    not finite or in other units than those of robot.toml, stamps do not grow or have gaps.
+    Nothing is written then.
     """
     joints, topic = [joint.name for joint in robot.joints], options.topic
     place = Place(f"{bag}: {topic}")
@@ -64,8 +73,10 @@ def import_bag(
     stamps_ns, received, parts, warnings = read.states(topic)
     controller = options.reference_topic or _only_controller(controllers, joints, Place(str(bag)))
     position = parts["position"]
-    parts["effort"], provenance, effort_object = _effort(robot, parts.get("effort"), options.effort_unit, place)
-    _refuse_several_publishers(position, parts["effort"], joints, place)
+    parts["effort"], provenance, effort_object = _effort(
+        robot, parts.get("effort"), options.effort_unit, place
+    )
+    refuse_several_publishers(position, parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
         warnings.append("velocities that are not finite numbers are left out")
@@ -73,8 +84,14 @@ def import_bag(
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
     grid = resample(time_s, parts, rate_hz=options.resample_hz, place=place)
     clock = "times of reception" if received else "header stamps"
-    way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
-    grid, reference = replace(with_warnings(grid, time_s, position, clock, way_out), first_ns=first_ns), {}
+    way_out = (
+        "record a topic that the robot's own clock stamps, or import a table whose map states "
+        "sample_rate_hz"
+    )
+    grid, reference = (
+        replace(with_warnings(grid, time_s, position, clock, way_out), first_ns=first_ns),
+        {},
+    )
     try:
         if controller:
             states = _Parts(joints, Place(f"{bag}: {controller}"))
@@ -97,21 +114,36 @@ def import_bag(
     return write_samples(header, grid, warnings, str(place), out)
 
 
-def _only_controller(controllers: Mapping[str, Messages], joints: Sequence[str], place: Place) -> str | None:
-    """Topic of the controller of all joints; of one that lacks some if there is no other, None without any."""
-    found = [topic for topic, rows in controllers.items() if rows and {*joints} <= {*rows[0][1].name}]
+def _only_controller(
+    controllers: Mapping[str, Messages], joints: Sequence[str], place: Place
+) -> str | None:
+    """Topic of the controller of all joints; of one that lacks some if there is no
+    other, None without any.
+    """
+    found = [
+        topic for topic, rows in controllers.items() if rows and {*joints} <= {*rows[0][1].name}
+    ]
     if len(found) > 1:
-        place.refuse(expected="one of them in --topic, after a comma", text=f"has the references {listed(found)}")
+        place.refuse(
+            expected="one of them in --topic, after a comma",
+            text=f"has the references {listed(found)}",
+        )
     return next(iter(found or controllers), None)
 
 
-def _with_reference(grid: GridValues, states: "_Parts", received: bool, topic: str) -> tuple[GridValues, str]:
-    """The part of the grid within the times of a controller's states, with its reference; what was done."""
+def _with_reference(
+    grid: GridValues, states: "_Parts", received: bool, topic: str
+) -> tuple[GridValues, str]:
+    """The part of the grid within the times of a controller's states, with its
+    reference; what was done.
+    """
     from scipy.interpolate import CubicSpline
 
     stamps_ns, own_received, own, _ = states.states(topic)
     if own_received != received:
-        states.place.refuse("time", expected="stamps in the headers of both topics", text="only one has them")
+        states.place.refuse(
+            "time", expected="stamps in the headers of both topics", text="only one has them"
+        )
     own_s = np.asarray((stamps_ns - grid.first_ns) * np.float64(1e-9))
     own_s, rows, report = rows_to_interpolate(own_s, {"reference": own["position"]}, states.place)
     time_s = grid.start_s + np.arange(len(grid.parts["position"])) / grid.rate_hz
@@ -126,43 +158,14 @@ def _with_reference(grid: GridValues, states: "_Parts", received: bool, topic: s
     return replace(grid, parts=kept, start_s=float(time_s[0])), text
 
 
-def _refuse_several_publishers(position: Array, effort: Array, joints: list[str], place: Place) -> None:
-    """Refuse alternating states of two publishers: single rows without effort, or every other row far from its neighbours."""
-    zero = np.asarray(~effort.any(axis=1))
-    large = np.asarray((np.abs(effort) > MIN_PUBLISHER_QUANTA * smallest_difference(effort)).any(axis=1))
-    single = zero[1:-1] & large[:-2] & large[2:]
-    expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
-    if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
-        problem = f"{100 * single.mean():.2g} % of the rows have no effort, but both neighbours have"
-        place.refuse("effort", expected=expected, text=problem)
-    for key, x in (("position", position), ("effort", effort)):
-        share = _alternating_share(x)
-        if share.max() > MAX_ALTERNATING:
-            problem = f"every other row differs from its neighbours in {100 * share.max():.2g} % of the time"
-            place.refuse(f"{key} of joint {joints[int(share.argmax())]}", expected=expected, text=problem)
-
-
-def _alternating_share(x: Array) -> Array:
-    """Share (n,) of windows of x (N, n) whose second differences have far more energy at the Nyquist frequency than at half.
-
-    Rounded values sometimes alternate by one quantum, so several quanta are required. Values held for a row, as of an encoder
-    slower than the log, do not alternate.
-    """
-    rows = max(0, len(x) - 2) // WINDOW * WINDOW
-    steps, windows = (np.diff(x, n=n, axis=0)[:rows].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2))
-    if not len(windows):
-        return np.zeros(x.shape[1])
-    energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
-    half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
-    large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * smallest_difference(x)
-    alternating = large & ((steps == 0).mean(axis=1) < 0.4) & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
-    return np.asarray(np.maximum(alternating.sum(axis=0) - 2, 0) / len(windows))  # two may be chance
-
-
-def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place) -> tuple[Array, str, str]:
+def _effort(
+    robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place
+) -> tuple[Array, str, str]:
     """Joint efforts (N, n), their origin, and what they are. A bag does not contain their unit."""
     if effort is None:
-        place.refuse(expected="measured torques or currents in them", text="messages have no effort")
+        place.refuse(
+            expected="measured torques or currents in them", text="messages have no effort"
+        )
     _refuse_no_effort(robot, effort, place)
     given = tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1)
     units, factors = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
@@ -179,7 +182,11 @@ def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:
     names = [joint.name for joint in robot.joints]
     for name, x in zip(names, effort.T, strict=True):
         if not np.isfinite(x).any():
-            place.refuse(f"effort of joint {name}", expected="measured efforts", text="is no number in any row")
+            place.refuse(
+                f"effort of joint {name}",
+                expected="measured efforts",
+                text="is no number in any row",
+            )
     _refuse_infinite("effort", effort, names, place)
     if not effort.any():
         expected = "measured efforts; this driver does not publish them"
@@ -193,8 +200,12 @@ def _refuse_infinite(kind: str, x: Array, joints: Sequence[str], place: Place) -
         Place(f"{place}: state {row + 1}").refuse(key, float(x[row, joint]), "a finite number")
 
 
-def _read(path: Path, options: BagOptions, joints: Sequence[str]) -> tuple["_Parts", dict[str, Messages]]:
-    """Joint states of the `joints`, by name, in the order of the bag; states of trajectory controllers by topic."""
+def _read(
+    path: Path, options: BagOptions, joints: Sequence[str]
+) -> tuple["_Parts", dict[str, Messages]]:
+    """Joint states of the `joints`, by name, in the order of the bag; states of
+    trajectory controllers by topic.
+    """
     topic, wanted = options.topic, options.reference_topic
     parts = _Parts(joints, Place(f"{path}: {topic}"))
     try:
@@ -210,15 +221,21 @@ def _read(path: Path, options: BagOptions, joints: Sequence[str]) -> tuple["_Par
             if wanted:
                 _refuse_topic(wanted, CONTROLLER_STATE, types, Place(str(path)))
             connections = [c for c in reader.connections if c.topic == topic]
-            parts.publishers = sum(max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections)
+            parts.publishers = sum(
+                max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections
+            )
             others = [c for c in reader.connections if c.msgtype == CONTROLLER_STATE]
             controllers: dict[str, Messages] = {c.topic: [] for c in others}
-            for connection, received_ns, raw in reader.messages(connections=[*connections, *others]):
+            for connection, received_ns, raw in reader.messages(
+                connections=[*connections, *others]
+            ):
                 if connection.topic == topic:
                     parts.add(received_ns, reader.deserialize(raw, connection.msgtype))
                 else:
                     decode = begin.deserialize_cdr_le if raw[1] else begin.deserialize_cdr_be
-                    controllers[connection.topic].append((received_ns, decode(raw[4:], 0, begin.cls, store)[0]))
+                    controllers[connection.topic].append(
+                        (received_ns, decode(raw[4:], 0, begin.cls, store)[0])
+                    )
     except BadInputError:
         raise
     except OSError as error:
@@ -235,7 +252,11 @@ def _refuse_topic(topic: str, wanted: str, types: dict[str, str], place: Place) 
         return
     states = [name for name, kind in types.items() if kind == wanted]
     problem = f"has type {types[topic]}" if topic in types else "does not exist"
-    expected = f"one of {wanted}: {listed(states)}" if states else f"a topic of {wanted}; it has {listed([*types])}"
+    expected = (
+        f"one of {wanted}: {listed(states)}"
+        if states
+        else f"a topic of {wanted}; it has {listed([*types])}"
+    )
     place.refuse(expected=expected, text=f"topic {topic} {problem}")
 
 
@@ -266,7 +287,9 @@ class _Parts:
         for kind, values in self._values.items():
             content = getattr(message, kind, np.empty(0))
             if len(content) not in (0, len(source[1])) or (kind == "position" and not len(content)):
-                self._refuse_message(f"{len(content)} values of {kind}", f"{len(source[1])}, one for each name")
+                self._refuse_message(
+                    f"{len(content)} values of {kind}", f"{len(source[1])}, one for each name"
+                )
             if len(content):
                 values.append(content[places])
 
@@ -278,9 +301,15 @@ class _Parts:
             return None
         if missing:
             problem = f"joints {listed(missing)} missing in {listed(names)}"
-            self._refuse_message(problem, "all joints of robot.toml in each message, by their names there")
+            self._refuse_message(
+                problem, "all joints of robot.toml in each message, by their names there"
+            )
         if self._source is not None:
-            apart = f"frame {source[0]!r} after {self._source[0]!r}" if source[1] == self._source[1] else "other names"
+            apart = (
+                f"frame {source[0]!r} after {self._source[0]!r}"
+                if source[1] == self._source[1]
+                else "other names"
+            )
             expected = "one publisher; record the topic of the arm's own driver"
             self._refuse_message(f"messages of several publishers: {apart}", expected)
         self._source = source
@@ -290,26 +319,46 @@ class _Parts:
         Place(f"{self.place}: message {self.count}").refuse(expected=expected, text=problem)
 
     def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
-        """Stamps (N,) in ns of the headers, or of reception if headers have none (then True); arrays (N, n); warnings."""
+        """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
+        arrays (N, n); warnings.
+        """
         if not self._stamps:
             names = sorted({name for _, names in self._places for name in names})
             problem = f"has {listed(names)}" if names else "has no messages"
-            self.place.refuse(expected=f"the joints {listed(self._joints)} of robot.toml", text=problem)
+            self.place.refuse(
+                expected=f"the joints {listed(self._joints)} of robot.toml", text=problem
+            )
         stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
         received = not stamps.any()
-        if not received and not stamps[1:].all():  # a clock that begins at 0 gives the first stamp 0
+        # a clock that begins at 0 gives the first stamp 0
+        if not received and not stamps[1:].all():
             place = Place(f"{self.place}: state {2 + int(np.argmin(stamps[1:] != 0))}")
-            place.refuse(expected="stamps in all headers or in none", text="a header without a stamp")
+            place.refuse(
+                expected="stamps in all headers or in none", text="a header without a stamp"
+            )
         for kind, values in self._values.items():
             if len(values) not in (0, count):
                 problem = f"{kind} in {len(values)} of {count} messages"
                 self.place.refuse(expected=f"{kind} in all or in none", text=problem)
-        arrays = {kind: np.array(values, dtype=np.float64) for kind, values in self._values.items() if values}
+        arrays = {
+            kind: np.array(values, dtype=np.float64)
+            for kind, values in self._values.items()
+            if values
+        }
         _refuse_infinite("position", arrays["position"], self._joints, self.place)
-        warnings = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
+        warnings = (
+            ["headers have no stamps: times are those of reception, which jitter more"]
+            if received
+            else []
+        )
         if self.publishers > 1:
             publishers = f"{self.publishers} publishers (connections or QoS profiles)"
             warnings.append(f"{topic} has {publishers}: record it with one")
         if self._others:
             warnings.append(f"{self._others} messages without any of the joints are left out")
-        return np.array(self._received, dtype=np.int64) if received else stamps, received, arrays, warnings
+        return (
+            np.array(self._received, dtype=np.int64) if received else stamps,
+            received,
+            arrays,
+            warnings,
+        )

@@ -1,4 +1,6 @@
-"""Packets of pcap and pcapng files, and the EtherCAT datagrams in them, some thousands at a time."""
+"""Packets of pcap and pcapng files, and the EtherCAT datagrams in them,
+some thousands at a time.
+"""
 
 import struct
 from collections.abc import Iterator
@@ -13,14 +15,20 @@ from ..errors import Place
 from ..recording import Block
 
 _BLOCKS = b"\x0a\x0d\x0d\x0a"  # pcapng
-_RECORDS = {struct.pack(f"{x}I", magic): (x, ns) for x in "<>" for magic, ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))}
+_RECORDS = {
+    struct.pack(f"{x}I", magic): (x, ns)
+    for x in "<>"
+    for magic, ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
+}
 _INTERFACE, _ENHANCED, _RESOLUTION = 1, 6, 9  # types of blocks, option of an interface
 _ETHERNET = 1  # link type
 PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 2**18, _ETHERNET)
 _AT_ONCE = 2**21  # bytes
 _MAX_PACKET, _MAX_BLOCK = 2**18, 2**24  # bytes: more is damage
 _VLAN, _IP, _ETHERCAT, _UDP, _PORT = (0x8100, 0x88A8), 0x0800, 0x88A4, 17, 34980
-_HEAD = np.dtype([("command", "u1"), ("index", "u1"), ("address", "<u4"), ("length", "<u2"), ("event", "<u2")])
+_HEAD = np.dtype(
+    [("command", "u1"), ("index", "u1"), ("address", "<u4"), ("length", "<u2"), ("event", "<u2")]
+)
 _MARGIN = 128  # bytes: no header is further from the first byte of a packet
 _FOUND = np.dtype([("packet", "<i8"), ("at", "<i8"), *_HEAD.descr, ("counter", "<u2")])
 
@@ -36,9 +44,18 @@ class Packets(NamedTuple):
     def records(self, chosen: Ints) -> bytes:
         """Some packets as records of pcap with nanoseconds, little-endian, without its head."""
         time_ns, begin, length = self.time_ns[chosen], self.begin[chosen], self.length[chosen]
-        heads = np.stack([time_ns // 10**9, time_ns % 10**9, length, length], axis=1).astype("<u4").tobytes()
-        data, ends = self.data.tobytes(), zip(begin.tolist(), (begin + length).tolist(), strict=True)
-        return b"".join(heads[16 * k : 16 * k + 16] + data[first:end] for k, (first, end) in enumerate(ends))
+        heads = (
+            np.stack([time_ns // 10**9, time_ns % 10**9, length, length], axis=1)
+            .astype("<u4")
+            .tobytes()
+        )
+        data, ends = (
+            self.data.tobytes(),
+            zip(begin.tolist(), (begin + length).tolist(), strict=True),
+        )
+        return b"".join(
+            heads[16 * k : 16 * k + 16] + data[first:end] for k, (first, end) in enumerate(ends)
+        )
 
 
 def is_capture(path: Path) -> bool:
@@ -51,7 +68,9 @@ def is_capture(path: Path) -> bool:
 
 
 def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packets]:
-    """The packets of Ethernet in an open file; one that is cut or damaged is read up to there, with a warning."""
+    """The packets of Ethernet in an open file; one that is cut or damaged is read up to
+    there, with a warning.
+    """
     data, at, before = file.read(24), 0, 0
     order, ns = _RECORDS.get(data[:4], ("<", 0))
     interfaces: list[int] = []  # ticks per second, 0 of others than Ethernet
@@ -60,7 +79,10 @@ def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packe
     if ns:
         link, at = struct.unpack(f"{order}I", data[20:])[0] & 0xFFFF, 24
         if link != _ETHERNET:
-            place.refuse(text=f"link type {link}", expected="1 (Ethernet): capture on the interface, not on 'any'")
+            place.refuse(
+                text=f"link type {link}",
+                expected="1 (Ethernet): capture on the interface, not on 'any'",
+            )
     problem = ""
     while not problem:
         new, found = file.read(_AT_ONCE), list[tuple[int, int, int]]()
@@ -93,7 +115,10 @@ def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packe
             at += size
         if problem and at < len(data):
             warnings.append(f"{problem} at byte {before + at}: what is before it is read")
-        yield Packets(np.frombuffer(data + bytes(_MARGIN), np.uint8), *np.array(found, np.int64).reshape(-1, 3).T)
+        yield Packets(
+            np.frombuffer(data + bytes(_MARGIN), np.uint8),
+            *np.array(found, np.int64).reshape(-1, 3).T,
+        )
 
 
 def _ticks(interface: bytes, order: str) -> int:
@@ -115,7 +140,9 @@ def gather(data: NDArray[np.uint8], at: Ints, kind: str | np.dtype[Any]) -> NDAr
 
 
 def datagrams(given: Packets) -> Block:
-    """All whole datagrams of EtherCAT frames, in VLANs and UDP too, in file order; `at`: the first byte of their data."""
+    """All whole datagrams of EtherCAT frames, in VLANs and UDP too, in file order; `at`: the
+    first byte of their data.
+    """
     data, end, at = given.data, given.begin + given.length, given.begin + 12
     for _ in range(2):
         at = at + 4 * np.isin(gather(data, at, ">u2"), _VLAN)
@@ -124,7 +151,9 @@ def datagrams(given: Packets) -> Block:
     in_udp = (kind == _IP) & (data[ip + 9] == _UDP) & (gather(data, udp + 2, ">u2") == _PORT)
     frame = np.where(in_udp, udp + 8, ip)
     header = gather(data, frame, "<u2").astype(np.int64)
-    packet = np.flatnonzero(((kind == _ETHERCAT) | in_udp) & (header >> 12 == 1) & (frame + 2 <= end))
+    packet = np.flatnonzero(
+        ((kind == _ETHERCAT) | in_udp) & (header >> 12 == 1) & (frame + 2 <= end)
+    )
     end, at = np.minimum(end, frame + 2 + (header & 0x7FF)), frame[packet] + 2
     parts = [np.zeros(0, _FOUND)]
     while len(packet):

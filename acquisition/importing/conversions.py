@@ -32,12 +32,16 @@ from .ethercat import MAPPING_NOTE, import_capture
 from .time_base import ImportSummary
 
 
-def import_recording(path: Path, out: Path, robot: Robot | None = None, place: str = "") -> ImportSummary:
-    """Write a recording again: samples decoded from its frames, and everything before the cut if it was cut off.
+def import_recording(
+    path: Path, out: Path, robot: Robot | None = None, place: str = ""
+) -> ImportSummary:
+    """Write a recording again: samples decoded from its frames, and everything before the
+    cut if it was cut off.
 
-    Without `robot`, a corrected description with the name `place` in errors, samples of a cut recording are copied if there
-    are no frames, or if these do not decode. `out`, with the same frames and events, is written whole or not at all. Raises
-    `BadInputError`: there are no frames, or they do not decode with these drives.
+    Without `robot`, a corrected description with the name `place` in errors, samples of a cut
+    recording are copied if there are no frames, or if these do not decode. `out`, with the same
+    frames and events, is written whole or not at all. Raises `BadInputError`: there are no frames,
+    or they do not decode with these drives.
     """
     recording = read_recording(path)
     if recording.cut and robot is None:
@@ -49,7 +53,9 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
         header = replace(recording.header, notes=notes, **_bus_header(robot, bus))
         return import_capture(BytesIO(recording.capture), header, bus, Place(str(path)), out)
     if not recording.frames:
-        Place(str(path)).refuse(text="holds no frames and is not cut off", expected="a recording of drives")
+        Place(str(path)).refuse(
+            text="holds no frames and is not cut off", expected="a recording of drives"
+        )
     frames = max(recording.frames.values(), key=len)
     decoded, end_ns = _decode_checked(frames, robot, str(path), place), int(frames["time_ns"][-1])
     header = replace(recording.header, notes=notes, **_bus_header(robot, decoded.bus))
@@ -85,7 +91,8 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
         samples=summary.samples,
         sample_rate_hz=recording.sample_rate_hz,
         has_reference=summary.samples > 0 and has_reference(out),
-        warnings=summary.warnings or (f"{NO_SAMPLES}{summary.no_samples}",) * bool(summary.no_samples),
+        warnings=summary.warnings
+        or (f"{NO_SAMPLES}{summary.no_samples}",) * bool(summary.no_samples),
     )
 
 
@@ -95,17 +102,29 @@ def is_log(path: Path) -> bool:
 
 
 def import_log(
-    log: Path, out: Path, robot: Robot, place: str, payload: Payload | None = None, mapping: Sequence[str] = ()
+    log: Path,
+    out: Path,
+    robot: Robot,
+    place: str,
+    payload: Payload | None = None,
+    mapping: Sequence[str] = (),
 ) -> ImportSummary:
-    """Write the recording `out`, whole or not at all, from another tool's CAN log, or an EtherCAT capture with this `mapping`.
+    """Write the recording `out`, whole or not at all, from another tool's CAN log, or an EtherCAT
+    capture with this `mapping`.
 
-    `log`: candump, ASC, BLF or TRC; if it has several interfaces, the frames of `bus.channel` are used. The drives of `robot`,
-    whose description has the name `place` in errors, decode the frames; `payload` is what it carried. Raises `BadInputError`:
-    the log cannot be read, none of its frames are of the described interface, or they do not decode.
+    `log`: candump, ASC, BLF or TRC; if it has several interfaces, the frames of `bus.channel` are
+    used. The drives of `robot`, whose description has the name `place` in errors, decode the
+    frames; `payload` is what it carried. Raises `BadInputError`: the log cannot be read, none of
+    its frames are of the described interface, or they do not decode.
     """
     if is_capture(log):
         bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
-        header = Header(source=f"EtherCAT capture {log.name}", payload=payload, notes=notes, **_bus_header(robot, bus))
+        header = Header(
+            source=f"EtherCAT capture {log.name}",
+            payload=payload,
+            notes=notes,
+            **_bus_header(robot, bus),
+        )
         with log.open("rb") as file:
             return import_capture(file, header, bus, Place(str(log)), out)
     frames, left_out = _select_interface(log, robot)
@@ -113,7 +132,9 @@ def import_log(
     decoded = _decode_checked(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    header = Header(source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus))
+    header = Header(
+        source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus)
+    )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
@@ -121,7 +142,9 @@ def import_log(
 
 
 def _select_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
-    """The frames of one bus in a log, and a warning about those left out: two buses would give two samples for each SYNC."""
+    """The frames of one bus in a log, and a warning about those left out: two buses would give two
+    samples for each SYNC.
+    """
     found: list[tuple[str | None, Frame]] = []
     fd = 0
     for interface, frame in read_log(log):
@@ -130,13 +153,20 @@ def _select_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
         else:
             found.append((interface, frame))
     if not found:
-        Place(str(log)).refuse(text=f"holds no CAN frames ({fd} of CAN FD)", expected="some of classic CAN")
+        Place(str(log)).refuse(
+            text=f"holds no CAN frames ({fd} of CAN FD)", expected="some of classic CAN"
+        )
     counts = Counter(interface for interface, _ in found)
     named = [interface for interface in counts if interface is not None]
-    wanted = {None, *named}  # error frames may have no interface: they belong to the only bus of the log
+    # error frames may have no interface: they belong to the only bus of the log
+    wanted = {None, *named}
     if len(named) > 1:
         wanted = {robot.bus.channel if robot.bus is not None else ""}
-    left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
+    left_out = [
+        f"{count} of interface {name or '(not named)'}"
+        for name, count in counts.items()
+        if name not in wanted
+    ]
     if not wanted & set(counts):
         expected = "one interface: filter the log, or name one of them as bus.channel in robot.toml"
         Place(str(log)).refuse(text=f"frames: {', '.join(left_out)}", expected=expected)
@@ -147,7 +177,8 @@ def _select_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
 
 def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
     decoded = decode(frames, robot, resolve(robot, place, written_by_master(frames)), name)
-    q = np.concatenate([block["position"].copy() for block in decoded.blocks()])  # a view would hold its whole block
+    # a view would hold its whole block
+    q = np.concatenate([block["position"].copy() for block in decoded.blocks()])
     warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
     return replace(decoded, warnings=decoded.warnings + warnings)
 

@@ -1,4 +1,7 @@
-"""Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles. Nothing is ever sent."""
+"""Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles.
+
+Nothing is ever sent.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +12,15 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import atomic_write, field_of, release_pages
-from ..recording import Block, Header, RecordingWriter, in_parts, joint_samples, minimum_ahead, refuse_period
+from ..recording import (
+    Block,
+    Header,
+    RecordingWriter,
+    in_parts,
+    joint_samples,
+    minimum_ahead,
+    refuse_period,
+)
 from ..robot import Bus, check_recorded_efforts, check_recorded_positions
 from .captures import PCAP_HEAD, packets
 from .process_data import AT_ONCE, MARGIN, MAX_OFF, Bools, ProcessData, parse_mapping
@@ -22,25 +33,40 @@ MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
 
 def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
-    """Number of the cycle of each row (m,), and whether it is certain: delays do not last, late rows are consecutive."""
-    number, certain, reached = np.empty(len(time_ns), np.int64), np.empty(len(time_ns), np.bool_), 0.0
+    """Number of the cycle of each row (m,), and whether it is certain: delays do not last,
+    late rows are consecutive.
+    """
+    number, certain, reached = (
+        np.empty(len(time_ns), np.int64),
+        np.empty(len(time_ns), np.bool_),
+        0.0,
+    )
     for first in range(0, len(time_ns), AT_ONCE):
         begin, end = max(0, first - MARGIN), first + AT_ONCE
-        some, sure, level = _numbers(time_ns[begin : end + MARGIN], period_ns, first - begin, reached)
+        some, sure, level = _numbers(
+            time_ns[begin : end + MARGIN], period_ns, first - begin, reached
+        )
         number[first:end] = some[first - begin : end - begin] + begin
         certain[first:end] = sure[first - begin : end - begin]
         reached = float(level[min(end - begin, len(level) - 1)])
     return number, certain
 
 
-def _numbers(time_ns: Ints, period_ns: float, row: int, reached: float) -> tuple[Ints, Bools, Array]:
-    """As `cycle_numbers`, and cycles without a row before each row, of which there are `reached` at `row`."""
+def _numbers(
+    time_ns: Ints, period_ns: float, row: int, reached: float
+) -> tuple[Ints, Bools, Array]:
+    """As `cycle_numbers`, and cycles without a row before each row, of which there
+    are `reached` at `row`.
+    """
     k = np.arange(len(time_ns))
     late = (time_ns - time_ns[0]) / period_ns - k
     on_time = minimum_ahead(late, _LATE)
     steps = np.diff(on_time)
     steps[np.abs(steps) < MAX_OFF] = 0.0  # drift of the clocks
-    level, breaks = (np.concatenate([[0], np.cumsum(x)]) for x in (steps, np.abs(steps - np.rint(steps)) > MAX_OFF))
+    level, breaks = (
+        np.concatenate([[0], np.cumsum(x)])
+        for x in (steps, np.abs(steps - np.rint(steps)) > MAX_OFF)
+    )
     missing = level + (reached - level[row])
     level = np.rint(missing).astype(np.int64)
     delayed = late - on_time > MAX_OFF
@@ -68,20 +94,26 @@ def _period_ns(time_ns: Ints) -> float:
 def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Path) -> ImportSummary:
     """Write the recording `out` from a capture (pcap, pcapng) of an EtherCAT bus in operation.
 
-    One row for each cycle with full working counters: rad or m, and N m or N (A or V if no drive gain is known), at the
-    joints, at the times of whole periods; `reference` is the target of the cycle before. Frames are kept in the recording.
-    Of the notes of `header`, `MAPPING_NOTE` has a stated mapping where the capture begins after the mapping. Raises
-    `BadInputError`: the file is no capture, or it has no process data that come back, no mapping, or another period.
+    One row for each cycle with full working counters: rad or m, and N m or N (A or V if no drive
+    gain is known), at the joints, at the times of whole periods; `reference` is the target of the
+    cycle before. Frames are kept in the recording. Of the notes of `header`, `MAPPING_NOTE` has a
+    stated mapping where the capture begins after the mapping. Raises `BadInputError`: the file is
+    no capture, or it has no process data that come back, no mapping, or another period.
     """
     robot, warnings = header.robot, list[str]()
-    process, head = ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at), PCAP_HEAD
+    process, head = (
+        ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at),
+        PCAP_HEAD,
+    )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for given in packets(file, at, warnings):
             kept = process.add(given)
             if len(kept):
                 writer.captured(head + given.records(kept), int(given.time_ns[kept[0]]))
                 head = b""
-        rows, chosen, stamp_ns, times, has_reference = _on_grid(process, bus.period_ns, at, warnings)
+        rows, chosen, stamp_ns, times, has_reference = _on_grid(
+            process, bus.period_ns, at, warnings
+        )
         first_ns, last_ns = int(stamp_ns[0]), int(stamp_ns[-1])
         for block in joint_samples(_chosen(rows, chosen, stamp_ns, has_reference), robot, bus):
             writer.samples(block)
@@ -104,11 +136,16 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
 
 
 def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> Iterator[Block]:
-    """Chosen rows with their stamps, some at a time; a row's target is that of the cycle before, which the drive then had."""
+    """Chosen rows with their stamps, some at a time; a row's target is that of the cycle before,
+    which the drive then had.
+    """
     for first in range(0, len(chosen), AT_ONCE):
         some = chosen[first : first + AT_ONCE]
         found = rows[some]
-        found["stamp_ns"], found["target"] = stamp_ns[first : first + AT_ONCE], rows["target"][some - 1]
+        found["stamp_ns"], found["target"] = (
+            stamp_ns[first : first + AT_ONCE],
+            rows["target"][some - 1],
+        )
         release_pages(rows)
         yield found if has_reference else found[["stamp_ns", "position", "effort"]]
 
@@ -116,7 +153,9 @@ def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> I
 def _on_grid(
     process: ProcessData, nominal_ns: int, at: Place, warnings: list[str]
 ) -> tuple[Block, Ints, Ints, str, bool]:
-    """Rows, the numbers and stamps of those whose cycle is certain; the report on the times; whether there is a reference."""
+    """Rows, the numbers and stamps of those whose cycle is certain; the report on the times;
+    whether there is a reference.
+    """
     rows, clock = process.rows()
     if len(rows) < 4:
         process.refuse_no_rows()
@@ -130,7 +169,9 @@ def _on_grid(
     if abs(period_ns / nominal_ns - 1) < _MAX_CLOCK_ERROR:
         period_ns = float(nominal_ns)
     number, certain = cycle_numbers(time_ns, period_ns)
-    start_ns = int(np.median(time_ns - np.rint(number * period_ns).astype(np.int64), overwrite_input=True))
+    start_ns = int(
+        np.median(time_ns - np.rint(number * period_ns).astype(np.int64), overwrite_input=True)
+    )
     del time_ns  # large in a long capture
     known = np.concatenate([some["known"].copy() for some in in_parts(rows)])
     has_reference = bool(known.mean() > _MIN_SHARE)
@@ -142,15 +183,32 @@ def _on_grid(
         process.refuse_no_rows()
     number = number[chosen]
     if not has_reference:
-        warnings.append("no reference: the targets are not mapped, or not in frames on their way out")
+        warnings.append(
+            "no reference: the targets are not mapped, or not in frames on their way out"
+        )
     if process.short:
-        warnings.append(f"{process.short} cycles with a working counter below the full one are left out")
+        warnings.append(
+            f"{process.short} cycles with a working counter below the full one are left out"
+        )
     uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
     if uncertain:
-        warnings.append(f"{uncertain} rows beside lost or late frames are left out: their cycle or target is uncertain")
+        warnings.append(
+            f"{uncertain} rows beside lost or late frames are left out: their cycle or target is "
+            "uncertain"
+        )
     steps = np.diff(number)
-    gaps = f"{(steps > 1).sum()} gaps, {(steps - 1).sum()} rows missing" if (steps > 1).any() else "no gaps"
+    gaps = (
+        f"{(steps > 1).sum()} gaps, {(steps - 1).sum()} rows missing"
+        if (steps > 1).any()
+        else "no gaps"
+    )
     name = "distributed clocks" if clock else "stamps of the capture"
     doubled = f"{process.doubled or 'no'} doubled rows"
     times = f"{name}: {1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, {doubled}"
-    return rows, chosen, max(0, start_ns) + np.rint(number * period_ns).astype(np.int64), times, has_reference
+    return (
+        rows,
+        chosen,
+        max(0, start_ns) + np.rint(number * period_ns).astype(np.int64),
+        times,
+        has_reference,
+    )

@@ -1,4 +1,6 @@
-"""Cyclic process data in EtherCAT frames → rows of the integers of CiA 402 drives (CoE), in file order."""
+"""Cyclic process data in EtherCAT frames → rows of the integers of CiA 402
+drives (CoE), in file order.
+"""
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
@@ -16,18 +18,22 @@ from .captures import Packets, datagrams, gather
 from .slaves import LRD, LRW, LWR, WRITES, Entries, Located, Slaves, spans
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
-AT_ONCE, MARGIN = 2**17, 2**10  # rows of a segment, and those before and after it on which it may depend
+# rows of a segment, and those before and after it on which it may depend
+AT_ONCE, MARGIN = 2**17, 2**10
 _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
 _ORDER = 15  # stamps before and after one that must not contradict it
 _MIN_SHARE = 0.01  # of the rows: a working counter that is no damage
 _NAMES = {LRD: "LRD", LWR: "LWR", LRW: "LRW"}
 _MAPPING = (
-    "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its inputs, gaps as 0:BITS"
+    "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its "
+    "inputs, gaps as 0:BITS"
 )
 
 Bools: TypeAlias = NDArray[np.bool_]
-Part: TypeAlias = tuple[int, int, int, bool]  # command, logical address and bytes of datagrams; whether they came back
-Fields: TypeAlias = dict[tuple[str, int], tuple[int, str]]  # by quantity and drive: byte in a part, and type
+# command, logical address and bytes of datagrams; whether they came back
+Part: TypeAlias = tuple[int, int, int, bool]
+# by quantity and drive: byte in a part, and type
+Fields: TypeAlias = dict[tuple[str, int], tuple[int, str]]
 
 
 def parse_mapping(texts: Sequence[str]) -> list[Entries]:
@@ -36,20 +42,30 @@ def parse_mapping(texts: Sequence[str]) -> list[Entries]:
     for text in texts:
         try:
             words = [word.split(":") for word in text.split(",")]
-            found.append([((int(index, 16), int("".join(sub) or 0)), int(bits)) for index, *sub, bits in words])
+            found.append(
+                [
+                    ((int(index, 16), int("".join(sub) or 0)), int(bits))
+                    for index, *sub, bits in words
+                ]
+            )
         except ValueError:
             found.append([])
         if not found[-1] or not all(0 < bits < 2**14 for _, bits in found[-1]):
-            raise BadInputError(key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16")
+            raise BadInputError(
+                key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16"
+            )
     return found
 
 
 class ProcessData:
-    """Collects what configures the slaves, and the integers of the drives in each datagram of process data."""
+    """Collects what configures the slaves, and the integers of the drives in each
+    datagram of process data.
+    """
 
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Place) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
-        self._slaves = {True: Slaves(), False: Slaves()}  # by datagrams that came back, and that went out
+        # by datagrams that came back, and that went out
+        self._slaves = {True: Slaves(), False: Slaves()}
         self._fields: dict[Part, Fields] = {}
         self._columns: dict[Part, GrowingBytes] = {}
         self._seen: dict[Part, int] = {}
@@ -60,12 +76,18 @@ class ProcessData:
         """Add packets; the numbers of those of EtherCAT."""
         found = datagrams(given)
         for one in found[np.isin(found["command"], WRITES)]:
-            content, back = given.data[one["at"] : one["at"] + one["length"]].tobytes(), bool(one["counter"])
+            content, back = (
+                given.data[one["at"] : one["at"] + one["length"]].tobytes(),
+                bool(one["counter"]),
+            )
             if self._slaves[back].write(int(one["command"]), int(one["address"]), content) and back:
                 self._since = self._packets + int(one["packet"])  # rows before a change are dropped
                 self._fields, self._columns, self._seen = {}, {}, {}
         parts: dict[Part, Block] = {}
-        process = found[np.isin(found["command"], (LRD, LWR, LRW)) & (found["packet"] + self._packets > self._since)]
+        process = found[
+            np.isin(found["command"], (LRD, LWR, LRW))
+            & (found["packet"] + self._packets > self._since)
+        ]
         key = process["command"].astype(np.int64) << 44 | process["address"].astype(np.int64) << 12
         key |= process["length"].astype(np.int64) << 1 | (process["counter"] > 0)
         for k in np.unique(key):
@@ -75,7 +97,9 @@ class ProcessData:
         if not self._fields:
             self._fields = self._find_fields()
             self._columns = {part: GrowingBytes() for part in self._fields}
-        clock = found[np.isin(found["command"], _CLOCK_COMMANDS) & (found["address"] >> 16 == _CLOCK)]
+        clock = found[
+            np.isin(found["command"], _CLOCK_COMMANDS) & (found["address"] >> 16 == _CLOCK)
+        ]
         clock = clock[(clock["counter"] > 0) & (clock["length"] >= 4)]
         for part in set(self._fields) & set(parts):
             self._columns[part].extend(self._extract(part, parts[part], given, clock).tobytes())
@@ -83,47 +107,77 @@ class ProcessData:
         return np.unique(found["packet"])
 
     def _row(self, part: Part) -> np.dtype[np.void]:
-        about = [("packet", "<i8"), ("time_ns", "<i8"), ("clock_ns", "<i8"), ("counter", "<u2"), ("index", "u1")]
-        return np.dtype([*about, *((f"{name}{i}", kind) for (name, i), (_, kind) in self._fields[part].items())])
+        about = [
+            ("packet", "<i8"),
+            ("time_ns", "<i8"),
+            ("clock_ns", "<i8"),
+            ("counter", "<u2"),
+            ("index", "u1"),
+        ]
+        return np.dtype(
+            [*about, *((f"{name}{i}", kind) for (name, i), (_, kind) in self._fields[part].items())]
+        )
 
     def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
         """Rows of datagrams of a part; a clock's time of 32 bits is below 2**32, -1 is none."""
         rows = np.empty(len(found), self._row(part))
-        rows["packet"], rows["time_ns"] = found["packet"] + self._packets, given.time_ns[found["packet"]]
+        rows["packet"], rows["time_ns"] = (
+            found["packet"] + self._packets,
+            given.time_ns[found["packet"]],
+        )
         rows["counter"], rows["index"], rows["clock_ns"] = found["counter"], found["index"], -1
         for (name, i), (at, kind) in self._fields[part].items():
             rows[f"{name}{i}"] = gather(given.data, found["at"] + at, kind)
         if len(clock):
             one = clock[np.searchsorted(clock["packet"], found["packet"]).clip(max=len(clock) - 1)]
-            low, high = (gather(given.data, one["at"] + at, "<u4").astype(np.int64) for at in (0, 4))
+            low, high = (
+                gather(given.data, one["at"] + at, "<u4").astype(np.int64) for at in (0, 4)
+            )
             time_ns = low | np.where(one["length"] >= 8, high & 0x7FFFFFFF, 0) << 32
             rows["clock_ns"] = np.where(one["packet"] == found["packet"], time_ns, -1)
         return rows
 
     def _find_fields(self) -> dict[Part, Fields]:
-        """Where the drives' objects are, each in its `station` or the next slave with its position; empty if not yet known."""
-        found, targets, self._why = dict[Part, Fields](), dict[Part, Fields](), "no mapping of inputs is in it"
+        """Where the drives' objects are, each in its `station` or the next slave with its position;
+        empty if not yet known.
+        """
+        found, targets, self._why = (
+            dict[Part, Fields](),
+            dict[Part, Fields](),
+            "no mapping of inputs is in it",
+        )
         try:
             objects = self._objects()
         except ValueError as error:  # the master may not have written all of it yet
             self._why = str(error)
             return {}
         named = {file.station for file in self._bus.file.drive}
-        free = [station for station, (inputs, _) in objects.items() if inputs and station not in named]
+        free = [
+            station for station, (inputs, _) in objects.items() if inputs and station not in named
+        ]
         for i, (drive, file) in enumerate(zip(self._bus.drives, self._bus.file.drive, strict=True)):
             able = (station for station in free if drive.position.key in objects[station][0])
             station = next(able, -1) if file.station is None else file.station
             inputs, outputs = objects.get(station, ({}, {}))
             if not inputs:
                 where = "a further slave" if file.station is None else f"station {station}"
-                self._why = f"no mapping of {where} for {drive.name} is in it" if free else self._why
+                self._why = (
+                    f"no mapping of {where} for {drive.name} is in it" if free else self._why
+                )
                 return {}
             free = free[free.index(station) + 1 :] if station in free else free
-            for name, entry in (("position", drive.position), ("effort", drive.effort.entry), ("target", drive.target)):
+            for name, entry in (
+                ("position", drive.position),
+                ("effort", drive.effort.entry),
+                ("target", drive.target),
+            ):
                 back = name != "target"
                 address, size = (inputs if back else outputs).get(entry.key, (0, 0))
                 if back and 8 * size != entry.bits:
-                    text = f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not among its inputs"
+                    text = (
+                        f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not "
+                        "among its inputs"
+                    )
                     names = listed([f"{index:04X}:{sub}" for index, sub in inputs])
                     self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
                 end, commands = address + size, (LRD, LRW) if back else (LWR, LRW)
@@ -132,8 +186,13 @@ class ProcessData:
                 if size and parts:
                     part = max(parts, key=self._seen.__getitem__)
                     kind = f"<{entry.type[0].lower()}{size}"
-                    (found if back else targets).setdefault(part, {})[name, i] = address - part[1], kind
-        whole = [sum(map(len, fields.values())) // len(self._bus.drives) for fields in (found, targets)]
+                    (found if back else targets).setdefault(part, {})[name, i] = (
+                        address - part[1],
+                        kind,
+                    )
+        whole = [
+            sum(map(len, fields.values())) // len(self._bus.drives) for fields in (found, targets)
+        ]
         return {} if whole[0] < 2 else found | targets if whole[1] else found
 
     def _objects(self) -> dict[int, tuple[Located, Located]]:
@@ -141,28 +200,44 @@ class ProcessData:
         if not self._mapping or slaves.mapped:
             return slaves.located(self._mapping)
         if station := next(filter(None, (file.station for file in self._bus.file.drive)), None):
-            raise ValueError(f"no addresses beside --mapping, but robot.toml states station {station}: leave it out")
+            raise ValueError(
+                f"no addresses beside --mapping, but robot.toml states station {station}: leave it "
+                "out"
+            )
         bits = [sum(bits for _, bits in slave) for slave in self._mapping]
-        base = next((at for command, at, n, _ in self._seen if command != LWR and 8 * n == sum(bits)), None)
+        base = next(
+            (at for command, at, n, _ in self._seen if command != LWR and 8 * n == sum(bits)), None
+        )
         if base is None:
             raise ValueError(f"--mapping has {sum(bits)} bits")
         placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
-        return {-k: ({key: (base + at, n) for key, at, n in slave}, {}) for k, slave in enumerate(placed, 2)}
+        return {
+            -k: ({key: (base + at, n) for key, at, n in slave}, {})
+            for k, slave in enumerate(placed, 2)
+        }
 
     def rows(self) -> tuple[Block, bool]:
-        """Stamp, time by distributed clocks (-1: none), position, effort and target (n,) of each cycle with full counters.
+        """Stamp, time by distributed clocks (-1: none), position, effort and target (n,) of each
+        cycle with full counters.
 
-        `known`: the target is the one that was sent in the cycle. Second, whether most rows have a time by distributed clocks:
-        the others are left out then. Segments of `AT_ONCE` rows are joined, for long captures.
+        `known`: the target is the one that was sent in the cycle. Second, whether most rows have a
+        time by distributed clocks: the others are left out then. Segments of `AT_ONCE` rows are
+        joined, for long captures.
         """
         station = self._slaves[True].contradicts(self._slaves[False])
         if station is not None:
-            text = f"the configuration of station {station} that came back is not the one that went out"
+            text = (
+                f"the configuration of station {station} that came back is not the one that "
+                "went out"
+            )
             self._place.refuse(text=text, expected="an undamaged capture of one start of the bus")
         inputs = [part for part in self._fields if part[3]]
         if not inputs or not all(len(self._columns[part]) for part in inputs):
             self.refuse_no_rows()
-        parts = {part: np.frombuffer(self._columns[part].whole(), self._row(part)) for part in self._fields}
+        parts = {
+            part: np.frombuffer(self._columns[part].whole(), self._row(part))
+            for part in self._fields
+        }
         full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
         clock = sum(int((some["clock_ns"] >= 0).sum()) for some in in_parts(main)) > len(main) / 2
         joined, begin = GrowingBytes(), 0
@@ -170,7 +245,10 @@ class ProcessData:
             end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1
             near = dict[Part, Block]()
             for part, rows in parts.items():  # a bisection reads few of the others
-                low, high = (bisect_left(rows, packet, key=lambda row: int(row["packet"])) for packet in (begin, end))
+                low, high = (
+                    bisect_left(rows, packet, key=lambda row: int(row["packet"]))
+                    for packet in (begin, end)
+                )
                 near[part] = rows[max(0, low - MARGIN) : high + MARGIN]
             found = self._joined(near, full, begin, end)
             begin = end
@@ -179,13 +257,23 @@ class ProcessData:
                 release_pages(rows)
         return np.frombuffer(joined.whole(), found.dtype), clock
 
-    def _joined(self, parts: Mapping[Part, Block], full: Mapping[Part, int], first: int, end: int) -> Block:
+    def _joined(
+        self, parts: Mapping[Part, Block], full: Mapping[Part, int], first: int, end: int
+    ) -> Block:
         """Rows of the packets from `first` to before `end`, from rows of parts near them."""
         (main, doubled), period = self._undoubled(parts[next(iter(full))]), self._bus.period_ns
         self.doubled += int(((doubled >= first) & (doubled < end)).sum())
-        kinds = [(name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")]
-        rows = np.zeros(len(main), [("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds])
-        rows["stamp_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(full) < len(parts)
+        kinds = [
+            (name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")
+        ]
+        rows = np.zeros(
+            len(main), [("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]
+        )
+        rows["stamp_ns"], rows["clock_ns"], rows["known"] = (
+            main["time_ns"],
+            main["clock_ns"],
+            len(full) < len(parts),
+        )
         good = (main["packet"] >= first) & (main["packet"] < end)
         whole = good.copy()
         for part, near in parts.items():
@@ -209,8 +297,13 @@ class ProcessData:
         return int(np.flatnonzero(count > _MIN_SHARE * len(rows))[-1])
 
     def _undoubled(self, rows: Block) -> tuple[Block, Ints]:
-        """Rows without those whose stamps others contradict or that repeat one within half a period; packets of the latter."""
-        time_ns, again = rows["time_ns"], np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2
+        """Rows without those whose stamps others contradict or that repeat one within half a
+        period; packets of the latter.
+        """
+        time_ns, again = (
+            rows["time_ns"],
+            np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2,
+        )
         for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]
         in_order = time_ns <= minimum_ahead(time_ns, _ORDER)
@@ -221,18 +314,28 @@ class ProcessData:
     def refuse_no_rows(self) -> NoReturn:
         """Say what is missing in the capture."""
         most = sorted(self._seen, key=lambda part: -self._seen[part])[:4]
-        shown = listed([f"{_NAMES[command]} of {n} bytes at 0x{address:X}" for command, address, n, _ in most])
-        text, expected = f"no row of all drives with full working counters in {shown}", "a bus in operation"
+        shown = listed(
+            [f"{_NAMES[command]} of {n} bytes at 0x{address:X}" for command, address, n, _ in most]
+        )
+        text, expected = (
+            f"no row of all drives with full working counters in {shown}",
+            "a bus in operation",
+        )
         if not any(part[3] for part in self._seen):
             text = f"no process data come back from the slaves; it has {shown}"
             expected = "a bus in operation, both directions: capture on the master's own interface"
         elif not self._fields:
-            text, expected = f"{self._why}; it has {shown}", f"a capture from the start of the bus, or {_MAPPING}"
+            text, expected = (
+                f"{self._why}; it has {shown}",
+                f"a capture from the start of the bus, or {_MAPPING}",
+            )
         self._place.refuse(text=text, expected=expected)
 
 
 def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
-    """For each row the other one of its cycle, and whether that is certain: of its packet, or near and both regular."""
+    """For each row the other one of its cycle, and whether that is certain: of its packet, or
+    near and both regular.
+    """
     if not (len(main) and len(other)):
         return np.zeros(len(main), np.int64), np.zeros(len(main), np.bool_)
     index = np.searchsorted(other["packet"], main["packet"]).clip(max=len(other) - 1)
@@ -251,10 +354,14 @@ def _regular(time_ns: Ints, period: int) -> Bools:
 
 
 def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:
-    """For each row what was sent last before, and whether it is of this cycle: after the row before, as long ago as usual."""
+    """For each row what was sent last before, and whether it is of this cycle: after the row
+    before, as long ago as usual.
+    """
     index = np.searchsorted(sent["packet"], main["packet"], "right") - 1
     if not (len(main) and len(sent)):
         return index, np.zeros(len(main), np.bool_)
     delay = main["time_ns"] - sent["time_ns"][index]
     usual = np.abs(delay - np.median(delay)) < 2 * MAX_OFF * period
-    return index, usual & (index >= 0) & (sent["packet"][index] > np.concatenate([[-1], main["packet"][:-1]]))
+    return index, usual & (index >= 0) & (
+        sent["packet"][index] > np.concatenate([[-1], main["packet"][:-1]])
+    )

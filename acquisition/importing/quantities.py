@@ -1,6 +1,7 @@
 """Recorded values → values at the joint in SI: units, sides, the robot's rule.
 
-The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity` and `Robot.joint_effort`.
+The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity`
+and `Robot.joint_effort`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -54,11 +55,17 @@ ONE_SIDE: Mapping[str, tuple[Side, str]] = {
 
 
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[position]`, `[effort]` and others: the columns, one per motor or joint, with unit and side."""
+    """`[position]`, `[effort]` and others: the columns, one per motor or
+    joint, with unit and side.
+    """
 
-    columns: Annotated[tuple[str | int, ...], note("by name or number, one per motor or joint", min_length=1)]
+    columns: Annotated[
+        tuple[str | int, ...], note("by name or number, one per motor or joint", min_length=1)
+    ]
     unit: Annotated[str | tuple[str, ...], note("unit of all columns, or one for each")]
-    table: Annotated[TableNumber, note("file with the columns, 1: the first on the command line")] = 1
+    table: Annotated[
+        TableNumber, note("file with the columns, 1: the first on the command line")
+    ] = 1
     side: Annotated[Side | None, note("motor or joint (default: by the unit)")] = None
 
 
@@ -73,7 +80,9 @@ class Source:
     def table(self, key: str, number: int) -> Path:
         """The table with this `number`, from 1."""
         if number > len(self.tables):
-            self.place.refuse(key, number, f"{len(self.tables)} at most, the number of tables given")
+            self.place.refuse(
+                key, number, f"{len(self.tables)} at most, the number of tables given"
+            )
         return self.tables[number - 1]
 
     def position(self, key: str, quantity: Quantity) -> Array:
@@ -91,17 +100,25 @@ class Source:
         return self.robot.joint_velocity(values) if side == "motor" else values
 
     def effort(self, key: str, quantity: Quantity) -> tuple[Array, str, str]:
-        """Joint efforts (N, n) in the robot's units, their origin, and what they are: unit and side."""
+        """Joint efforts (N, n) in the robot's units, their origin, and what
+        they are: unit and side.
+        """
         units, values = self._read(key, quantity, EFFORT_UNITS)
         side = effort_side(self.robot, units, quantity.side, key, self.place)
         unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
         columns = ", ".join(str(column) for column in quantity.columns)
         what = f"{unit} at the {side}"
         joint_effort, rule = effort_at_joint(self.robot, values, side)
-        return joint_effort, f"{self.tables[quantity.table - 1].name}: {columns}: {what}; {rule}", what
+        return (
+            joint_effort,
+            f"{self.tables[quantity.table - 1].name}: {columns}: {what}; {rule}",
+            what,
+        )
 
     def effort_of_one_side(self, key: str, quantity: Quantity) -> Array:
-        """Known torques (N, n) on the joints in N m, forces in N; feed-forward by motor in the units of the recorded effort."""
+        """Known torques (N, n) on the joints in N m, forces in N; feed-forward by motor in the
+        units of the recorded effort.
+        """
         side, why = ONE_SIDE[key]
         if side == "joint" and not self.robot.gain_known:
             problem = "cannot be added to efforts in " + join_units(self.robot.effort_units)
@@ -120,19 +137,24 @@ class Source:
         units, factors = si_units(given, n, known, f"{key}.unit", self.place)
         values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
         if values.shape[1] != n:
-            self.place.refuse(f"{key}.columns", expected=f"{n}, one per joint", text=f"{values.shape[1]} columns")
+            self.place.refuse(
+                f"{key}.columns", expected=f"{n}, one per joint", text=f"{values.shape[1]} columns"
+            )
         return units, np.asarray(values * factors)
 
     def _check_kinds(self, key: str, units: Sequence[str], side: Side) -> None:
         for i, (joint, unit) in enumerate(zip(self.robot.joints, units, strict=True)):
-            # A motor that turns may drive any joint; a motor that slides drives a joint that slides.
+            # A motor that turns may drive any joint; a motor that slides drives
+            # a joint that slides.
             if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
                 expected = "an angle" if joint.type == "revolute" else "a length"
                 problem = f"in {unit} for joint {i + 1} ({joint.name})"
                 self.place.refuse(f"{key}.unit", expected=expected, text=problem)
 
 
-def si_units(units: Sequence[str], n: int, known: Units, key: str, place: Place) -> tuple[tuple[str, ...], Array]:
+def si_units(
+    units: Sequence[str], n: int, known: Units, key: str, place: Place
+) -> tuple[tuple[str, ...], Array]:
     """SI unit and factor (n,) of each of n units."""
     if len(units) != n:
         place.refuse(key, expected=f"one, or {n}, one per joint", text=f"{len(units)} units")
@@ -148,7 +170,9 @@ def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Si
     if side == "joint" and robot.zero.any():
         joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
         name = "zero_deg" if joint.type == "revolute" else "zero_m"
-        problem = f"{name} of joint {joint.name} in robot.toml has no effect on positions at the joint"
+        problem = (
+            f"{name} of joint {joint.name} in robot.toml has no effect on positions at the joint"
+        )
         place.refuse(f"{key}.side", side, f"'motor', or no {name}", text=problem)
     return side
 
@@ -163,7 +187,9 @@ def _side_or_joint(side: Side | None, same: bool, key: str, place: Place) -> Sid
     return side or "joint"
 
 
-def effort_side(robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Place) -> Side:
+def effort_side(
+    robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Place
+) -> Side:
     """The side of efforts in the units `given`; by default the one whose units are the same."""
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
     fits = [side for side in ("motor", "joint") if given == expected[side]]
@@ -173,7 +199,9 @@ def effort_side(robot: Robot, given: tuple[str, ...], side: Side | None, key: st
         side = "joint" if fits == ["joint"] else "motor"
     if side not in fits:
         wanted = f"{join_units(expected[side])}, as in robot.toml"
-        place.refuse(f"{key}.unit", expected=wanted, text=f"gives {join_units(given)} at the {side}")
+        place.refuse(
+            f"{key}.unit", expected=wanted, text=f"gives {join_units(given)} at the {side}"
+        )
     return side
 
 

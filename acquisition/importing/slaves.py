@@ -1,4 +1,6 @@
-"""What a capture shows of the EtherCAT slaves: stations, sync managers, FMMUs, and the objects that they map (CoE)."""
+"""What a capture shows of the EtherCAT slaves: stations, sync managers, FMMUs, and the
+objects that they map (CoE).
+"""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +21,9 @@ OUTPUTS: Way = (2, 0x1C12, 2)
 
 
 class Slaves:
-    """What datagrams of one direction wrote: stations in the order of the bus; by station registers and mapping objects."""
+    """What datagrams of one direction wrote: stations in the order of the bus; by station
+    registers and mapping objects.
+    """
 
     def __init__(self) -> None:
         self._places: dict[int, int] = {}
@@ -38,7 +42,10 @@ class Slaves:
             count
             for registers in self.mapped
             for way, count in ways
-            if any(start < address + length and address < start + size for start, _, size in _fmmus(registers, way))
+            if any(
+                start < address + length and address < start + size
+                for start, _, size in _fmmus(registers, way)
+            )
         )
 
     @property
@@ -59,8 +66,13 @@ class Slaves:
                 memory[register : register + len(data)] = data[: _END - register]
         elif register >= _MAILBOX and len(data) >= _MAIL.size:
             kind, service, sdo, index, sub, value = _MAIL.unpack_from(data)
-            mapping = index in (INPUTS[1], OUTPUTS[1]) or 0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00
-            if mapping and kind & 15 == _COE and service >> 12 == _REQUEST and sdo & 0xE2 == 0x22:  # expedited download
+            mapping = (
+                index in (INPUTS[1], OUTPUTS[1])
+                or 0x1600 <= index < 0x1800
+                or 0x1A00 <= index < 0x1C00
+            )
+            # expedited download
+            if mapping and kind & 15 == _COE and service >> 12 == _REQUEST and sdo & 0xE2 == 0x22:
                 size = 4 - (sdo >> 2 & 3) if sdo & 1 else 4
                 self.objects.setdefault(slave, {})[index, sub] = value & (1 << 8 * size) - 1
         return before != self._state(slave)
@@ -69,25 +81,41 @@ class Slaves:
         return bytes(self.registers.get(station, b"")), dict(self.objects.get(station, {}))
 
     def contradicts(self, other: "Slaves") -> int | None:
-        """A station of which the other direction has other contents or another place; None without one."""
-        ours, theirs = ([x for x in a.stations if x in b.registers] for a, b in ((self, other), (other, self)))
+        """A station of which the other direction has other contents or another
+        place; None without one.
+        """
+        ours, theirs = (
+            [x for x in a.stations if x in b.registers] for a, b in ((self, other), (other, self))
+        )
         pairs = zip(ours, theirs, strict=False)
         return next((x for x, y in pairs if x != y or self._state(x) != other._state(x)), None)
 
     def located(self, stated: Sequence[Entries]) -> dict[int, tuple[Located, Located]]:
-        """Inputs and outputs by station; `stated` inputs of slaves without a mapping. Raises `ValueError`: lengths differ."""
+        """Inputs and outputs by station; `stated` inputs of slaves without a mapping.
+
+        Raises `ValueError`: lengths differ.
+        """
         further, found = iter(stated), dict[int, tuple[Located, Located]]()
         for station in self.stations:
-            objects, registers = self.objects.get(station, {}), bytes(self.registers.get(station, bytes(_END)))
-            inputs = _entries(objects, INPUTS) or (next(further, []) if any(registers[_FMMUS:_MANAGERS]) else [])
+            objects, registers = (
+                self.objects.get(station, {}),
+                bytes(self.registers.get(station, bytes(_END))),
+            )
+            inputs = _entries(objects, INPUTS) or (
+                next(further, []) if any(registers[_FMMUS:_MANAGERS]) else []
+            )
             outputs = _places(station, registers, _entries(objects, OUTPUTS), OUTPUTS)
             found[station] = _places(station, registers, inputs, INPUTS), outputs
         return found
 
 
 def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
-    """Logical address, physical address and bytes of the active FMMUs of a way: 1 inputs, 2 outputs."""
-    for logical, size, first, last, physical, bit, kind, active in _FMMU.iter_unpack(registers[_FMMUS : _FMMUS + 256]):
+    """Logical address, physical address and bytes of the active FMMUs of a
+    way: 1 inputs, 2 outputs.
+    """
+    for logical, size, first, last, physical, bit, kind, active in _FMMU.iter_unpack(
+        registers[_FMMUS : _FMMUS + 256]
+    ):
         if active & 1 and kind & way and (first, last, bit) == (0, 7, 0):
             yield logical, physical, size
 
@@ -101,7 +129,9 @@ def _entries(objects: Mapping[Key, int], way: Way) -> Entries:
 
 
 def spans(entries: Entries) -> Iterator[tuple[Key, int, int]]:
-    """Object, first byte and bytes of each of a row of entries; gaps and what is not in whole bytes are left out."""
+    """Object, first byte and bytes of each of a row of entries; gaps and what is not in
+    whole bytes are left out.
+    """
     bit = 0
     for key, bits in entries:
         if key[0] and bits and bit % 8 == bits % 8 == 0:
@@ -113,7 +143,10 @@ def _places(station: int, registers: bytes, entries: Entries, way: Way) -> Locat
     start, size = struct.unpack_from("<HH", registers, _MANAGERS + 8 * way[0])
     bits = sum(bits for _, bits in entries)
     if entries and bits != 8 * size:
-        raise ValueError(f"station {station}: {way[1]:04X} maps {bits} bits, sync manager {way[0]} has {8 * size}")
+        raise ValueError(
+            f"station {station}: {way[1]:04X} maps {bits} bits, sync manager {way[0]} has "
+            f"{8 * size}"
+        )
     return {
         key: (logical + start + at - physical, length)
         for key, at, length in spans(entries)

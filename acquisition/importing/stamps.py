@@ -1,4 +1,6 @@
-"""Compares the motion with the times of its rows: an error of time moves a position off its path by speed x error."""
+"""Compares the motion with the times of its rows: an error of time moves a position off its
+path by speed x error.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,24 +8,28 @@ from numpy.typing import NDArray
 from ..arrays import Array
 
 MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
-MIN_ROUGHNESS_RATIO = 2.0  # of errors of time by stamps to those by row numbers: above it there is a warning
+# of errors of time by stamps to those by row numbers: above it there is a warning
+MIN_ROUGHNESS_RATIO = 2.0
 MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
 MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
-MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = 0.05, 6.0  # periods, standard deviations: rows above both are left out
+# periods, standard deviations: rows above both are left out
+MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = 0.05, 6.0
 MAX_EVEN_DEVIATION = 1e-3  # of a period: steps as uniform as this have no wrong stamp
 MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong by a period at most
 MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
-MIN_TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick, so that ticks can be counted
+# of the noise of a step, that a joint moves in a tick, so that ticks can be counted
+MIN_TICK_DEVIATIONS = 5.0
 _PASSES = 4  # a wrong stamp hides its neighbours
 _MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 
 
 def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
-    """A warning if growing times (N,) jitter more than the motion q (N, n), rad or m, allows; it ends with `way_out`.
+    """A warning if growing times (N,) jitter more than the motion q (N, n), rad or m, allows;
+    it ends with `way_out`.
 
-    Each position is compared with the cubic through two rows before and two after it, once by the times and once by the row
-    numbers. The deviation over the speed is an error of time. Rows at uniform times, with stamps of a clock that was read late,
-    are much smoother by their numbers.
+    Each position is compared with the cubic through two rows before and two after it, once by the
+    times and once by the row numbers. The deviation over the speed is an error of time. Rows at
+    uniform times, with stamps of a clock that was read late, are much smoother by their numbers.
     """
     time_s, q = time_s[:_MAX_COMPARED_ROWS], q[:_MAX_COMPARED_ROWS]
     steps = np.diff(time_s)
@@ -40,8 +46,10 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
     if by_stamp[joint] <= max(MIN_ROUGHNESS_RATIO * by_row[joint], MIN_SCATTER * period):
         return None
     return (
-        f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions lie on a smooth path within "
-        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms by their stamps; "
+        f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions "
+        "lie on a smooth path within "
+        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms "
+        "by their stamps; "
         f"{way_out}"
     )
 
@@ -49,10 +57,11 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
 def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
     """Rows whose positions q (N, n) agree with their neighbours at their growing times (N,).
 
-    A stamp that is wrong by a tick moves all joints off their path by their speed times the tick. A row is left out if its
-    positions show an error of time above a twentieth of a period and far above the scatter of the others; only one of two
-    neighbours, and none if a gap would remain. A slow arm that settles leaves its path too, but by more time than between the
-    neighbouring stamps, by few quanta, or at uniform stamps: such rows are not left out.
+    A stamp that is wrong by a tick moves all joints off their path by their speed times the tick. A
+    row is left out if its positions show an error of time above a twentieth of a period and far
+    above the scatter of the others; only one of two neighbours, and none if a gap would remain. A
+    slow arm that settles leaves its path too, but by more time than between the neighbouring
+    stamps, by few quanta, or at uniform stamps: such rows are not left out.
     """
     rows, quantum = np.arange(len(time_s)), smallest_difference(q)
     for _ in range(_PASSES):
@@ -66,7 +75,9 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
         scatter = np.median(np.abs(off), axis=0) / 0.6745
         weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
         information = speed**2 @ weight
-        error_s = np.divide((speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0)
+        error_s = np.divide(
+            (speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0
+        )
         # Next to a wrong stamp, nodes are so close together that errors grow.
         deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
         late = (deviations > MIN_STAMP_DEVIATIONS) & (np.abs(error_s) > MIN_STAMP_ERROR * period)
@@ -74,7 +85,9 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
         deviation = np.abs(steps - period)
         regular = np.maximum(deviation[1:-2], deviation[2:-1]) < MAX_REGULAR_DEVIATION * period
         uneven = np.abs(steps / period - np.rint(steps / period)) > MAX_EVEN_DEVIATION
-        late &= (between < MAX_REMAINING_STEP * period) & (np.abs(error_s) < np.where(regular, period, between))
+        late &= (between < MAX_REMAINING_STEP * period) & (
+            np.abs(error_s) < np.where(regular, period, between)
+        )
         late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]
         late &= (np.abs(speed * error_s[:, None]) >= MIN_QUANTA * quantum).any(axis=1)
         around = np.concatenate([[0.0], np.where(late, deviations, 0.0), [0.0]])
@@ -86,32 +99,48 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
 
 
 def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
-    """Ticks (N,) of rows: steps of q (N, n) over speeds v, each stretch of motion shifted to its stamps; uniform at rest."""
+    """Ticks (N,) of rows: steps of q (N, n) over speeds v, each stretch of motion shifted to its
+    stamps; uniform at rest.
+    """
     by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
     weighted = of_tick / np.maximum(np.ptp(q, axis=0), 1e-300) ** 2
     size = (weighted * of_tick).sum(axis=1)
-    count = np.rint(np.divide((weighted * step).sum(axis=1), size, out=np.ones(len(size)), where=size > 0))
-    noise, smallest = 1.4826 * np.median(np.abs(step - count[:, None] * of_tick), axis=0), smallest_difference(q)
+    count = np.rint(
+        np.divide((weighted * step).sum(axis=1), size, out=np.ones(len(size)), where=size > 0)
+    )
+    noise, smallest = (
+        1.4826 * np.median(np.abs(step - count[:, None] * of_tick), axis=0),
+        smallest_difference(q),
+    )
     noise = np.maximum(noise, np.where(np.isfinite(smallest), 0.3 * smallest, 1e300))
     known = (np.sqrt(((of_tick / noise) ** 2).sum(axis=1)) > MIN_TICK_DEVIATIONS) & (count >= 0)
-    ticks, counted = np.rint(by_stamp), np.concatenate([[0.0], np.cumsum(np.where(known, count, 0.0))])
+    ticks, counted = (
+        np.rint(by_stamp),
+        np.concatenate([[0.0], np.cumsum(np.where(known, count, 0.0))]),
+    )
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
         run = slice(first, last + 1)
         ticks[run] = counted[run] + np.rint(np.median(by_stamp[run] - counted[run]))
     rows = np.arange(len(q))
-    anchors = np.unique(np.concatenate([[0], np.flatnonzero(known), np.flatnonzero(known) + 1, [len(q) - 1]]))
+    anchors = np.unique(
+        np.concatenate([[0], np.flatnonzero(known), np.flatnonzero(known) + 1, [len(q) - 1]])
+    )
     return np.maximum.accumulate(np.rint(np.interp(rows, anchors, ticks[anchors])))
 
 
 def smallest_difference(q: Array) -> Array:
-    """The smallest difference (n,) of two positions q (N, n) above rounding; infinite for joints that do not move."""
+    """The smallest difference (n,) of two positions q (N, n) above rounding; infinite for
+    joints that do not move.
+    """
     differences = (np.diff(np.unique(x)) for x in q.T)
     return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in differences])
 
 
 def row_numbers(time_s: Array) -> Array:
-    """Numbers (N,) of rows at growing times, missing ones included; three steps about a late stamp sum to three periods."""
+    """Numbers (N,) of rows at growing times, missing ones included; three steps about a late
+    stamp sum to three periods.
+    """
     steps = np.diff(time_s)
     period = float(np.median(steps))
     padded = np.concatenate([[period], steps, [period]])
@@ -121,13 +150,17 @@ def row_numbers(time_s: Array) -> Array:
 
 
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
-    """Error of time (n,) that explains the rms distance of q (N, n) from the cubics through four neighbours."""
+    """Error of time (n,) that explains the rms distance of q (N, n) from the cubics
+    through four neighbours.
+    """
     off, size = _neighbour_deviation(time_s, q)
     return np.asarray(np.sqrt(np.mean(off**2, axis=0) / np.mean(size**2)) / speed)
 
 
 def _neighbour_deviation(time_s: Array, q: Array) -> tuple[Array, Array]:
-    """Distance of q (N, n) from the cubic through two rows before and two after, and its standard deviation for unit noise."""
+    """Distance of q (N, n) from the cubic through two rows before and two after, and its standard
+    deviation for unit noise.
+    """
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)
     for i in range(4):

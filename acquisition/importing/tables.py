@@ -1,4 +1,5 @@
-"""Imports tables recorded elsewhere (CSV, MAT) into a recording, by a `map.toml`; exports recordings as CSV.
+"""Imports tables recorded elsewhere (CSV, MAT) into a recording, by a `map.toml`;
+exports recordings as CSV.
 
 The recording states the columns and the rule of the efforts, and describes the times of the rows.
 """
@@ -18,7 +19,15 @@ from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
-from .time_base import MAX_GAP_PERIODS, GridValues, ImportSummary, resample, uniform_grid, with_warnings, write_samples
+from .time_base import (
+    MAX_GAP_PERIODS,
+    GridValues,
+    ImportSummary,
+    resample,
+    uniform_grid,
+    with_warnings,
+    write_samples,
+)
 
 Periods = Annotated[float, msgspec.Meta(ge=1.5)]
 
@@ -33,36 +42,54 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     column: Annotated[str | int | None, note("column of the times, by name or number")] = None
     unit: Annotated[str, note("unit of the times: s, ms, us or ns")] = "s"
-    table: Annotated[TableNumber, note("file with the column, 1: the first on the command line")] = 1
-    ticks: Annotated[str | int | None, note('column of a counter, which is the time; or "from velocity"')] = None
+    table: Annotated[
+        TableNumber, note("file with the column, 1: the first on the command line")
+    ] = 1
+    ticks: Annotated[
+        str | int | None, note('column of a counter, which is the time; or "from velocity"')
+    ] = None
     tick_s: Annotated[Positive | None, note("time of one count, s; with ticks")] = None
     resample_hz: Annotated[Positive | None, note("rate to interpolate all values to, Hz")] = None
-    largest_gap_periods: Annotated[Periods, note("longest step that is interpolated, in periods")] = MAX_GAP_PERIODS
+    largest_gap_periods: Annotated[
+        Periods, note("longest step that is interpolated, in periods")
+    ] = MAX_GAP_PERIODS
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: columns of positions, efforts and other quantities, and the rate or the times of the samples."""
+    """`map.toml`: columns of positions, efforts and other quantities, and the rate or
+    the times of the samples.
+    """
 
     position: Annotated[Quantity, note("columns of the positions")]
     effort: Annotated[Quantity, note("columns of currents, voltages, torques or forces")]
     reference: Annotated[Quantity | None, note("columns of the position reference")] = None
     velocity: Annotated[Quantity | None, note("columns of measured speeds")] = None
     known_torque: Annotated[Quantity | None, note("columns of known torques on the joints")] = None
-    feedforward: Annotated[Quantity | None, note("columns of what is added to the controller's output")] = None
-    time: Annotated[Time | None, note("column of times or of a counter; in place of sample_rate_hz")] = None
-    sample_rate_hz: Annotated[Positive | None, note("rate of the rows, Hz; in place of [time]")] = None
+    feedforward: Annotated[
+        Quantity | None, note("columns of what is added to the controller's output")
+    ] = None
+    time: Annotated[
+        Time | None, note("column of times or of a counter; in place of sample_rate_hz")
+    ] = None
+    sample_rate_hz: Annotated[Positive | None, note("rate of the rows, Hz; in place of [time]")] = (
+        None
+    )
     effort_timing: Annotated[
-        EffortTiming, note("instants of the efforts: command held to the next row, mean about it, measured at it")
+        EffortTiming,
+        note(
+            "instants of the efforts: command held to the next row, mean about it, measured at it"
+        ),
     ] = "unknown"
 
 
 def import_tables(
     tables: Sequence[Path], robot: Robot, map_path: Path, out: Path, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from CSV or MAT tables; nothing is written where `BadInputError` is raised.
+    """Write the recording `out` from CSV or MAT tables; nothing is written where
+    `BadInputError` is raised.
 
-    The file `map_path` assigns columns, units and sides (motor or joint), and says how times are read; `payload`: what the
-    robot carried.
+    The file `map_path` assigns columns, units and sides (motor or joint), and says how times are
+    read; `payload`: what the robot carried.
     """
     place = Place(str(map_path))
     try:
@@ -70,7 +97,12 @@ def import_tables(
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
     if lines := lines_to_fill_in(content):
-        place.refuse("lines", lines, "values instead, then the same command again", text=f"still have {FILL_IN}")
+        place.refuse(
+            "lines",
+            lines,
+            "values instead, then the same command again",
+            text=f"still have {FILL_IN}",
+        )
     table_map = parse_toml(content, TableMap, str(map_path))
     source = Source(tables=tables, robot=robot, place=place)
     parts, provenance, effort_object = _parts(source, table_map)
@@ -100,7 +132,9 @@ def lines_to_fill_in(content: bytes) -> list[int]:
 
 
 def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, str]:
-    """All quantities of the map, at the joint (feed-forward: at the motor), and origin and object of the efforts."""
+    """All quantities of the map, at the joint (feed-forward: at the motor), and origin and
+    object of the efforts.
+    """
     parts = {"position": source.position("position", table_map.position)}
     parts["effort"], provenance, effort_object = source.effort("effort", table_map.effort)
     if table_map.reference is not None:
@@ -108,7 +142,9 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, 
     for name in OPTIONAL:
         quantity = getattr(table_map, name)
         if quantity is not None:
-            parts[name] = (source.velocity if name == "velocity" else source.effort_of_one_side)(name, quantity)
+            parts[name] = (source.velocity if name == "velocity" else source.effort_of_one_side)(
+                name, quantity
+            )
     return parts, provenance, effort_object
 
 
@@ -119,19 +155,30 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         if given_hz is None:
             source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
         if given_hz < 1:
-            source.place.refuse("sample_rate_hz", given_hz, f"a rate in Hz, not a period: {1 / given_hz:g}?")
+            source.place.refuse(
+                "sample_rate_hz", given_hz, f"a rate in Hz, not a period: {1 / given_hz:g}?"
+            )
         return GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
     time_s, scatter_s = _times(source, time, parts)
     repeated = 0
     if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, even with different stamps
         new = np.concatenate([[True], np.diff(time_s) > 0])
-        time_s, parts, repeated = time_s[new], {name: x[new] for name, x in parts.items()}, int((~new).sum())
-    place = Place(f"{source.table('time.table', time.table)}: {time.column if time.ticks is None else time.ticks}")
+        time_s, parts, repeated = (
+            time_s[new],
+            {name: x[new] for name, x in parts.items()},
+            int((~new).sum()),
+        )
+    place = Place(
+        f"{source.table('time.table', time.table)}: "
+        f"{time.column if time.ticks is None else time.ticks}"
+    )
     gap = time.largest_gap_periods
     if time.resample_hz is None:
         grid = uniform_grid(time_s, parts, place)
     else:
-        grid = resample(time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=gap, place=place)
+        grid = resample(
+            time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=gap, place=place
+        )
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
         measured = f"{grid.rate_hz:.9g}, the rate of the times"
         expected = measured if time.resample_hz is None else "none together with time.resample_hz"
@@ -140,11 +187,16 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     way_out = "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]"
     grid = with_warnings(grid, time_s, parts["position"], clock, way_out)
     assert grid.report is not None
-    return replace(grid, report=replace(grid.report, doubled=grid.report.doubled + repeated, stamps_off_s=scatter_s))
+    return replace(
+        grid,
+        report=replace(grid.report, doubled=grid.report.doubled + repeated, stamps_off_s=scatter_s),
+    )
 
 
 def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Array, float | None]:
-    """Times (N,) of the rows by stamps or ticks; the scatter of the stamps about the ticks in s, None without both."""
+    """Times (N,) of the rows by stamps or ticks; the scatter of the stamps about the ticks
+    in s, None without both.
+    """
     place, rows = source.place, len(parts["position"])
     if (time.ticks is None) != (time.tick_s is None):
         key = "time.tick_s" if time.tick_s is None else "time.ticks"
@@ -170,7 +222,9 @@ def _ticks(source: Source, time: Time, parts: Mapping[str, Array], stamp_s: Arra
     assert time.tick_s is not None
     if time.ticks == FROM_VELOCITY:
         if stamp_s is None or "velocity" not in parts:
-            source.place.refuse("time.ticks", time.ticks, "time.column with the stamps, and [velocity]")
+            source.place.refuse(
+                "time.ticks", time.ticks, "time.column with the stamps, and [velocity]"
+            )
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], time.tick_s)
     table = source.table("time.table", time.table)
     ticks = _column(table, time.ticks, len(parts["position"]), source.place)
@@ -189,7 +243,9 @@ def _column(table: Path, name: str | int, rows: int, place: Place) -> Array:
 
 
 def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) -> float:
-    """Standard deviation of stamps about the times of ticks, s; refuses a tick of another length."""
+    """Standard deviation of stamps about the times of ticks, s; refuses a
+    tick of another length.
+    """
     rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
     if not abs(rate - 1) <= MAX_TICK_ERROR:
         place.refuse("time.tick_s", tick_s, f"{tick_s * rate:.6g}, the tick of the stamps")
@@ -197,11 +253,16 @@ def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) 
 
 
 def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
-    """Write the joint samples of a recording as CSV in SI, units in the names, whole or not at all; returns their number."""
+    """Write the joint samples of a recording as CSV in SI, units in the names, whole or not at
+    all; returns their number.
+    """
     samples, robot = _samples(path, warn)
     fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
     joints = list(enumerate(robot.joints))
-    names = ["time_s", *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in joints)]
+    names = [
+        "time_s",
+        *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in joints),
+    ]
     start_ns = samples["stamp_ns"][0]
     columns = (
         np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
@@ -215,9 +276,14 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
     """Samples and robot; calls `warn` if samples are missing."""
     recording = read_recording(path)
     if recording.samples is None:
-        expected = "some; `robot-acquire import`, with a corrected --robot, makes them from frames that are not lost"
+        expected = (
+            "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
+            "that are not lost"
+        )
         Place(str(path)).refuse(text=recording.no_samples, expected=expected)
-    missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
+    missing = [
+        gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late
+    ]
     if missing:
         warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
     return recording.samples, recording.robot

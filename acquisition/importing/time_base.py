@@ -53,7 +53,10 @@ class TimeReport:
         """The report in one line."""
         times = (self.shortest_s, self.longest_s, self.period_s, self.jitter_s)
         shortest, longest, period, jitter = (f"{1e3 * x:.4g}" for x in times)
-        parts = [f"{self.clock} of {self.rows} rows: steps {shortest} to {longest} ms, median {period} ms"]
+        parts = [
+            f"{self.clock} of {self.rows} rows: steps {shortest} to {longest} ms, median {period} "
+            "ms"
+        ]
         parts.append(f"jitter sd {jitter} ms")
         parts.append(f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps")
         parts.append(f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows")
@@ -68,7 +71,9 @@ class TimeReport:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridValues:
-    """Values (M, n) by name on a uniform grid from `start_s` after `first_ns`; the report on the original times, warnings."""
+    """Values (M, n) by name on a uniform grid from `start_s` after `first_ns`; the report on the
+    original times, warnings.
+    """
 
     parts: Mapping[str, Array]
     start_s: float
@@ -93,13 +98,17 @@ class GridValues:
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
 
-def with_warnings(grid: GridValues, time_s: Array, q: Array, clock: str, way_out: str) -> GridValues:
+def with_warnings(
+    grid: GridValues, time_s: Array, q: Array, clock: str, way_out: str
+) -> GridValues:
     """Add `clock` and the warnings about times (N,) of positions q (N, n) to a grid."""
     assert grid.report is not None
     report = replace(grid.report, clock=clock)
     growing = np.concatenate([[True], np.diff(time_s) > 0])
     warning = stamps_warning(time_s[growing], q[growing], way_out)
-    return replace(grid, report=report, warnings=(*rate_warnings(report), *([warning] if warning else [])))
+    return replace(
+        grid, report=report, warnings=(*rate_warnings(report), *([warning] if warning else []))
+    )
 
 
 def time_report(time_s: Array, doubled: int = 0) -> TimeReport:
@@ -130,10 +139,12 @@ def resample(
 ) -> GridValues:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
-    Rows that repeat the row before in time and values are left out, and rows whose `position` in `parts` contradicts their time
-    (`rows_in_time`). The default rate of the grid is that of the rows, rounded within their scatter. Raises `BadInputError`
-    if there are fewer than 4 rows, time runs backwards, two rows of one time have different values, a step is longer than
-    `largest_gap_periods` median ones, or the grid has less than two samples or over 100 times as many as the rows.
+    Rows that repeat the row before in time and values are left out, and rows whose `position`
+    in `parts` contradicts their time (`rows_in_time`). The default rate of the grid is that of
+    the rows, rounded within their scatter. Raises `BadInputError` if there are fewer than 4
+    rows, time runs backwards, two rows of one time have different values, a step is longer
+    than `largest_gap_periods` median ones, or the grid has less than two samples or over 100
+    times as many as the rows.
     """
     from scipy.interpolate import CubicSpline
 
@@ -141,7 +152,10 @@ def resample(
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
-        expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
+        expected = (
+            f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
+            f"{time_s[-1] - time_s[0]:.4g} s"
+        )
         place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz)
@@ -150,22 +164,38 @@ def resample(
 
 
 def rows_to_interpolate(
-    time_s: Array, parts: Mapping[str, Array], place: Place, largest_gap_periods: float = MAX_GAP_PERIODS
+    time_s: Array,
+    parts: Mapping[str, Array],
+    place: Place,
+    largest_gap_periods: float = MAX_GAP_PERIODS,
 ) -> tuple[Array, Mapping[str, Array], TimeReport]:
-    """The times and rows that `resample` does not leave out or refuse, and a report on the times."""
+    """The times and rows that `resample` does not leave out or refuse, and
+    a report on the times.
+    """
     time_s, parts, doubled = _drop_repeated_rows(time_s, parts, place)
     if len(time_s) < 4:
         place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
     report = time_report(time_s, doubled)
-    in_time = rows_in_time(time_s, parts[POSITION]) if POSITION in parts else np.ones(len(time_s), dtype=bool)
+    in_time = (
+        rows_in_time(time_s, parts[POSITION])
+        if POSITION in parts
+        else np.ones(len(time_s), dtype=bool)
+    )
     time_s, parts = time_s[in_time], {name: x[in_time] for name, x in parts.items()}
     steps = np.diff(time_s)
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
         after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
         found = f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods"
-        expected = f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before "
-        place.refuse("time", expected=f"{expected}and after it separately, or set time.largest_gap_periods", text=found)
+        expected = (
+            f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the "
+            "parts before "
+        )
+        place.refuse(
+            "time",
+            expected=f"{expected}and after it separately, or set time.largest_gap_periods",
+            text=found,
+        )
     return time_s, parts, replace(report, off=int((~in_time).sum()))
 
 
@@ -177,7 +207,10 @@ def _drop_repeated_rows(
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
         found = f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        expected = "growing times of one source: not two publishers, a clock that was set or a counter that wrapped"
+        expected = (
+            "growing times of one source: not two publishers, a clock that was set or a "
+            "counter that wrapped"
+        )
         place.refuse(f"row {row + 2}", expected=expected, text=found)
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
@@ -185,7 +218,9 @@ def _drop_repeated_rows(
         if differ.any():
             row = int(same[np.argmax(differ)])
             problem = f"{name} differs from the row before at the same time, {time_s[row]:.9g} s"
-            expected = "one row for each time; if stamps are too coarse, name a counter in time.ticks"
+            expected = (
+                "one row for each time; if stamps are too coarse, name a counter in time.ticks"
+            )
             place.refuse(f"row {row + 2}", expected=expected, text=problem)
     keep = np.concatenate([[True], steps > 0])
     return time_s[keep], {name: x[keep] for name, x in parts.items()}, len(same)
@@ -195,29 +230,43 @@ def roundest_rate_hz(time_s: Array) -> float:
     """The rate of growing times (N,), rounded within their scatter: 1000, not 1000.0013."""
     rows = row_numbers(time_s)
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
-    scatter = 3 * float(np.std(time_s - time_s[0] - start - period * rows)) / float(time_s[-1] - time_s[0])
+    scatter = (
+        3
+        * float(np.std(time_s - time_s[0] - start - period * rows))
+        / float(time_s[-1] - time_s[0])
+    )
     scatter = min(max(scatter, 1e-12), 1e-2)
     return _roundest(1 / period, scatter)
 
 
 def _roundest(rate_hz: float, scatter: float) -> float:
     """The rate rounded to the fewest digits within the relative `scatter`."""
-    return next(r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= scatter)
+    return next(
+        r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= scatter
+    )
 
 
 def rate_warnings(report: TimeReport | None) -> list[str]:
-    """Warnings about a grid that is coarser or much finer than the rows, and about many rows left out."""
+    """Warnings about a grid that is coarser or much finer than the rows, and
+    about many rows left out.
+    """
     if report is None or report.grid_hz is None:
         return []
     warnings, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
     if report.off > MAX_LEFT_OUT * report.rows:
         share = 100 * report.off / report.rows
         warnings.append(
-            f"{share:.2g} % of the rows are left out because the motion contradicts their {report.clock}: use another clock"
+            f"{share:.2g} % of the rows are left out because the motion contradicts their "
+            f"{report.clock}: use another clock"
         )
     if ratio < MIN_RATE_RATIO:
-        text = f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is aliased"
-        warnings.append(f"{text} into the samples; interpolate to the rows' own rate, a fit decimates by itself")
+        text = (
+            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above "
+            "half of it is aliased"
+        )
+        warnings.append(
+            f"{text} into the samples; interpolate to the rows' own rate, a fit decimates by itself"
+        )
     if ratio > MAX_RATE_RATIO:
         text = f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz"
         warnings.append(f"{text}: samples between rows are interpolated and add no information")
@@ -225,37 +274,53 @@ def rate_warnings(report: TimeReport | None) -> list[str]:
 
 
 def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> GridValues:
-    """Values (N, n) at times (N,) that lie on a uniform grid; refuses times that do not grow or leave the grid."""
+    """Values (N, n) at times (N,) that lie on a uniform grid; refuses times that do not
+    grow or leave the grid.
+    """
     way_out = "time.resample_hz interpolates rows to a uniform grid"
     steps = np.diff(time_s)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
         found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        place.refuse(f"row {row + 2}", expected="a later time; time.resample_hz leaves out doubled rows", text=found)
+        place.refuse(
+            f"row {row + 2}",
+            expected="a later time; time.resample_hz leaves out doubled rows",
+            text=found,
+        )
     period = float(np.median(steps))
     bad = np.abs(steps - period) > 0.1 * period
     if bad.any():
         row = int(np.argmax(bad))
         missing = round(steps[row] / period) - 1
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
-        found, expected = f"{steps[row]:.6g} s after the row before", f"{period:.6g} s ({cause}); {way_out}"
+        found, expected = (
+            f"{steps[row]:.6g} s after the row before",
+            f"{period:.6g} s ({cause}); {way_out}",
+        )
         place.refuse(f"row {row + 2}", expected=expected, text=found)
     duration_s = float(time_s[-1] - time_s[0])
     period = duration_s / len(steps)
     off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
     if off.max() > 0.5 * period:
         row = int(np.argmax(off))
-        found, expected = f"{off[row]:.6g} s off a uniform grid", f"{0.5 * period:.6g} s at most; {way_out}"
+        found, expected = (
+            f"{off[row]:.6g} s off a uniform grid",
+            f"{0.5 * period:.6g} s at most; {way_out}",
+        )
         place.refuse(f"row {row + 1}", expected=expected, text=found)
     # Rounded within the scatter of the times: 1000, not 1000.00000013.
     scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
     rate_hz = _roundest(1 / period, scatter)
-    return GridValues(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=time_report(time_s))
+    return GridValues(
+        parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=time_report(time_s)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSummary:
-    """A written recording: sizes, recorded quantities, the report on the times, origin of the reference, warnings."""
+    """A written recording: sizes, recorded quantities, the report on the times, origin of
+    the reference, warnings.
+    """
 
     out: Path
     robot: str
@@ -269,20 +334,33 @@ class ImportSummary:
     warnings: tuple[str, ...] = ()
 
 
-def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], place: str, out: Path) -> ImportSummary:
-    """Check the samples of a grid and write them as the recording `out`, whole or not at all, with `warnings`.
+def write_samples(
+    header: Header, grid: GridValues, warnings: Sequence[str], place: str, out: Path
+) -> ImportSummary:
+    """Check the samples of a grid and write them as the recording `out`, whole or not
+    at all, with `warnings`.
 
-    Parts of the grid have the names of a sample's fields; `place` names the files in errors. Raises `BadInputError` for
-    impossible stamps, positions or speeds.
+    Parts of the grid have the names of a sample's fields; `place` names the files in errors. Raises
+    `BadInputError` for impossible stamps, positions or speeds.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)
     overshoots = check_recorded_positions(robot, t_s, parts["position"], place)
     overshoots += check_recorded_efforts(robot, parts["effort"])
-    zero = [joint.name for joint, column in zip(robot.joints, parts["effort"].T, strict=True) if not column.any()]
-    warnings = [*warnings, *grid.warnings, *([f"the effort of {', '.join(zero)} is zero in all rows"] if zero else [])]
+    zero = [
+        joint.name
+        for joint, column in zip(robot.joints, parts["effort"].T, strict=True)
+        if not column.any()
+    ]
+    warnings = [
+        *warnings,
+        *grid.warnings,
+        *([f"the effort of {', '.join(zero)} is zero in all rows"] if zero else []),
+    ]
     if "velocity" in parts:
-        warnings += check_recorded_velocities(robot, parts["position"], parts["velocity"], grid.rate_hz, place)
+        warnings += check_recorded_velocities(
+            robot, parts["position"], parts["velocity"], grid.rate_hz, place
+        )
     rows = np.empty(len(t_s), sample_dtype(robot.n, reference="reference" in parts, optional=parts))
     rows["stamp_ns"] = stamps
     for name, part in parts.items():

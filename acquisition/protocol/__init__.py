@@ -1,4 +1,6 @@
-"""CANopen (CiA 301) and CiA 402 without I/O and without robots: states, objects, SDO, PDO, object dictionaries."""
+"""CANopen (CiA 301) and CiA 402 without I/O and without robots: states, objects, SDO,
+PDO, object dictionaries.
+"""
 
 from .objects import (
     ABORT_CONNECTION,

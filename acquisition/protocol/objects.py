@@ -1,4 +1,6 @@
-"""Objects of CiA 301 and CiA 402: indices, types, codecs between raw integers and SI, object dictionaries (EDS, DCF)."""
+"""Objects of CiA 301 and CiA 402: indices, types, codecs between raw integers and SI, object
+dictionaries (EDS, DCF).
+"""
 
 import configparser
 import io
@@ -50,19 +52,38 @@ CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
 DEVICE_TYPE, CONSUMER_HEARTBEAT, HEARTBEAT_TIME = 0x1000, 0x1016, 0x1017  # of CiA 301
 TEXTS = 0x1008, 0x1009, 0x100A  # device name, hardware version, software version
-ABORT_CONNECTION = 0x6007  # when a drive loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
-STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
+# when a drive loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
+ABORT_CONNECTION = 0x6007
+STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = (
+    0x605A,
+    0x605B,
+    0x605C,
+    0x605E,
+)
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066
 PROFILE_DECELERATION, QUICK_STOP_DECELERATION = 0x6084, 0x6085
-# Values of 605Ah with which a quick stop follows the ramp in an object; from 5 on it then stays active.
-_RAMPS = {1: PROFILE_DECELERATION, 2: QUICK_STOP_DECELERATION, 5: PROFILE_DECELERATION, 6: QUICK_STOP_DECELERATION}
+# Values of 605Ah with which a quick stop follows the ramp in an object; from 5 on
+# it then stays active.
+_RAMPS = {
+    1: PROFILE_DECELERATION,
+    2: QUICK_STOP_DECELERATION,
+    5: PROFILE_DECELERATION,
+    6: QUICK_STOP_DECELERATION,
+}
 _VELOCITY_UNIT, _ACCELERATION_UNIT = 0x60A9, 0x60AA
 _RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # as coded by drives of maxon and Nanotec
-RAMP_OBJECTS = (QUICK_STOP_OPTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION, _ACCELERATION_UNIT, _VELOCITY_UNIT)
+RAMP_OBJECTS = (
+    QUICK_STOP_OPTION,
+    QUICK_STOP_DECELERATION,
+    PROFILE_DECELERATION,
+    _ACCELERATION_UNIT,
+    _VELOCITY_UNIT,
+)
 POSITION_ACTUAL, VELOCITY_ACTUAL, TARGET_POSITION = 0x6064, 0x606C, 0x607A
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
 MOTION_LIMITS = POSITION_LIMITS, _MAX_VELOCITY, _MAX_RPM = 0x607D, 0x607F, 0x6080
-POSITION_UNITS = 0x608F, 0x6091, 0x6092  # encoder, gear, feed: each a ratio, sub-index 1 over sub-index 2
+# encoder, gear, feed: each a ratio, sub-index 1 over sub-index 2
+POSITION_UNITS = 0x608F, 0x6091, 0x6092
 SUPPORTED_MODES = 0x6502
 
 # Entries whose type CiA 402 (or 301) fixes.
@@ -74,19 +95,33 @@ STANDARD = {
         "I32": (0x6062, 0x6063, POSITION_ACTUAL, VELOCITY_ACTUAL, TARGET_POSITION, 0x60F4, 0x60FC),
         "I16": (ABORT_CONNECTION, *STOP_OPTIONS, 0x6071, 0x6074, 0x6077, 0x6078, 0x60B2),
         "U32": (
-            *(DEVICE_TYPE, FOLLOWING_ERROR_WINDOW, RATED_CURRENT, RATED_TORQUE, _MAX_VELOCITY, _MAX_RPM),
+            *(
+                DEVICE_TYPE,
+                FOLLOWING_ERROR_WINDOW,
+                RATED_CURRENT,
+                RATED_TORQUE,
+                _MAX_VELOCITY,
+                _MAX_RPM,
+            ),
             *(PROFILE_DECELERATION, QUICK_STOP_DECELERATION, SUPPORTED_MODES),
         ),
     }.items()
     for index in indices
 }
-STANDARD |= {(0x60C2, 1): "U8", (0x60C2, 2): "I8", (POSITION_LIMITS, 1): "I32", (POSITION_LIMITS, 2): "I32"}
+STANDARD |= {
+    (0x60C2, 1): "U8",
+    (0x60C2, 2): "I8",
+    (POSITION_LIMITS, 1): "I32",
+    (POSITION_LIMITS, 2): "I32",
+}
 STANDARD |= {(index, sub): "U32" for index in POSITION_UNITS for sub in (1, 2)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """Raw integer to A, V, N m or N: raw · factor · the drive's value of the key `rated`, if any."""
+    """Raw integer to A, V, N m or N: raw · factor · the drive's value of
+    the key `rated`, if any.
+    """
 
     unit: str
     factor: float
@@ -107,7 +142,11 @@ RULES = {
 
 # Objects that hold a current or a torque: type, rule of the vendor's documentation, meaning.
 EFFORT_OBJECTS = {
-    (0x6074, 0): ("I16", "per mille of rated torque", "torque demand, the reference of the current loop (CiA 402)"),
+    (0x6074, 0): (
+        "I16",
+        "per mille of rated torque",
+        "torque demand, the reference of the current loop (CiA 402)",
+    ),
     (0x6077, 0): ("I16", "per mille of rated torque", "torque actual value (CiA 402)"),
     (0x6078, 0): ("I16", "per mille of rated current", "current actual value (CiA 402)"),
     (0x30D0, 0): ("I32", "mA", "current demand value (maxon EPOS4)"),
@@ -121,7 +160,9 @@ RATED_UNITS = {"mA": 1e-3, "mN m": 1e-3, "uN m": 1e-6, "mN": 1e-3}
 
 @dataclass(frozen=True, kw_only=True)
 class EffortCodec:
-    """Converts raw integers of `entry` to SI at the motor, `scale` per unit; `provenance`: source of the value."""
+    """Converts raw integers of `entry` to SI at the motor, `scale` per unit;
+    `provenance`: source of the value.
+    """
 
     entry: ObjectEntry
     scale: float
@@ -138,7 +179,9 @@ class EffortCodec:
 
 @dataclass(frozen=True, kw_only=True)
 class PositionCodec:
-    """Converts counts of one or n motors to rad (or m): counts = zero_counts + sign · counts_per_unit · position."""
+    """Converts counts of one or n motors to rad (or m): counts = zero_counts + sign ·
+    counts_per_unit · position.
+    """
 
     counts_per_unit: float | Array
     sign: int | Array
@@ -146,11 +189,15 @@ class PositionCodec:
 
     def si(self, raw: Ints) -> Array:
         """Motor position in rad or m, of any shape."""
-        return np.asarray((raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64)
+        return np.asarray(
+            (raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64
+        )
 
     def exact(self, value: Array) -> Array:
         """Counts without rounding and limits."""
-        return np.asarray(value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64)
+        return np.asarray(
+            value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64
+        )
 
     def raw(self, value: Array) -> Ints:
         """Nearest counts, limited to 32 bits."""
@@ -158,21 +205,29 @@ class PositionCodec:
 
 
 def object_type(index: int, sub: int) -> str:
-    """Type of an object that is known here; else U8 for the count of a record of CiA 301, U32 for all others."""
+    """Type of an object that is known here; else U8 for the count of a record of CiA
+    301, U32 for all others.
+    """
     known = STANDARD.get((index, sub)) or EFFORT_OBJECTS.get((index, sub), ("",))[0]
     return known or ("U8" if index < 0x2000 and not sub else "U32")
 
 
 def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
-    """Position units per motor turn: feed (6092h) over gear (6091h, else 1), or without a feed 608Fh; None if unknown."""
-    encoder, gear, feed = ((values.get((i, 1)) or 0) / (values.get((i, 2)) or np.inf) for i in POSITION_UNITS)
+    """Position units per motor turn: feed (6092h) over gear (6091h, else 1), or without a feed
+    608Fh; None if unknown.
+    """
+    encoder, gear, feed = (
+        (values.get((i, 1)) or 0) / (values.get((i, 2)) or np.inf) for i in POSITION_UNITS
+    )
     return (feed / (gear or 1.0) if feed else encoder) or None
 
 
 def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> float | None:
-    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah selects; None if unknown.
+    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah
+    selects; None if unknown.
 
-    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h states rpm/s or rpm.
+    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or
+    60A9h states rpm/s or rpm.
     """
     raw = values.get(_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
     unit = values.get(_ACCELERATION_UNIT) or values.get(_VELOCITY_UNIT)
@@ -193,14 +248,19 @@ def saturated(value: Array, kind: str) -> Ints:
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:
-    """60C2h: count (U8) and power of ten (I8) of the SYNC period. Raises `BadInputError` if it has no exact form."""
+    """60C2h: count (U8) and power of ten (I8) of the SYNC period.
+
+    Raises `BadInputError` if it has no exact form.
+    """
     for unit in (-3, -4, -5, -6):
         count = period_s / 10.0**unit
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
     problem = "not representable as the drives' interpolation period (60C2)"
     expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
-    raise BadInputError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)
+    raise BadInputError(
+        problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected
+    )
 
 
 IDENTITY = 0x1018
@@ -215,7 +275,9 @@ _EMPTY = re.compile(
 
 @dataclass(frozen=True, kw_only=True)
 class DictionaryEntry:
-    """An entry: `type` is I8 to U32, or empty if no PDO can carry it; `value` is the DCF's value or the default."""
+    """An entry: `type` is I8 to U32, or empty if no PDO can carry it; `value` is the
+    DCF's value or the default.
+    """
 
     type: str
     writable: bool
@@ -244,10 +306,12 @@ class ObjectDictionary:
 
 @lru_cache(maxsize=32)
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
-    """Types, access and values of an object dictionary (EDS or DCF, CiA 306) by index and sub-index.
+    """Types, access and values of an object dictionary (EDS or DCF, CiA 306)
+    by index and sub-index.
 
-    `data` is the file's content, `node` replaces `$NODEID`. Raises `BadInputError` with `place`, the file's name, and the
-    line: the file cannot be read, holds an entry twice, or holds no objects.
+    `data` is the file's content, `node` replaces `$NODEID`. Raises `BadInputError` with
+    `place`, the file's name, and the line: the file cannot be read, holds an entry
+    twice, or holds no objects.
     """
     import logging
 
@@ -291,5 +355,8 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         entries=entries,
         vendor=about.vendor_number or 0,
         product=about.product_number or 0,
-        warnings=tuple(f"{place}: line {line}: {key} is empty: read as 0, which is not checked" for line, key in empty),
+        warnings=tuple(
+            f"{place}: line {line}: {key} is empty: read as 0, which is not checked"
+            for line, key in empty
+        ),
     )

@@ -1,6 +1,8 @@
-"""States, commands and transition table of CiA 402; statuswords, error codes and error frames in words.
+"""States, commands and transition table of CiA 402; statuswords, error codes and
+error frames in words.
 
-Names, bits and transitions are those of CiA 402-2 (IEC 61800-7-201): statusword 6041h, controlword 6040h.
+Names, bits and transitions are those of CiA 402-2 (IEC 61800-7-201): statusword
+6041h, controlword 6040h.
 """
 
 from enum import Enum, IntEnum
@@ -27,7 +29,10 @@ class State(Enum):
 
 
 class Command(Enum):
-    """A command of the controlword: (mask, value). From operation enabled, SWITCH_ON is "disable operation"."""
+    """A command of the controlword: (mask, value).
+
+    From operation enabled, SWITCH_ON is "disable operation".
+    """
 
     SHUTDOWN = (0x87, 0x06)
     SWITCH_ON = (0x8F, 0x07)
@@ -50,7 +55,8 @@ class Mode(IntEnum):
 
 _S, _C = State, Command
 
-# State after a command (transitions 2 to 12, 15, 16). A command that is not here is illegal in that state.
+# State after a command (transitions 2 to 12, 15, 16). A command that is not here is
+# illegal in that state.
 TRANSITIONS: dict[tuple[State, Command], State] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
     (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
@@ -70,7 +76,10 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
 }
 
 # Transitions without a command (1 and 14); 13 leads from any state to FAULT_REACTION_ACTIVE.
-AUTOMATIC: dict[State, State] = {_S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED, _S.FAULT_REACTION_ACTIVE: _S.FAULT}
+AUTOMATIC: dict[State, State] = {
+    _S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED,
+    _S.FAULT_REACTION_ACTIVE: _S.FAULT,
+}
 
 # No torque in these: the power stage is off, or there is no target to follow.
 DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FAULT_REACTION_ACTIVE}
@@ -95,13 +104,18 @@ def command_of(controlword: int) -> Command | None:
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way to `goal`, None if none is needed. Raises `BusFaultError` if there is no way."""
+    """First command on the shortest way to `goal`, None if none is needed.
+
+    Raises `BusFaultError` if there is no way.
+    """
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
     for at in queue:
         if at is goal:
             return reached[at]
-        steps: list[tuple[Command | None, State]] = [(c, s) for (was, c), s in TRANSITIONS.items() if was is at]
+        steps: list[tuple[Command | None, State]] = [
+            (c, s) for (was, c), s in TRANSITIONS.items() if was is at
+        ]
         if at in AUTOMATIC:
             steps.append((None, AUTOMATIC[at]))
         for command, then in steps:
@@ -173,7 +187,9 @@ _COUNTERS = 0x200  # class: bytes 6 and 7 hold the controller's error counters
 
 
 def error_frame_words(can_id: int, data: bytes) -> str:
-    """Classes of an error frame and their details; its bytes in hex where no class is known (another adapter's frame)."""
+    """Classes of an error frame and their details; its bytes in hex where no class is known
+    (another adapter's frame).
+    """
     data = data.ljust(8, b"\0")
     halves = ("H", data[4] & 0xF), ("L", data[4] >> 4)
     wires = [f"CAN_{name} {_WIRE[half]}" for name, half in halves if half in _WIRE]
@@ -195,11 +211,13 @@ def error_frame_words(can_id: int, data: bytes) -> str:
     return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"
 
 
-# Bits of the statusword (6041h) other than those of the state; 12 and 13 as in cyclic synchronous position mode (CiA 402-2).
+# Bits of the statusword (6041h) other than those of the state; 12 and 13 as in cyclic synchronous
+# position mode (CiA 402-2).
 REMOTE, FOLLOWS = 1 << 9, 1 << 12
 _SET = {1 << 7: "warning", 1 << 11: "internal limit active", 1 << 13: "following error"}
 _CLEAR = {1 << 4: "no voltage on the power stage", REMOTE: "not remote: the controlword is ignored"}
-# Error codes of emergencies, 1003h and 603Fh: CiA 301 table 26 and CiA 402-2 annex; a code belongs to its longest prefix.
+# Error codes of emergencies, 1003h and 603Fh: CiA 301 table 26 and CiA 402-2 annex; a code belongs
+# to its longest prefix.
 _CODES = {
     "1": "generic",
     "2": "current",
@@ -254,7 +272,13 @@ def status_words(statusword: int) -> str:
         words = [state_of(statusword).words]
     except BusFaultError:
         words = [f"statusword 0x{statusword:04X}, no state of CiA 402"]
-    return ", ".join([*words, *notices(statusword), *(text for bit, text in _CLEAR.items() if not statusword & bit)])
+    return ", ".join(
+        [
+            *words,
+            *notices(statusword),
+            *(text for bit, text in _CLEAR.items() if not statusword & bit),
+        ]
+    )
 
 
 def notices(statusword: int) -> list[str]:

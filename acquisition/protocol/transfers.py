@@ -1,7 +1,9 @@
-"""PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and bus load; expedited transfers.
+"""PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and bus
+load; expedited transfers.
 
-The SDO functions are for our requests, the answers of simulated drives, and another master's traffic. Every object read or
-written here has at most four bytes, but for the texts that a scan reads in segments.
+The SDO functions are for our requests, the answers of simulated drives, and another master's
+traffic. Every object read or written here has at most four bytes, but for the texts that a
+scan reads in segments.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -47,27 +49,38 @@ class Pdo:
 
     def pack(self, values: Mapping[tuple[int, int], int]) -> bytes:
         """The frame's data from values by (index, sub-index); two's complement."""
-        return b"".join((values[e.index, e.sub] % (1 << e.bits)).to_bytes(e.bits // 8, "little") for e in self.entries)
+        return b"".join(
+            (values[e.index, e.sub] % (1 << e.bits)).to_bytes(e.bits // 8, "little")
+            for e in self.entries
+        )
 
     def unpack(self, data: bytes) -> dict[tuple[int, int], int]:
         """Values by (index, sub-index). Raises `BadInputError` when the frame is too short."""
         if len(data) < self.length:
-            Place(f"PDO 0x{self.can_id:03X}").refuse(text=f"{len(data)} bytes", expected=str(self.length))
+            Place(f"PDO 0x{self.can_id:03X}").refuse(
+                text=f"{len(data)} bytes", expected=str(self.length)
+            )
         found, at = {}, 0
         for e in self.entries:
             size = e.bits // 8
-            found[e.index, e.sub] = int.from_bytes(data[at : at + size], "little", signed=e.type[0] == "I")
+            found[e.index, e.sub] = int.from_bytes(
+                data[at : at + size], "little", signed=e.type[0] == "I"
+            )
             at += size
         return found
 
 
 def usual_can_id(direction: str, number: int, node: int) -> int | None:
-    """Identifier of CiA 301's predefined connection set, which has four PDOs in each direction; else None."""
+    """Identifier of CiA 301's predefined connection set, which has four PDOs in
+    each direction; else None.
+    """
     return USUAL_CAN_ID[direction] + 0x100 * (number - 1) + node if number <= 4 else None
 
 
 def configuration(direction: str, pdo: Pdo) -> Iterator[tuple[int, int, int, int]]:
-    """Writes that configure a PDO in PRE-OPERATIONAL, in CiA 301's order: index, sub-index, value, size in bytes."""
+    """Writes that configure a PDO in PRE-OPERATIONAL, in CiA 301's order: index,
+    sub-index, value, size in bytes.
+    """
     communication, mapping = (first + pdo.number - 1 for first in PARAMETERS[direction])
     yield communication, 1, pdo.can_id | NOT_VALID, 4
     yield communication, 2, ON_SYNC, 1
@@ -79,9 +92,14 @@ def configuration(direction: str, pdo: Pdo) -> Iterator[tuple[int, int, int, int
 
 
 def pdos_of(
-    direction: str, values: Mapping[tuple[int, int], int], types: Mapping[tuple[int, int], str], place: str
+    direction: str,
+    values: Mapping[tuple[int, int], int],
+    types: Mapping[tuple[int, int], str],
+    place: str,
 ) -> tuple[Pdo, ...]:
-    """PDOs that `values` of a dictionary's parameters describe, without disabled ones and identifier 0; `types` by object."""
+    """PDOs that `values` of a dictionary's parameters describe, without disabled ones and
+    identifier 0; `types` by object.
+    """
     communication, mapping = PARAMETERS[direction]
     found = []
     for index in sorted({i for i, _ in values if communication <= i < communication + MAX_PDOS}):
@@ -105,7 +123,9 @@ def pdos_of(
 
 
 def frame_bits(length: int) -> int:
-    """Bits of a data frame of `length` bytes: 11-bit identifier, gap and worst case of bit stuffing."""
+    """Bits of a data frame of `length` bytes: 11-bit identifier, gap and
+    worst case of bit stuffing.
+    """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
 
@@ -137,7 +157,9 @@ ABORTS = {  # codes by meaning
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
-    """Content of an SDO frame: `kind` is read, write, value, written, abort or other; `data` is the value or abort code."""
+    """Content of an SDO frame: `kind` is read, write, value, written, abort or other; `data` is
+    the value or abort code.
+    """
 
     kind: str
     index: int = 0
@@ -157,12 +179,16 @@ def read_request(index: int, sub: int) -> bytes:
 
 def write_request(index: int, sub: int, value: int, size: int) -> bytes:
     """Request to write an object of `size` bytes; negative values in two's complement."""
-    return _frame(0x23 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little"))
+    return _frame(
+        0x23 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little")
+    )
 
 
 def value_answer(index: int, sub: int, value: int, size: int) -> bytes:
     """Answer with the value."""
-    return _frame(0x43 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little"))
+    return _frame(
+        0x43 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little")
+    )
 
 
 def written_answer(index: int, sub: int) -> bytes:
@@ -186,12 +212,19 @@ def answer_of(data: bytes) -> Transfer:
 
 
 def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
-    """The number in the answer of a `node`, of the kind `wanted`. Raises `SdoAbortedError` or `NoAnswerError`."""
+    """The number in the answer of a `node`, of the kind `wanted`.
+
+    Raises `SdoAbortedError` or `NoAnswerError`.
+    """
     if answer.kind == "abort":
         meaning = next((words for words, code in ABORTS.items() if code == answer.number), "abort")
-        raise SdoAbortedError(meaning, node=node, index=answer.index, code=answer.number, place=place)
+        raise SdoAbortedError(
+            meaning, node=node, index=answer.index, code=answer.number, place=place
+        )
     if answer.kind != wanted:
-        raise NoAnswerError(f"the drive answered {answer.kind}", node=node, place=place, expected=wanted)
+        raise NoAnswerError(
+            f"the drive answered {answer.kind}", node=node, place=place, expected=wanted
+        )
     return answer.number
 
 

@@ -1,22 +1,25 @@
 """Which PDO answers which SYNC.
 
-An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in order, some answers
-after the next SYNC. The order assigns answers to SYNCs as long as none is lost: a lost one shifts all later ones of its drive.
-So the frames are divided at places where no answer is pending, and what lies between gives rows only if every PDO came as often
-as SYNC:
+An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in
+order, some answers after the next SYNC. The order assigns answers to SYNCs as long as none is lost:
+a lost one shifts all later ones of its drive. So the frames are divided at places where no answer
+is pending, and what lies between gives rows only if every PDO came as often as SYNC:
 
-    SYNC             0    1    2    3    4    5    6    7    8    9    10   11   12   13   14   15   16
-    drive A          |0   |1   |    |3   |4   |5   |6   |7   |8   |    |9 10|11  |12  |13  |14  |15  |16
-    drive B          |0   |1   |2   |3   |4   |5   |6   |7   |8   |9   |10  |11  |12  |13  |14  |15  |16
-    A is behind by   0    0    0    1    1    1    1    1    1    1    2    1    1    1    1    1    1
-    proven edges     ^                   ^    ^    ^    ^    ^    ^              ^    ^    ^    ^    ^
-    rows             0    1              4    5    6    7    8              11   12   13   14   15   16
+    SYNC         0    1    2    3    4    5    6    7    8    9    10   11   12   13   14   15   16
+    drive A      |0   |1   |    |3   |4   |5   |6   |7   |8   |    |9 10|11  |12  |13  |14  |15  |16
+    drive B      |0   |1   |2   |3   |4   |5   |6   |7   |8   |9   |10  |11  |12  |13  |14  |15  |16
+    A behind by  0    0    0    1    1    1    1    1    1    1    2    1    1    1    1    1    1
+    proven edges ^                   ^    ^    ^    ^    ^    ^              ^    ^    ^    ^    ^
+    rows         0    1              4    5    6    7    8              11   12   13   14   15   16
 
-- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its usual time after SYNC, unless
-  a drive catches up later with pending answers. Where drives are late (10), the first of such intervals (3) prove nothing.
-- **Stretches**: from such an edge to the next place at which the PDOs since then are as many as the SYNCs.
-- **Doubtful**: A is late at 9, or 9 is lost and 10 came twice. Within `MAX_RUN_SYNCS` of a PDO that is missing or doubled (2 of
-  A) late answers prove nothing, so 9 and 10 give no rows; without the loss of 2 they do.
+- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its
+  usual time after SYNC, unless a drive catches up later with pending answers. Where drives are late
+  (10), the first of such intervals (3) prove nothing.
+- **Stretches**: from such an edge to the next place at which the PDOs since then
+  are as many as the SYNCs.
+- **Doubtful**: A is late at 9, or 9 is lost and 10 came twice. Within `MAX_RUN_SYNCS` of a PDO
+  that is missing or doubled (2 of A) late answers prove nothing, so 9 and 10 give no rows; without
+  the loss of 2 they do.
 """
 
 from collections.abc import Sequence
@@ -30,7 +33,8 @@ from .rows import Rows
 from .sync_grid import MAX_RUN_SYNCS, Bools, Intervals, interval_of, minimum_ahead
 
 MAX_LATE_USUAL = 11  # intervals in a row that late drives answer at their usual time
-MIN_IN_ORDER, MAX_LATE_IN_ORDER = 3, 8  # intervals in a row that prove the order; at most so many more if PDOs are late
+# intervals in a row that prove the order; at most so many more if PDOs are late
+MIN_IN_ORDER, MAX_LATE_IN_ORDER = 3, 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,17 +42,28 @@ class Answers:
     """The (N,) SYNCs whose answers are all known, also SYNCs that were not recorded."""
 
     answered: Rows  # (N,) grid indices
-    late: Bools  # (N,) PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS` makes the row doubtful
+    # (N,) PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS`
+    # makes the row doubtful
+    late: Bools
     rows: list[Rows]  # for each PDO the (N,) frames that answer
-    losses: list[dict[str, int]]  # late, duplicate, missing frames of each PDO; missing: where all drives answer
+    # late, duplicate, missing frames of each PDO; missing: where all drives answer
+    losses: list[dict[str, int]]
     missing_share: float  # the largest share of missing ones of a PDO there
 
 
-def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> Answers:
-    """Assign the frames of `pdos` to SYNCs where the order is proven; `repeats`: those that `without_repeats` left out."""
+def associate(
+    pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, intervals: Intervals
+) -> Answers:
+    """Assign the frames of `pdos` to SYNCs where the order is proven; `repeats`: those that
+    `without_repeats` left out.
+    """
     steps, torn, edges = intervals.steps, intervals.torn, _sums(intervals.steps)
-    behind = [edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(steps))) for pdo in pdos]
-    uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])  # not as many answers as SYNCs in an interval
+    behind = [
+        edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(steps)))
+        for pdo in pdos
+    ]
+    # not as many answers as SYNCs in an interval
+    uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])
     caught_up = _caught_up(behind)
     alone = ~uneven & (steps == 1) & ~torn
     proven = _in_order(alone, caught_up, intervals.unusual)
@@ -57,10 +72,12 @@ def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, in
     unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
     proven[[0, -1]] = True
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
-        torn = np.append(torn[:-1], False)  # nothing is lost, and some PDOs are late: so may the last ones be
+        # nothing is lost, and some PDOs are late: so may the last ones be
+        torn = np.append(torn[:-1], False)
     # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
     torn = torn | intervals.paused & caught_up[1:]
-    cuts, whole = _stretches([*behind, unknown, _sums(torn)], proven)  # a torn interval is in no stretch
+    # a torn interval is in no stretch
+    cuts, whole = _stretches([*behind, unknown, _sums(torn)], proven)
     first, end = np.searchsorted(sync_rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
     span = np.clip(cuts, first - 1, max(first - 1, end))
     grown = np.array([np.diff(x[span]) for x in behind]) * ~whole
@@ -68,17 +85,20 @@ def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, in
     share = max(lost["missing"] for lost in losses) / max(1, int(edges[span[-1]] - edges[span[0]]))
     damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
     damaged[: begin * unknown[0]] = damaged[cuts[-2] :] = False  # answers are pending
-    # A drive that is late, again and again at its usual time: rather a PDO was lost, and another came twice.
+    # A drive that is late, again and again at its usual time: rather a PDO was lost,
+    # and another came twice.
     sums = _sums(alone & ~intervals.unusual & caught_up[1:] & caught_up[:-1])
     damaged[np.flatnonzero(sums[MAX_LATE_USUAL:] - sums[:-MAX_LATE_USUAL] == MAX_LATE_USUAL)] = True
     for frames in repeats:
         damaged[interval_of(frames, sync_rows)] = True
     late, doubtful = _late(uneven | intervals.unusual, proven, damaged)
-    late, doubtful = (np.logical_or.reduceat(x, cuts[:-1]) for x in (late, doubtful))  # of stretches
+    # of stretches
+    late, doubtful = (np.logical_or.reduceat(x, cuts[:-1]) for x in (late, doubtful))
     keep = np.repeat(whole & ~doubtful, np.diff(cuts))
     late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
     del behind, grown, edges, uneven, proven, damaged  # large in a long session
-    asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
+    # the interval of each of the SYNCs
+    asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])
     rows = []
     for pdo, lost in zip(pdos, losses, strict=True):
         interval = interval_of(pdo, sync_rows)
@@ -99,26 +119,36 @@ def _caught_up(behind: Sequence[Rows]) -> Bools:
 
 
 def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:
-    """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every drive, none of them unusual.
+    """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every
+    drive, none of them unusual.
 
-    Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up: the longest such run
-    that is seen, and one interval more, proves nothing.
+    Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they
+    catch up: the longest such run that is seen, and one interval more, proves nothing.
     """
     late, alone = caught_up.any() or unusual.any(), alone & ~unusual
-    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if late else 0
+    hidden = (
+        min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER)
+        if late
+        else 0
+    )
     in_order, sums = np.zeros(len(caught_up), np.bool_), _sums(alone)
-    runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
+    runs = np.flatnonzero(
+        sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden
+    )
     for k in range(hidden, MIN_IN_ORDER + hidden + 1):
         in_order[runs + k] = True
     return in_order & ~caught_up
 
 
 def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
-    """Edges between stretches, and which stretches have as many PDOs as SYNCs: no balance has changed."""
+    """Edges between stretches, and which stretches have as many PDOs as SYNCs:
+    no balance has changed.
+    """
     starts = np.flatnonzero(proven).astype(np.int32)
     unchanged = np.ones(len(proven), np.bool_)
     for balance in balances:
-        lowest = np.minimum.reduceat(balance, starts)  # below the start: an unnoticed loss of a SYNC or repeat of a PDO
+        # below the start: an unnoticed loss of a SYNC or repeat of a PDO
+        lowest = np.minimum.reduceat(balance, starts)
         lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
         level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
         unchanged &= balance == np.repeat(level, np.diff(starts, append=len(proven)))
@@ -127,12 +157,19 @@ def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
 
 
 def _late(uneven: Bools, proven: Bools, damaged: Bools) -> tuple[Bools, Bools]:
-    """Intervals from the first uneven one between two proven edges to the last, and those within reach of a damaged one."""
+    """Intervals from the first uneven one between two proven edges to the last, and those within
+    reach of a damaged one.
+    """
     sums, at = _sums(damaged), np.arange(len(damaged))
-    near = sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(damaged))] > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
+    near = (
+        sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(damaged))]
+        > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
+    )
     starts, sums = np.flatnonzero(proven), _sums(uneven)
     count = np.diff(starts)
-    late = (sums[1:] > np.repeat(sums[starts[:-1]], count)) & (sums[:-1] < np.repeat(sums[starts[1:]], count))
+    late = (sums[1:] > np.repeat(sums[starts[:-1]], count)) & (
+        sums[:-1] < np.repeat(sums[starts[1:]], count)
+    )
     return late, late & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
 
 

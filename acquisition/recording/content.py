@@ -1,7 +1,8 @@
-"""Reads the container of an MCAP file, whole or cut, and checks every checksum; not the meaning of its content.
+"""Reads the container of an MCAP file, whole or cut, and checks every checksum; not the
+meaning of its content.
 
-mcap's own readers are not used: they raise the same errors for a cut and for damage, do not check the CRCs of attachments,
-and unpack chunks of any size. Format: https://mcap.dev/spec.
+mcap's own readers are not used: they raise the same errors for a cut and for damage, do not check
+the CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
 """
 
 import hashlib
@@ -25,7 +26,8 @@ from ..files import GrowingBytes
 _MAGIC = b"\x89MCAP0\r\n"
 _IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_MAX_CHUNK_BYTES = 64 * 2**20  # bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
+# bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
+_MAX_CHUNK_BYTES = 64 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
 Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
@@ -33,7 +35,9 @@ _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError
 
 
 class Messages:
-    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents."""
+    """Messages of one topic, in file order: the text of their schema, their log times in
+    ns, and their contents.
+    """
 
     def __init__(self, layout: str) -> None:
         self.layout = layout
@@ -55,15 +59,18 @@ class Messages:
             begin = end
 
 
-Content: TypeAlias = tuple[Mapping[str, str] | None, Mapping[str, bytes], Mapping[str, Messages], bool, str]
+Content: TypeAlias = tuple[
+    Mapping[str, str] | None, Mapping[str, bytes], Mapping[str, Messages], bool, str
+]
 
 
 def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Content:
-    """The metadata record `name` (None without it), attachments by name, messages of the `wanted` topics, whether the file is
-    cut, and its SHA-256.
+    """The metadata record `name` (None without it), attachments by name, messages of the `wanted`
+    topics, whether the file is cut, and its SHA-256.
 
-    `accept(metadata, place)` raises to refuse the file before its data is read. For a file without its end, returns what was
-    written before the cut. Raises `BadInputError` when the file cannot be read, is not MCAP, or is damaged.
+    `accept(metadata, place)` raises to refuse the file before its data is read. For a file without
+    its end, returns what was written before the cut. Raises `BadInputError` when the file cannot be
+    read, is not MCAP, or is damaged.
     """
     place = str(path)
     try:
@@ -89,15 +96,30 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
                 break
         except _DAMAGE as error:
             if not records.has_end and records.only_zeros_follow():
-                break  # the last record of a cut file: incomplete, followed by nothing or by unwritten disk space
-            raise BadInputError(f"damaged at byte {at}: {str(error) or type(error).__name__}", place=place) from error
+                # the last record of a cut file: incomplete, followed by nothing or by
+                # unwritten disk space
+                break
+            raise BadInputError(
+                f"damaged at byte {at}: {str(error) or type(error).__name__}", place=place
+            ) from error
     if records.has_end and not found.complete:
-        raise BadInputError("damaged: it has an end, but the records before do not lead to it", place=place)
-    return found.metadata, found.attachments, found.chunks.messages, not records.has_end, records.sha256()
+        raise BadInputError(
+            "damaged: it has an end, but the records before do not lead to it", place=place
+        )
+    return (
+        found.metadata,
+        found.attachments,
+        found.chunks.messages,
+        not records.has_end,
+        records.sha256(),
+    )
 
 
 class _Found:
-    """The content of the records so far; `complete` after the last one with data. Arguments as of `read_content`."""
+    """The content of the records so far; `complete` after the last one with data.
+
+    Arguments as of `read_content`.
+    """
 
     def __init__(self, place: str, name: str, accept: Accept, wanted: Wanted) -> None:
         self._place, self._name, self._accept = place, name, accept
@@ -129,7 +151,8 @@ class _Found:
 
 
 class GrowingContent:
-    """The content of a file that another program writes, without a lock: `read` adds the records since the last call.
+    """The content of a file that another program writes, without a lock: `read` adds the
+    records since the last call.
 
     Raises `BadInputError` where the file is not one that is being written, or is damaged.
     """
@@ -144,11 +167,15 @@ class GrowingContent:
         try:
             there, ours = self._path.stat(), os.fstat(self._file.fileno())
         except FileNotFoundError as error:
-            raise BadInputError("is gone: moved or deleted while it was written", place=place) from error
+            raise BadInputError(
+                "is gone: moved or deleted while it was written", place=place
+            ) from error
         if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
             raise BadInputError("was replaced by another file", place=place)
         if there.st_size < self._at:
-            raise BadInputError(f"was cut: {there.st_size} bytes, {self._at} of which were read before", place=place)
+            raise BadInputError(
+                f"was cut: {there.st_size} bytes, {self._at} of which were read before", place=place
+            )
         self._file.seek(0)
         if self._file.read(len(_MAGIC)) != _MAGIC:
             raise BadInputError("is not a recording", place=place)
@@ -158,15 +185,19 @@ class GrowingContent:
             try:
                 self.found.add(opcode, data[begin:end])
             except _DAMAGE as error:
-                raise BadInputError(f"damaged at byte {before + begin}: {error}", place=place) from error
+                raise BadInputError(
+                    f"damaged at byte {before + begin}: {error}", place=place
+                ) from error
             self._at = before + end
         return self._at > before
 
 
 class _Records:
-    """The complete records of a file, one at a time: opcode, byte at which the content begins, content.
+    """The complete records of a file, one at a time: opcode, byte at which the
+    content begins, content.
 
-    `crc_before` is the CRC of all bytes before the current record. Opcode 0 is unwritten disk space and ends the iteration.
+    `crc_before` is the CRC of all bytes before the current record. Opcode 0 is unwritten disk space
+    and ends the iteration.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -244,7 +275,10 @@ class _Chunks:
 
     def take(self) -> dict[str, Messages]:
         """The messages since the last call."""
-        taken, self.messages = self.messages, {topic: Messages(m.layout) for topic, m in self.messages.items()}
+        taken, self.messages = (
+            self.messages,
+            {topic: Messages(m.layout) for topic, m in self.messages.items()},
+        )
         return taken
 
     def add(self, chunk: Any) -> None:
@@ -277,7 +311,9 @@ def _unpack(chunk: Any) -> bytes:
         raise ValueError(f"compression {chunk.compression!r}: expected 'zstd'")
     size = zstandard.get_frame_parameters(chunk.data).content_size
     if size != chunk.uncompressed_size or size > _MAX_CHUNK_BYTES:
-        raise ValueError(f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)}")
+        raise ValueError(
+            f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)}"
+        )
     content: bytes = zstandard.decompress(chunk.data)
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
     return content

@@ -1,7 +1,8 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC and sends its PDO afterwards, so a sample has the time of its SYNC. `sync_grid` computes the times and
-assigns each PDO to the SYNC that it answers. Samples are made block by block, because those of an hour do not fit in memory.
+A drive samples at SYNC and sends its PDO afterwards, so a sample has the time of its SYNC.
+`sync_grid` computes the times and assigns each PDO to the SYNC that it answers. Samples are made
+block by block, because those of an hour do not fit in memory.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,7 +17,15 @@ from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .association import associate
 from .rows import SENT, Block, Rows, Traffic, sample_dtype, unwrap
-from .sync_grid import Bools, SyncTimes, counted_steps, recorded_syncs, sync_steps, sync_times, without_repeats
+from .sync_grid import (
+    Bools,
+    SyncTimes,
+    counted_steps,
+    recorded_syncs,
+    sync_steps,
+    sync_times,
+    without_repeats,
+)
 from .writer import RecordingWriter
 
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
@@ -30,7 +39,9 @@ MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
 
 @dataclass(frozen=True, kw_only=True)
 class PdoCount:
-    """Frames of one PDO: received, late, duplicate, too short, and missing between the first and the last SYNC."""
+    """Frames of one PDO: received, late, duplicate, too short, and missing between the
+    first and the last SYNC.
+    """
 
     name: str
     received: int
@@ -45,14 +56,17 @@ class Decoded:
     """Joint samples, made on demand, and their completeness and jitter.
 
     Attributes:
-        rows: for each PDO the (N,) frames that samples are made of. SYNCs without an answer of each drive, or with uncertain
-            answers, are left out.
+        rows: for each PDO the (N,) frames that samples are made of. SYNCs without an answer of each
+            drive, or with uncertain answers, are left out.
         stamps: (N,) times of the SYNCs in ns.
-        late: (N,) whether a PDO that is missing or doubled within the next `MAX_RUN_SYNCS` would leave out the row.
-        targets: for each drive the (N,) frames of its current targets, -1 before the first; None without a reference.
+        late: (N,) whether a PDO that is missing or doubled within the next `MAX_RUN_SYNCS`
+            would leave out the row.
+        targets: for each drive the (N,) frames of its current targets, -1 before the first;
+            None without a reference.
         syncs, syncs_lost: SYNC frames recorded; SYNCs that were not recorded.
         period_s: between SYNCs, pauses left out.
-        jitter_s: standard and largest deviation of the recorded times from uniform ones, between pauses.
+        jitter_s: standard and largest deviation of the recorded times from
+            uniform ones, between pauses.
         warnings: for the user, one line each.
     """
 
@@ -77,7 +91,11 @@ class Decoded:
 
     def blocks(self) -> Iterator[Block]:
         """Rows of `sample_dtype`, some thousands at a time."""
-        begin = 0 if self.targets is None else int(np.maximum.reduce([np.argmax(t >= 0) for t in self.targets]))
+        begin = (
+            0
+            if self.targets is None
+            else int(np.maximum.reduce([np.argmax(t >= 0) for t in self.targets]))
+        )
         for samples in joint_samples(self._raw(), self.robot, self.bus):
             if begin > 0:
                 samples["reference"][:begin] = samples["position"][:begin]
@@ -87,7 +105,9 @@ class Decoded:
     def _raw(self) -> Iterator[Block]:
         """The integers of the drives, as `joint_samples` takes them."""
         names = ("position", "effort") if self.targets is None else ("position", "effort", "target")
-        layout = np.dtype([("stamp_ns", "<i8"), *((name, "<i8", (self.robot.n,)) for name in names)])
+        layout = np.dtype(
+            [("stamp_ns", "<i8"), *((name, "<i8", (self.robot.n,)) for name in names)]
+        )
         for first in range(0, len(self.stamps), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             raw = np.empty(len(self.stamps[part]), layout)
@@ -98,7 +118,9 @@ class Decoded:
                 if self.targets is not None:
                     pdo = drive.carrier(drive.target, "rpdo")
                     assert pdo is not None
-                    raw["target"][:, i] = self.traffic.integers(np.maximum(self.targets[i][part], 0), pdo, drive.target)
+                    raw["target"][:, i] = self.traffic.integers(
+                        np.maximum(self.targets[i][part], 0), pdo, drive.target
+                    )
             yield raw
 
     def _integers(self, drive: Drive, entry: ObjectEntry, part: slice) -> Ints:
@@ -128,10 +150,12 @@ class Decoded:
 
 
 def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Block]:
-    """Rows of `sample_dtype` from the integers of drives: consecutive rows of `stamp_ns`, and `position`, `effort` and perhaps
-    `target` (n,). Position counters that wrap count on; targets wrap as the position does, and the nearest one is taken.
+    """Rows of `sample_dtype` from the integers of drives: consecutive rows of `stamp_ns`, and
+    `position`, `effort` and perhaps `target` (n,). Position counters that wrap count on; targets
+    wrap as the position does, and the nearest one is taken.
     """
-    last: list[tuple[int, int]] = []  # for each drive: raw position of the row before, and the counts added to it
+    # for each drive: raw position of the row before, and the counts added to it
+    last: list[tuple[int, int]] = []
     for rows in raw:
         target = rows["target"] if "target" in (rows.dtype.names or ()) else None
         samples = np.empty(len(rows), sample_dtype(robot.n, reference=target is not None))
@@ -154,13 +178,18 @@ def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Bloc
         yield samples
 
 
-def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE) -> Decoded:
-    """Joint samples from the raw frames (m,) of one CAN channel, rows of `FRAME` in the order in which they were received.
+def decode(
+    frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE
+) -> Decoded:
+    """Joint samples from the raw frames (m,) of one CAN channel, rows of `FRAME` in the order in
+    which they were received.
 
-    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V if no drive gain is known),
-    at the joints; with `reference` if all drives received targets (607Ah or as described). At most the share `max_missing`
-    of the PDOs of a drive may be missing; `place` is the file or session. Raises `BadInputError`: there is no SYNC, a drive
-    never answered, too many PDOs are missing, fewer than two samples remain, or the SYNC period is not the described one.
+    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V
+    if no drive gain is known), at the joints; with `reference` if all drives received targets
+    (607Ah or as described). At most the share `max_missing` of the PDOs of a drive may be
+    missing; `place` is the file or session. Raises `BadInputError`: there is no SYNC, a drive
+    never answered, too many PDOs are missing, fewer than two samples remain, or the SYNC period
+    is not the described one.
     """
     traffic = Traffic(frames)
     sync_rows = traffic.rows_of(bus.file.sync_can_id)
@@ -176,11 +205,17 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
         rows, again = without_repeats(rows, sync_rows, traffic.at("data", rows))
         if not len(rows):
             text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
-            Place(place).refuse(text=text, expected="the drive's answers to SYNC; is it mapped and started?")
+            Place(place).refuse(
+                text=text, expected="the drive's answers to SYNC; is it mapped and started?"
+            )
         pdos.append(rows)
         repeats.append(again)
-        counted.append(PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short))
-    intervals = sync_steps(sync_rows, times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
+        counted.append(
+            PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short)
+        )
+    intervals = sync_steps(
+        sync_rows, times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours
+    )
     if (traffic.at("length", sync_rows) >= 1).all():
         intervals = replace(intervals, steps=counted_steps(traffic.at("data", sync_rows)[:, 0]))
     steps = intervals.steps
@@ -192,10 +227,18 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     answers = associate(pdos, repeats, sync_rows, intervals)
     del pdos, rows  # large in a long session
     counts = tuple(
-        replace(pdo, late=lost["late"], duplicate=pdo.duplicate + lost["duplicate"], missing=lost["missing"])
+        replace(
+            pdo,
+            late=lost["late"],
+            duplicate=pdo.duplicate + lost["duplicate"],
+            missing=lost["missing"],
+        )
         for pdo, lost in zip(counted, answers.losses, strict=True)
     )
-    if answers.missing_share > max_missing and max(count.missing for count in counts) > MAX_MISSING_COUNT:
+    if (
+        answers.missing_share > max_missing
+        and max(count.missing for count in counts) > MAX_MISSING_COUNT
+    ):
         text = f"{answers.missing_share:.1%} of the PDOs of a drive are missing"
         expected = f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
         Place(place).refuse(text=text, expected=expected)
@@ -241,16 +284,26 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
     for drive in bus.drives:
         carrier = drive.carrier(drive.position, "tpdo")
         assert carrier is not None  # `resolve` refuses drives without one
-        wraps = unwrap(traffic.integers(rows_of[carrier], carrier, drive.position), drive.position.bits)[1]
+        wraps = unwrap(
+            traffic.integers(rows_of[carrier], carrier, drive.position), drive.position.bits
+        )[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
-            text = f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s"
+            text = (
+                f"{drive.name}: its position counter wrapped {len(wraps)} times, first at "
+                f"{first_s:.4g} s"
+            )
             yield f"{text}: positions are continued"
 
 
-def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:
-    """Frame of each drive's last target before the SYNC of a sample, -1 if none; None if a drive receives none or few."""
-    targets, following = [], np.append(index_of, index_of[-1] + 1)  # grid index of the SYNC after as many SYNC frames
+def _targets(
+    traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus
+) -> list[Rows] | None:
+    """Frame of each drive's last target before the SYNC of a sample, -1 if none; None if a
+    drive receives none or few.
+    """
+    # grid index of the SYNC after as many SYNC frames
+    targets, following = [], np.append(index_of, index_of[-1] + 1)
     for drive in bus.drives:
         pdo = drive.carrier(drive.target, "rpdo")
         rows = np.zeros(0, np.int32) if pdo is None else traffic.of(pdo)[0]
@@ -263,27 +316,41 @@ def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, 
 
 
 def refuse_period(measured_s: float, stated_s: float, place: str, what: str = "SYNC") -> None:
-    """Refuse a period other than the described one: rates and filters are computed from the description."""
+    """Refuse a period other than the described one: rates and filters are
+    computed from the description.
+    """
     if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
-        text = f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml"
+        text = (
+            f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in "
+            "robot.toml"
+        )
         command = "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
-        expected = f"{measured_s:.3g}; correct robot.toml and import again, a recording by {command}"
+        expected = (
+            f"{measured_s:.3g}; correct robot.toml and import again, a recording by {command}"
+        )
         Place(place).refuse(text=text, expected=expected)
 
 
-def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows) -> list[str]:
+def _warnings(
+    counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows
+) -> list[str]:
     texts = []
     nominal_s = bus.file.sync_period_s
     at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
     for k, by_s in clock.set_back:
-        texts.append(f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted forward")
+        texts.append(
+            f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted "
+            "forward"
+        )
     if abs(clock.period_s / nominal_s - 1) > 0.01:
         expected = f"expected {nominal_s * 1e3:g} ms as robot.toml says"
         texts.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
     if len(clock.pauses):
         longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
         most = f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
-        texts.append(f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest {most}")
+        texts.append(
+            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest {most}"
+        )
     elif clock.jitter_s[1] > 0.5 * nominal_s:
         off = f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time"
         texts.append(f"{off}: more than half a period of {nominal_s * 1e3:g} ms")
@@ -291,7 +358,9 @@ def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus,
         texts.append(f"{lost} SYNC were answered but not recorded")
     missing = int(answered[-1] - answered[0] + 1 - len(answered))
     if missing:
-        texts.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
+        texts.append(
+            f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps"
+        )
     for count in counts:
         losses = [f"{getattr(count, word)} {word}" for word in LOSSES if getattr(count, word)]
         if losses:

@@ -1,8 +1,8 @@
 """Follows a recording while it is written, from the file alone: new rows, events and counters.
 
-The last seconds of frames are decoded again with each block. Rows are given once, and no earlier than later frames can change
-them: PDOs that are late at the end of a block are awaited, and behind a gap and where PDOs are late as many SYNCs as
-`associate` looks ahead.
+The last seconds of frames are decoded again with each block. Rows are given once, and no earlier
+than later frames can change them: PDOs that are late at the end of a block are awaited, and behind
+a gap and where PDOs are late as many SYNCs as `associate` looks ahead.
 """
 
 from contextlib import suppress
@@ -24,9 +24,12 @@ MAX_SYNCS = 8 * MAX_RUN_SYNCS  # without a row; older frames are dropped
 
 
 class RecordingFollower:
-    """A recording that is being written at `path`. After each `read`, `rows`, `events` and `health` are the new ones.
+    """A recording that is being written at `path`.
 
-    `problem` is why there are no rows. Raises `BadInputError` as `read` does, and where the description is not written yet.
+    After each `read`, `rows`, `events` and `health` are the new ones.
+
+    `problem` is why there are no rows. Raises `BadInputError` as `read` does, and where the
+    description is not written yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -35,10 +38,17 @@ class RecordingFollower:
         self._content.read()
         found = self._content.found
         if found.metadata is None or "robot.toml" not in found.attachments:
-            raise BadInputError("has no description yet", place=str(path), expected="a recording that is written")
-        self.metadata, self.robot = found.metadata, robot_from_files(found.attachments, f"{path}: robot.toml")
+            raise BadInputError(
+                "has no description yet", place=str(path), expected="a recording that is written"
+            )
+        self.metadata, self.robot = (
+            found.metadata,
+            robot_from_files(found.attachments, f"{path}: robot.toml"),
+        )
         if self.robot.bus is None:
-            raise BadInputError("is of no bus", place=str(path), expected="a recording of `robot-acquire record`")
+            raise BadInputError(
+                "is of no bus", place=str(path), expected="a recording of `robot-acquire record`"
+            )
         self._file = self.robot.bus
         self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)
@@ -48,7 +58,10 @@ class RecordingFollower:
         self.health: tuple[Health, ...] = ()
 
     def read(self) -> bool:
-        """Whether the file has grown. Raises `BadInputError`: it is gone, cut, replaced or damaged."""
+        """Whether the file has grown.
+
+        Raises `BadInputError`: it is gone, cut, replaced or damaged.
+        """
         grown, found = self._content.read(), self._content.found
         self.ended, topics = found.complete, found.chunks.take()
         self.events, self.health = events_of(topics, self._path)
@@ -66,8 +79,13 @@ class RecordingFollower:
         """Set `rows`, and drop the frames that no later row needs."""
         sync_rows = Traffic(self._frames).rows_of(self._file.sync_can_id)
         sync_ns = self._frames["time_ns"][sync_rows]
-        half_ns, shown_ns = 0.5e9 * self._file.sync_period_s, -1 if self._last is None else int(self._last["stamp_ns"])
-        first = max(int(np.searchsorted(sync_ns, shown_ns)) - HISTORY_SYNCS, len(sync_ns) - MAX_SYNCS)
+        half_ns, shown_ns = (
+            0.5e9 * self._file.sync_period_s,
+            -1 if self._last is None else int(self._last["stamp_ns"]),
+        )
+        first = max(
+            int(np.searchsorted(sync_ns, shown_ns)) - HISTORY_SYNCS, len(sync_ns) - MAX_SYNCS
+        )
         if self._bus is None:
             with suppress(BadInputError):  # the master has not mapped all drives yet
                 self._bus = resolve(self.robot, str(self._path), written_by_master(self._frames))
@@ -83,7 +101,8 @@ class RecordingFollower:
         samples, self.problem = found.samples, ""
         stamps = samples["stamp_ns"]
         same = np.flatnonzero(np.abs(stamps - shown_ns) < half_ns)
-        if self._last is not None and len(same):  # wraps of position counters in the dropped frames count on
+        # wraps of position counters in the dropped frames count on
+        if self._last is not None and len(same):
             off = self._last["position"] - samples["position"][same[0]]
             for name in ("position", "reference"):
                 if name in (samples.dtype.names or ()):

@@ -1,4 +1,6 @@
-"""Marks of an operator for a recording that is being written: lines of `LOG.mcap.marks`, which the recorder takes over."""
+"""Marks of an operator for a recording that is being written: lines of `LOG.mcap.marks`, which
+the recorder takes over.
+"""
 
 import fcntl
 import json
@@ -17,9 +19,13 @@ MAX_BYTES = 2**20  # of marks that are taken together: a recorder must not be he
 
 
 def add_mark(recording: Path, text: str) -> None:
-    """Append the time and a text. Raises `BadInputError` where the recording is not being written."""
+    """Append the time and a text.
+
+    Raises `BadInputError` where the recording is not being written.
+    """
     with recording.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # marks are not taken, and the file does not end, in between
+        # marks are not taken, and the file does not end, in between
+        fcntl.flock(file, fcntl.LOCK_EX)
         status = os.fstat(file.fileno())
         file.seek(max(0, status.st_size - 8))
         if file.read() == b"\x89MCAP0\r\n" or time.time() - status.st_mtime > MAX_SILENT_S:
@@ -29,10 +35,15 @@ def add_mark(recording: Path, text: str) -> None:
             marks.write(json.dumps([time.time_ns(), one_line(text)]).encode() + b"\n")
 
 
-def take_marks(recording: Path, writer: RecordingWriter, *, last: bool = False) -> list[tuple[int, str]]:
-    """Ages in ns and texts of the marks since the last call; their file goes. After the `last` call none can be added.
+def take_marks(
+    recording: Path, writer: RecordingWriter, *, last: bool = False
+) -> list[tuple[int, str]]:
+    """Ages in ns and texts of the marks since the last call; their file goes.
 
-    Never raises: other lines are left out. What cannot be taken stays: no file, too large, or others keep the lock.
+    After the `last` call none can be added.
+
+    Never raises: other lines are left out. What cannot be taken stays: no file, too large,
+        or others keep the lock.
     """
     for _ in range(100 if last else 1):
         with suppress(OSError):  # another has the lock, or the file system has none
@@ -51,7 +62,9 @@ def take_marks(recording: Path, writer: RecordingWriter, *, last: bool = False) 
                 for line in content.splitlines():
                     with suppress(msgspec.MsgspecError, ValueError, RecursionError):
                         stamp_ns, text = msgspec.json.decode(line, type=tuple[int, str])
-                        found.append((min(max(0, time.time_ns() - stamp_ns), 10**10), one_line(text)))
+                        found.append(
+                            (min(max(0, time.time_ns() - stamp_ns), 10**10), one_line(text))
+                        )
     if not last:
         fcntl.flock(writer, fcntl.LOCK_UN)
     return found

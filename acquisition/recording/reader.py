@@ -19,9 +19,18 @@ from ..files import atomic_write
 from ..robot import EffortTiming, Payload, Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import CAPTURE_TOPIC, FRAME, Block, check_frames, check_samples
-from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, RecordingWriter, metadata_crc, sample_layouts
+from .writer import (
+    EFFORT_TIMINGS,
+    FRAMES_TOPIC,
+    SCHEMA_VERSION,
+    Header,
+    RecordingWriter,
+    metadata_crc,
+    sample_layouts,
+)
 
-FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
+# 2000-01-01; stamps before it count from the start of a computer or a recording
+FIRST_DATE_NS = 946_684_800 * 10**9
 
 # The end of a layout of rows with values of further objects of the drives, of earlier versions.
 _EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
@@ -57,7 +66,8 @@ class Recording:
     """What a recording holds.
 
     Attributes:
-        samples: rows of `sample_dtype` with strictly increasing stamps, joint side, SI; None without samples.
+        samples: rows of `sample_dtype` with strictly increasing stamps, joint side,
+            SI; None without samples.
         frames: rows of `FRAME` by CAN channel.
         capture: a file of pcap with EtherCAT frames; empty without.
         attachments: by name; names are labels, never paths.
@@ -80,8 +90,14 @@ class Recording:
 
     @property
     def began(self) -> datetime | None:
-        """Start of the recording: its first stamp if stamps are dates, else the creation of its file; None if unknown."""
-        first_ns = 0 if self.samples is None or len(self.samples) == 0 else int(self.samples["stamp_ns"][0])
+        """Start of the recording: its first stamp if stamps are dates, else the creation of its
+        file; None if unknown.
+        """
+        first_ns = (
+            0
+            if self.samples is None or len(self.samples) == 0
+            else int(self.samples["stamp_ns"][0])
+        )
         if first_ns >= FIRST_DATE_NS:
             return datetime.fromtimestamp(first_ns // 1000 / 1e6, UTC)
         try:
@@ -100,7 +116,9 @@ class Recording:
     def effort_timing(self) -> EffortTiming:
         """The instants that efforts belong to, as the recording states."""
         stated = self.metadata.get("effort_timing")
-        return next((timing for timing, text in EFFORT_TIMINGS.items() if text == stated), "unknown")
+        return next(
+            (timing for timing, text in EFFORT_TIMINGS.items() if text == stated), "unknown"
+        )
 
     @property
     def header(self) -> Header:
@@ -112,11 +130,18 @@ class Recording:
             effort_provenance=self.metadata.get("effort_provenance", ""),
             effort_timing=self.effort_timing,
             notes=self.metadata,  # with the payload, and what later versions say of it
-            attachments={name: content for name, content in self.attachments.items() if name not in self.robot.files},
+            attachments={
+                name: content
+                for name, content in self.attachments.items()
+                if name not in self.robot.files
+            },
         )
 
     def __repr__(self) -> str:
-        samples, frames = 0 if self.samples is None else len(self.samples), sum(map(len, self.frames.values()))
+        samples, frames = (
+            0 if self.samples is None else len(self.samples),
+            sum(map(len, self.frames.values())),
+        )
         content = f"{samples} samples at {self.sample_rate_hz:g} Hz, {frames} CAN frames"
         return f"Recording({self.robot.name}: {content}{', cut' if self.cut else ''})"
 
@@ -124,23 +149,31 @@ class Recording:
 def read_recording(path: str | PathLike[str]) -> Recording:
     """Read a recording and check its CRCs.
 
-    Older schema versions are read too. A file without its end is read up to the cut, with `cut` set.
+    Older schema versions are read too. A file without its end is read up to
+    the cut, with `cut` set.
 
     Raises
     ------
     BadInputError
-        The file cannot be read, is no recording, is damaged, has a newer schema version, or has blocks that do not fit their
-        layout.
+        The file cannot be read, is no recording, is damaged, has a newer schema version, or has
+        blocks that do not fit their layout.
     """
     path = Path(path)
     place = Place(str(path))
-    metadata, attachments, topics, cut, sha256 = read_content(path, "recording", check_metadata, READ_TOPICS.fullmatch)
+    metadata, attachments, topics, cut, sha256 = read_content(
+        path, "recording", check_metadata, READ_TOPICS.fullmatch
+    )
     note = " (the file is cut before its description)" if cut else ""
-    expected = "a recording of robot-acquire, which `robot-acquire import --topic NAME` makes of a ROS 2 bag"
+    expected = (
+        "a recording of robot-acquire, which `robot-acquire import --topic NAME` makes of a "
+        "ROS 2 bag"
+    )
     if metadata is None:
         place.refuse(text=f"holds no metadata record 'recording'{note}", expected=expected)
     if "robot.toml" not in attachments:
-        place.refuse(text=f"holds no robot.toml{note}", expected="the robot's description as an attachment")
+        place.refuse(
+            text=f"holds no robot.toml{note}", expected="the robot's description as an attachment"
+        )
     robot = robot_from_files(attachments, f"{place}: robot.toml")
     unit, expected = metadata.get("effort_unit"), json.dumps(robot.effort_units)
     if unit != expected:
@@ -175,7 +208,9 @@ def read_recording(path: str | PathLike[str]) -> Recording:
 
 
 def has_reference(path: Path) -> bool:
-    """Whether a recording's samples have a reference, by its summary alone; True for a file that is cut or damaged."""
+    """Whether a recording's samples have a reference, by its summary alone; True for a file
+    that is cut or damaged.
+    """
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
@@ -185,12 +220,18 @@ def has_reference(path: Path) -> bool:
     except (OSError, McapError):
         return True
     channels = () if summary is None else summary.channels.values()
-    schemas = [summary.schemas[c.schema_id].data for c in channels if summary is not None and c.topic == "/samples"]
+    schemas = [
+        summary.schemas[c.schema_id].data
+        for c in channels
+        if summary is not None and c.topic == "/samples"
+    ]
     return all(b"'reference'" in text for text in schemas)
 
 
 def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
-    """Concatenated rows of a known layout, compared as text, never evaluated; further objects of old versions are skipped."""
+    """Concatenated rows of a known layout, compared as text, never evaluated; further objects of
+    old versions are skipped.
+    """
     text, skipped = blocks.layout, 0
     if (earlier := _EXTRA.fullmatch(text)) is not None:
         text, skipped = f"{earlier[1]}]", int(earlier[2])
@@ -199,7 +240,10 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> B
         place.refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
     whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
     if any(end % whole.itemsize for end in blocks.ends):
-        place.refuse(text=f"{len(blocks.data)} bytes", expected=f"blocks of whole rows of {whole.itemsize} bytes")
+        place.refuse(
+            text=f"{len(blocks.data)} bytes",
+            expected=f"blocks of whole rows of {whole.itemsize} bytes",
+        )
     rows = np.frombuffer(blocks.data.whole(), whole)
     if skipped:
         rows = rows[list(dtype.names or ())]
@@ -207,20 +251,27 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> B
     return rows
 
 
-def events_of(topics: Mapping[str, Messages], path: Path) -> tuple[tuple[Event, ...], tuple[Health, ...]]:
+def events_of(
+    topics: Mapping[str, Messages], path: Path
+) -> tuple[tuple[Event, ...], tuple[Health, ...]]:
     """Events and counters in messages by topic."""
     events = _decode_json(topics, "/events", _EventText, path)
     health = _decode_json(topics, "/health", dict[str, float | None], path)
     return (
         tuple(Event(stamp_ns=stamp, kind=e.kind, text=e.text) for stamp, e in events),
         tuple(
-            Health(stamp_ns=stamp, counters={k: math.nan if v is None else v for k, v in counters.items()})
+            Health(
+                stamp_ns=stamp,
+                counters={k: math.nan if v is None else v for k, v in counters.items()},
+            )
             for stamp, counters in health
         ),
     )
 
 
-def _decode_json(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
+def _decode_json(
+    topics: Mapping[str, Messages], topic: str, kind: Any, path: Path
+) -> list[tuple[int, Any]]:
     try:
         messages = topics[topic].items() if topic in topics else ()
         return [(stamp, msgspec.json.decode(text, type=kind)) for stamp, text in messages]
@@ -237,7 +288,9 @@ def check_metadata(metadata: Mapping[str, str], place: str) -> None:
         expected = f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
         Place(place).refuse("schema_version", int(text), expected)
     if metadata.get("crc32") != metadata_crc(metadata):
-        Place(f"{place}: metadata").refuse("crc32", metadata.get("crc32"), repr(metadata_crc(metadata)))
+        Place(f"{place}: metadata").refuse(
+            "crc32", metadata.get("crc32"), repr(metadata_crc(metadata))
+        )
 
 
 def _rate(metadata: Mapping[str, str], place: Place) -> float:
@@ -260,9 +313,16 @@ def _payload(metadata: Mapping[str, str], place: Place) -> Payload | None:
 
 
 def rewrite(
-    recording: Recording, header: Header, out: Path, add: Callable[[RecordingWriter], None], *, without: str = ""
+    recording: Recording,
+    header: Header,
+    out: Path,
+    add: Callable[[RecordingWriter], None],
+    *,
+    without: str = "",
 ) -> None:
-    """Copy frames, health and events (except those of the kind `without`) of a recording; `add` writes the samples."""
+    """Copy frames, health and events (except those of the kind `without`) of a recording;
+    `add` writes the samples.
+    """
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for channel, frames in recording.frames.items():
             writer.frames(channel, frames)

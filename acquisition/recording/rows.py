@@ -1,4 +1,6 @@
-"""Rows of recordings, raw CAN frames and joint samples, as numpy dtypes; their checks; frames by PDO."""
+"""Rows of recordings, raw CAN frames and joint samples, as numpy dtypes; their
+checks; frames by PDO.
+"""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -14,7 +16,9 @@ from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
 
 # One raw CAN frame; `data` beyond `length` is zero.
 CAPTURE_TOPIC = "/ethercat/frames"
-FRAME = np.dtype([("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))])
+FRAME = np.dtype(
+    [("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))]
+)
 # Bits of FRAME's `flags`.
 SENT = 1  # by this master; not set: received
 EXTENDED = 2  # 29-bit identifier
@@ -34,7 +38,9 @@ Rows = NDArray[np.int32]  # indices of frames or SYNCs: half the memory of Ints
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Time for `missing` samples between row `row` and the next, at `stamp_ns` of row `row`; `late`: SYNC came late."""
+    """Time for `missing` samples between row `row` and the next, at `stamp_ns` of row `row`;
+    `late`: SYNC came late.
+    """
 
     row: int
     stamp_ns: int
@@ -42,13 +48,16 @@ class Gap:
     late: bool = False
 
 
-# Optional fields of rows, in their order: measured joint speeds in rad/s or m/s; known torques on the joints that are not of
-# the drives, N m or N; feed-forward added to the controller's output, by motor, in the unit of the recorded effort.
+# Optional fields of rows, in their order: measured joint speeds in rad/s or m/s; known torques on
+# the joints that are not of the drives, N m or N; feed-forward added to the controller's output, by
+# motor, in the unit of the recorded effort.
 OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
 def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> np.dtype[np.void]:
-    """Row of samples of `n` joints: `stamp_ns`; `position`, `effort`, `reference` and fields of `OPTIONAL`, (n,) each."""
+    """Row of samples of `n` joints: `stamp_ns`; `position`, `effort`, `reference` and fields of
+    `OPTIONAL`, (n,) each.
+    """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []
     return np.dtype(fields + [(name, "<f8", (n,)) for name in OPTIONAL if name in optional])
@@ -57,17 +66,26 @@ def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> 
 def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> tuple[Gap, ...]:
     """Gaps: consecutive stamps more than 1.5 periods apart.
 
-    A gap is `late` if no other SYNC of `sync_ns`, those that this master sent, lies in it; without `sync_ns`, if it is no
-    multiple of the period.
+    A gap is `late` if no other SYNC of `sync_ns`, those that this master sent, lies in it; without
+    `sync_ns`, if it is no multiple of the period.
     """
     stamps = samples["stamp_ns"]
     periods = np.diff(stamps) * (sample_rate_hz * 1e-9)
     rows = np.flatnonzero(periods > 1.5)
     late = np.abs(periods[rows] - np.rint(periods[rows])) > MAX_PERIOD_OFFSET
     if sync_ns is not None:
-        late = np.searchsorted(sync_ns, stamps[rows + 1]) - np.searchsorted(sync_ns, stamps[rows], "right") == 0
+        late = (
+            np.searchsorted(sync_ns, stamps[rows + 1])
+            - np.searchsorted(sync_ns, stamps[rows], "right")
+            == 0
+        )
     return tuple(
-        Gap(row=int(k), stamp_ns=int(stamps[k]), missing=round(float(periods[k])) - 1, late=bool(one))
+        Gap(
+            row=int(k),
+            stamp_ns=int(stamps[k]),
+            missing=round(float(periods[k])) - 1,
+            late=bool(one),
+        )
         for k, one in zip(rows, late, strict=True)
     )
 
@@ -80,7 +98,9 @@ def in_parts(rows: Block) -> Iterator[Block]:
 
 
 def check_samples(samples: Block, after_ns: int, place: str) -> None:
-    """Refuse stamps that do not grow from `after_ns`, and values that are not finite; errors name `place`."""
+    """Refuse stamps that do not grow from `after_ns`, and values that are not
+    finite; errors name `place`.
+    """
     first = 0
     for rows in in_parts(samples):
         stamps = rows["stamp_ns"]
@@ -94,7 +114,10 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
             finite = np.isfinite(rows[field])
             if not finite.all():
                 row, joint = np.argwhere(~finite)[0]
-                where, value = Place(f"{place}: row {first + row + 1}"), float(rows[field][row, joint])
+                where, value = (
+                    Place(f"{place}: row {first + row + 1}"),
+                    float(rows[field][row, joint]),
+                )
                 where.refuse(f"{field} of joint {joint + 1}", value, "a finite number")
         first += len(rows)
 
@@ -107,7 +130,9 @@ def check_frames(frames: Block, place: str) -> None:
         if bad.any():
             row = int(np.argmax(bad))
             problem = f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}"
-            Place(f"{place}: row {first + row + 1}").refuse(text=problem, expected="8 bytes at most and a time from 0")
+            Place(f"{place}: row {first + row + 1}").refuse(
+                text=problem, expected="8 bytes at most and a time from 0"
+            )
         first += len(rows)
 
 
@@ -126,7 +151,9 @@ class Traffic:
             first += len(part)
 
     def of(self, pdo: Pdo) -> tuple[Rows, int]:
-        """Rows of the frames that hold the whole PDO, and the number of those that are too short for it."""
+        """Rows of the frames that hold the whole PDO, and the number of those
+        that are too short for it.
+        """
         rows = self.rows_of(pdo.can_id)
         whole = self.at("length", rows) >= pdo.length
         return rows[whole], int(np.count_nonzero(~whole))
@@ -143,9 +170,17 @@ class Traffic:
         """The integers of one object in the frames `rows`."""
         at, size = pdo.offset(entry.index, entry.sub), entry.bits // 8
         assert at is not None
-        # One strided field over the rows in place: three times as fast as copying the bytes of each frame.
+        # One strided field over the rows in place: three times as fast as copying the
+        # bytes of each frame.
         kind = f"<{entry.type[0].lower()}{size}"
-        only = np.dtype({"names": ["value"], "formats": [kind], "offsets": [_DATA_AT + at], "itemsize": FRAME.itemsize})
+        only = np.dtype(
+            {
+                "names": ["value"],
+                "formats": [kind],
+                "offsets": [_DATA_AT + at],
+                "itemsize": FRAME.itemsize,
+            }
+        )
         return self._take(self.frames.view(only)["value"], rows).astype(np.int64)
 
     def _take(self, column: NDArray[Any], rows: Rows) -> NDArray[Any]:
@@ -158,7 +193,9 @@ class Traffic:
 
 
 def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]:
-    """Values that a master wrote to communication and mapping parameters (1400h to 1BFFh), by node; the last write counts."""
+    """Values that a master wrote to communication and mapping parameters (1400h to 1BFFh), by node;
+    the last write counts.
+    """
     values: dict[int, dict[tuple[int, int], int]] = {}
     ids = Traffic(frames).ids
     low, high = min(p[0] for p in PARAMETERS.values()), 0x1BFF
@@ -166,12 +203,16 @@ def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]
     for row in requests[requests["length"] == 8]:
         transfer = request_of(row["data"].tobytes())
         if transfer.kind == "write" and low <= transfer.index <= high:
-            values.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
+            values.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = (
+                transfer.number
+            )
     return values
 
 
 def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
-    """Counts without the wraps of a counter of `bits`, steps beyond half its range, and the rows at which it wraps."""
+    """Counts without the wraps of a counter of `bits`, steps beyond half its range, and the
+    rows at which it wraps.
+    """
     steps = np.diff(counts)
     wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
     if not len(wraps):

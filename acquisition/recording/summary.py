@@ -17,15 +17,20 @@ _SHOWN = 20  # gaps and events in the tables; the JSON has all
 
 
 def overview(recording: Recording) -> dict[str, Any]:
-    """The content of `robot-acquire info` as plain data; stamps are the recording's, tables count them from `first_ns`.
+    """The content of `robot-acquire info` as plain data; stamps are the recording's, tables
+    count them from `first_ns`.
 
-    `joints`: lowest and highest values. `step_jitter_s`: standard and largest deviation of the steps between samples without
-    gaps. `first_ns`: of the first sample, else of the first frame, else None. `health`: the last counters. `attachments`:
-    sizes in bytes by name.
+    `joints`: lowest and highest values. `step_jitter_s`: standard and largest deviation of the
+    steps between samples without gaps. `first_ns`: of the first sample, else of the first frame,
+    else None. `health`: the last counters. `attachments`: sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
     joints, first_ns = [], None
-    spans = {channel: _ranges(block, "time_ns")[0] for channel, block in recording.frames.items() if len(block)}
+    spans = {
+        channel: _ranges(block, "time_ns")[0]
+        for channel, block in recording.frames.items()
+        if len(block)
+    }
     if samples is not None:
         units = ("name", "position_unit", "position", "effort_unit", "effort")
         columns = (_ranges(samples, "position"), robot.effort_units, _ranges(samples, "effort"))
@@ -40,7 +45,9 @@ def overview(recording: Recording) -> dict[str, Any]:
         "cut": recording.cut,
         "samples": 0 if samples is None else len(samples),
         "sample_rate_hz": recording.sample_rate_hz,
-        "duration_s": 0.0 if samples is None else int(samples["stamp_ns"][-1] - samples["stamp_ns"][0]) * 1e-9,
+        "duration_s": 0.0
+        if samples is None
+        else int(samples["stamp_ns"][-1] - samples["stamp_ns"][0]) * 1e-9,
         "first_ns": first_ns,
         "has_reference": samples is not None and "reference" in (samples.dtype.names or ()),
         "joints": joints,
@@ -49,12 +56,16 @@ def overview(recording: Recording) -> dict[str, Any]:
         **{key: metadata.get(key, "") for key in ("effort_provenance", "times")},
         "payload": recording.payload,
         "payload_text": recording.payload and recording.payload.describe(robot.joints[-1].name),
-        "gaps": () if samples is None else gaps(samples, recording.sample_rate_hz, _own_syncs(recording)),
+        "gaps": ()
+        if samples is None
+        else gaps(samples, recording.sample_rate_hz, _own_syncs(recording)),
         "frames": [
             {
                 "channel": channel,
                 "frames": len(block),
-                "sent": sum(int(np.count_nonzero(part["flags"] & SENT)) for part in in_parts(block)),
+                "sent": sum(
+                    int(np.count_nonzero(part["flags"] & SENT)) for part in in_parts(block)
+                ),
                 "duration_s": float(np.ptp(spans[channel]) * 1e-9) if len(block) else 0.0,
             }
             for channel, block in recording.frames.items()
@@ -87,7 +98,9 @@ def _own_syncs(recording: Recording) -> Ints | None:
 
 
 def _step_jitter(stamps: Ints) -> tuple[float, float]:
-    """Standard and largest deviation of the steps between samples from the median, without gaps; s."""
+    """Standard and largest deviation of the steps between samples from the
+    median, without gaps; s.
+    """
     steps = np.diff(stamps).astype(np.float64)
     if not len(steps):
         return 0.0, 0.0
@@ -97,14 +110,19 @@ def _step_jitter(stamps: Ints) -> tuple[float, float]:
 
 
 def as_tables(found: Mapping[str, Any]) -> Group:
-    """The overview for a terminal. Texts from the file are shown as plain text, without control characters."""
+    """The overview for a terminal. Texts from the file are shown as plain text,
+    without control characters.
+    """
     since = f"s from the first {'sample' if found['samples'] else 'frame'}"
     if found["first_ns"] is None:
         since = "at, s"
     facts = _table(("", ""), [(Text(name, style="bold"), value) for name, value in _facts(found)])
     joints = _table(
         ("joint", "position", "", "unit", "effort", "", "unit"),
-        [(j["name"], *j["position"], j["position_unit"], *j["effort"], j["effort_unit"]) for j in found["joints"]],
+        [
+            (j["name"], *j["position"], j["position_unit"], *j["effort"], j["effort_unit"])
+            for j in found["joints"]
+        ],
     )
     holes = _table(
         ("gap after row", since, "samples missing"),
@@ -140,10 +158,19 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "end", "missing: only what was written before the cut" if found["cut"] else "whole"
     if found["samples"]:
         reference = "with reference" if found["has_reference"] else "without reference"
-        yield "samples", f"{found['samples']} at {found['sample_rate_hz']:g} Hz, {found['duration_s']:g} s, {reference}"
+        yield (
+            "samples",
+            f"{found['samples']} at {found['sample_rate_hz']:g} Hz, {found['duration_s']:g} s, "
+            f"{reference}",
+        )
         missing = sum(gap.missing for gap in found["gaps"] if not gap.late)
         late = sum(gap.late for gap in found["gaps"])
-        yield "gaps", f"{len(found['gaps'])}, {missing} samples missing, {late} SYNC late" if found["gaps"] else "none"
+        yield (
+            "gaps",
+            f"{len(found['gaps'])}, {missing} samples missing, {late} SYNC late"
+            if found["gaps"]
+            else "none",
+        )
         sd, worst = (1e3 * value for value in found["step_jitter_s"])
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
     else:
@@ -156,8 +183,14 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if found["events"]:
         yield "events", str(len(found["events"]))
     if found["health"] is not None:
-        yield "health", ", ".join(f"{name} {value:g}" for name, value in found["health"].counters.items())
-    yield "attached", ", ".join(f"{name} ({size} bytes)" for name, size in found["attachments"].items())
+        yield (
+            "health",
+            ", ".join(f"{name} {value:g}" for name, value in found["health"].counters.items()),
+        )
+    yield (
+        "attached",
+        ", ".join(f"{name} ({size} bytes)" for name, size in found["attachments"].items()),
+    )
     yield "sha256", found["sha256"]
 
 
@@ -165,7 +198,8 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]])
     """Texts without markup and without control characters, numbers in five digits."""
     table = Table(box=None, show_header=any(columns))
     for column in columns:
-        table.add_column(column, overflow="fold")  # long hashes and names are wrapped, not shortened
+        # long hashes and names are wrapped, not shortened
+        table.add_column(column, overflow="fold")
     for row in rows:
         cells = (f"{cell:.5g}" if isinstance(cell, float) else cell for cell in row)
         table.add_row(*(Text(one_line(cell)) if isinstance(cell, str) else cell for cell in cells))

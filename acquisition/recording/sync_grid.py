@@ -1,9 +1,9 @@
 """The grid of SYNC: the time of each SYNC, and the intervals between them.
 
-**Times.** Drives sample at SYNC. The time of a SYNC that this master sends is the time of sending. Another producer sends SYNC
-by its own timer: the receive times contain delays of reception, which are never negative and do not last. So a SYNC came no
-later than each later SYNC minus the whole periods between them. A pause of the producer lasts, and remains in the times as a
-gap.
+**Times.** Drives sample at SYNC. The time of a SYNC that this master sends is the time of sending.
+Another producer sends SYNC by its own timer: the receive times contain delays of reception, which
+are never negative and do not last. So a SYNC came no later than each later SYNC minus the whole
+periods between them. A pause of the producer lasts, and remains in the times as a gap.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,10 +23,12 @@ MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
 MAX_REPEAT_PERIODS = 0.75  # after a SYNC of another producer: an earlier one may be a repeat
 _MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
-_MAX_USUAL_PERIODS = 0.05  # from a PDO's median time after SYNC, and so many median deviations from that:
+# from a PDO's median time after SYNC, and so many median deviations from that:
+_MAX_USUAL_PERIODS = 0.05
 _MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
-_LOOKAHEAD_SYNCS = (15, 127)  # later SYNCs that bound the delay of one, in the first and second pass
+# later SYNCs that bound the delay of one, in the first and second pass
+_LOOKAHEAD_SYNCS = (15, 127)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,11 +36,14 @@ class SyncTimes:
     """The grid of SYNC in time.
 
     Attributes:
-        stamps: (grid,) time of each SYNC in ns, strictly growing; interpolated for SYNCs that were not recorded.
+        stamps: (grid,) time of each SYNC in ns, strictly growing; interpolated for SYNCs
+            that were not recorded.
         period_s: between SYNCs, pauses left out.
-        jitter_s: standard and largest deviation of the recorded times from uniform ones, between pauses.
+        jitter_s: standard and largest deviation of the recorded times from
+            uniform ones, between pauses.
         pauses: grid indices before a pause of more than 1.5 periods.
-        set_back: grid index and size in s of each step back of the clock; such a step counts as one period.
+        set_back: grid index and size in s of each step back of the clock; such a
+            step counts as one period.
     """
 
     stamps: Ints
@@ -60,13 +65,16 @@ class Intervals:
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
-    """Times of all `grid` SYNCs from those recorded, in ns, and their grid indices; `ours`: this master sent them."""
+    """Times of all `grid` SYNCs from those recorded, in ns, and their grid indices; `ours`:
+    this master sent them.
+    """
     index = index_of.astype(np.float64)
     times, set_back = _remove_set_back(times, index_of)
     since = (times - times[0]).astype(np.float64)
     freed, run, within = _remove_delays(index, since)
     overall = _slope(index, since, np.zeros_like(run)) if run[-1] else within
-    # Pauses lengthen the second estimate, delays may disturb the first; a wrong description changes neither.
+    # Pauses lengthen the second estimate, delays may disturb the first; a wrong
+    # description changes neither.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
     deviation = since - index * within
     deviation -= _mean_of_run(deviation, run)
@@ -74,7 +82,9 @@ def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns
         since = freed
     at = np.rint(np.interp(np.arange(grid), index, since)).astype(np.int64)
     beyond = np.arange(grid) > index_of[-1]
-    at[beyond] = at[index_of[-1]] + np.rint((np.arange(grid)[beyond] - index_of[-1]) * period).astype(np.int64)
+    at[beyond] = at[index_of[-1]] + np.rint(
+        (np.arange(grid)[beyond] - index_of[-1]) * period
+    ).astype(np.int64)
     stamps = int(times[0]) + at
     k = np.arange(grid)
     stamps = np.maximum.accumulate(np.maximum(stamps, 0) - k) + k
@@ -101,7 +111,9 @@ def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int
 
 
 def _remove_delays(index: Array, since: Array) -> tuple[Array, Ints, float]:
-    """Times without delays, which do not last, the run between pauses that each SYNC belongs to, and the period within runs."""
+    """Times without delays, which do not last, the run between pauses that each SYNC belongs to,
+    and the period within runs.
+    """
     period = float(np.median(np.diff(since) / np.diff(index)))
     ahead, run = 0, np.zeros(len(since), np.int64)
     for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
@@ -126,7 +138,11 @@ def _slope(index: Array, since: Array, run: Ints) -> float:
     """Least-squares slope over the index, one for all runs; each run has its own offset."""
     k = index - _mean_of_run(index, run)
     square = float(k @ k)
-    return float(k @ (since - _mean_of_run(since, run))) / square if square > 0 else float(np.median(np.diff(since)))
+    return (
+        float(k @ (since - _mean_of_run(since, run))) / square
+        if square > 0
+        else float(np.median(np.diff(since)))
+    )
 
 
 def minimum_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
@@ -140,32 +156,40 @@ def minimum_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
 
 
 def interval_of(rows: Rows, sync_rows: Rows) -> Rows:
-    """Interval of each frame, -1 before the first; not stored, because those of all PDOs need much memory."""
+    """Interval of each frame, -1 before the first; not stored, because those of all
+    PDOs need much memory.
+    """
     return np.searchsorted(sync_rows, rows).astype(np.int32) - 1
 
 
 def recorded_syncs(rows: Rows, times: Ints, *, ours: bool) -> tuple[Rows, Ints]:
-    """SYNC frames and their times: two that changed places are set right, and repeats by another producer are left out.
+    """SYNC frames and their times: two that changed places are set right, and repeats by another
+    producer are left out.
 
-    A repeat comes too early, and the next SYNC a whole number of periods after the one before it. So does a SYNC with too early
-    a time: as one that was not recorded, it gets the time between its neighbours.
+    A repeat comes too early, and the next SYNC a whole number of periods after the one before
+    it. So does a SYNC with too early a time: as one that was not recorded, it gets the time
+    between its neighbours.
     """
     period = float(np.median(np.diff(times))) or 1.0
     back = np.flatnonzero(np.diff(times[:-1]) < 0)
-    back = back[(back > 0) & (times[back + 2] - times[back - 1] > 2.5 * period)]  # else the clock was set back
+    # else the clock was set back
+    back = back[(back > 0) & (times[back + 2] - times[back - 1] > 2.5 * period)]
     times[back], times[back + 1] = times[back + 1], times[back]
     if ours:
         return rows, times
-    skipped = np.append(times[2:] - times[:-2], period)[: len(times) - 1] / period  # the last one has no neighbour
+    # the last one has no neighbour
+    skipped = np.append(times[2:] - times[:-2], period)[: len(times) - 1] / period
     whole = (np.abs(skipped - np.rint(skipped)) < 1 - MAX_REPEAT_PERIODS) & (skipped > 0.5)
     repeats = np.flatnonzero(whole & (np.diff(times) < MAX_REPEAT_PERIODS * period)) + 1
     return np.delete(rows, repeats), np.delete(times, repeats)
 
 
 def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, Rows]:
-    """Frames of a PDO after the first SYNC without repeats, and the repeats; `data` (len(rows), 8): their bytes.
+    """Frames of a PDO after the first SYNC without repeats, and the repeats; `data`
+    (len(rows), 8): their bytes.
 
-    A frame repeats the one before if both are of one interval, have equal bytes, and differ from the frames before and after.
+    A frame repeats the one before if both are of one interval, have equal bytes, and differ from
+    the frames before and after.
     """
     interval = interval_of(rows, sync_rows)
     again = np.flatnonzero((np.diff(interval) == 0) & (interval[1:] >= 0)) + 1
@@ -179,13 +203,19 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
 
 
 def sync_steps(
-    sync_rows: Rows, times: Ints, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
+    sync_rows: Rows,
+    times: Ints,
+    pdos: Sequence[Rows],
+    times_of: Callable[[Rows], Ints],
+    *,
+    ours: bool,
 ) -> Intervals:
     """Intervals between SYNC frames.
 
-    A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC late (`ours`): then, as after
-    the last SYNC, SYNCs count as lost if most drives answered each of them. Whole periods without an answer are a pause, too.
-    `pdos`: frames by PDO; `times_of`: their times.
+    A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC
+    late (`ours`): then, as after the last SYNC, SYNCs count as lost if most drives answered
+    each of them. Whole periods without an answer are a pause, too. `pdos`: frames by PDO;
+    `times_of`: their times.
     """
     steps = np.ones(len(times), np.int32)
     period = float(np.median(np.diff(times))) or 1.0
@@ -200,25 +230,36 @@ def sync_steps(
     for pdo in pdos:
         interval = interval_of(pdo, sync_rows)
         came = times_of(pdo) - times[interval]
-        after.append(np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long])
+        after.append(
+            np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long]
+        )
         swapped[interval[(came >= ahead[interval]) & (ahead[interval] > 0)]] = True
         busy[interval[came > 0.5 * period * periods[interval]]] = True
-        two = bool((np.bincount(interval, minlength=len(times))[periods <= MIN_PAUSE_PERIODS] > 1).any())
+        two = bool(
+            (np.bincount(interval, minlength=len(times))[periods <= MIN_PAUSE_PERIODS] > 1).any()
+        )
         off = np.abs(came - np.median(came))
-        unusual[interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]] = True
+        unusual[
+            interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]
+        ] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
     known = most >= lost
     if not ours:
         whole = np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET
         known = np.where(long < len(times) - 1, whole, known)
-    known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])  # else nothing was on the bus
+    # else nothing was on the bus
+    known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)
-    return Intervals(steps=steps, paused=paused, torn=torn, swapped=swapped, unusual=unusual & (steps == 1))
+    return Intervals(
+        steps=steps, paused=paused, torn=torn, swapped=swapped, unusual=unusual & (steps == 1)
+    )
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
-    """Periods from each SYNC frame to the next by the counter in them (object 1019h): from 1 to its overflow value."""
+    """Periods from each SYNC frame to the next by the counter in them (object 1019h): from 1
+    to its overflow value.
+    """
     top, steps = int(counter.max()), np.ones(len(counter), np.int32)
     if top > 1:
         steps[:-1] = np.mod(np.diff(counter.astype(np.int64)) - 1, top) + 1

@@ -1,8 +1,10 @@
-"""Writes a recording, one MCAP file with everything a fit needs; defines what writer and reader share.
+"""Writes a recording, one MCAP file with everything a fit needs; defines what
+writer and reader share.
 
-The README has a table of the channels. The metadata record `recording` and the attachments (`robot.toml`, the URDF) are
-written before the data, so that a file without its end can be read. Blocks are numpy rows, which need far less space than a
-message per row; the text of their schema is the numpy dtype's `descr`.
+The README has a table of the channels. The metadata record `recording` and the attachments
+(`robot.toml`, the URDF) are written before the data, so that a file without its end can be read.
+Blocks are numpy rows, which need far less space than a message per row; the text of their schema is
+the numpy dtype's `descr`.
 """
 
 import json
@@ -40,7 +42,10 @@ FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_STATE_RATE_HZ = 100.0
 
-_TEXT_SCHEMA = {"type": "object", "properties": {"kind": {"type": "string"}, "text": {"type": "string"}}}
+_TEXT_SCHEMA = {
+    "type": "object",
+    "properties": {"kind": {"type": "string"}, "text": {"type": "string"}},
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +54,8 @@ class Header:
 
     Attributes:
         source: origin of the data, as text.
-        effort_provenance: object, reference or actual, raw unit, rated value and rule of each effort, as text.
+        effort_provenance: object, reference or actual, raw unit, rated value and rule
+            of each effort, as text.
         payload: what the robot carried; JSON of its fields in the metadata.
         notes: further metadata by key (bus, bitrate); keys of the header itself are overwritten.
         attachments: files by name, in addition to the robot's own.
@@ -103,7 +109,10 @@ def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
 
 
 def metadata_crc(metadata: Mapping[str, str]) -> str:
-    """CRC of all entries but itself. The CRC of MCAP for its metadata is at the end, which a cut file has lost."""
+    """CRC of all entries but itself.
+
+    The CRC of MCAP for its metadata is at the end, which a cut file has lost.
+    """
     entries = sorted((key, value) for key, value in metadata.items() if key != "crc32")
     return f"{zlib.crc32(json.dumps(entries).encode()):08x}"
 
@@ -132,7 +141,9 @@ class _JointStates:
         self._header = types["std_msgs/msg/Header"]
         self.definition: str = self._store.generate_msgdef(JOINT_STATE, ros_version=2)[0]
 
-    def message(self, stamp_ns: int, names: list[str], position: Array, velocity: Array, effort: Array) -> bytes:
+    def message(
+        self, stamp_ns: int, names: list[str], position: Array, velocity: Array, effort: Array
+    ) -> bytes:
         """A JointState; arrays (n,) each, or empty."""
         header = self._header(self._time(*divmod(stamp_ns, 1_000_000_000)), "")
         state = self._state(header, names, position, velocity, effort)
@@ -140,10 +151,13 @@ class _JointStates:
 
 
 class RecordingWriter:
-    """Writes a recording; a context manager. `flush` makes what was written so far survive a kill or a power cut.
+    """Writes a recording; a context manager.
 
-    Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files do (use `atomic_write` if
-    the file must be written whole or not at all), and `BadInputError` for blocks that do not fit.
+    `flush` makes what was written so far survive a kill or a power cut.
+
+    Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files
+    do (use `atomic_write` if the file must be written whole or not at all), and `BadInputError` for
+    blocks that do not fit.
     """
 
     def __init__(self, path: Path, header: Header) -> None:
@@ -173,17 +187,27 @@ class RecordingWriter:
     def samples(self, block: Block) -> None:
         """Add rows of `sample_dtype` and their JointState messages."""
         place = Place(f"{self._place}: /samples")
-        layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])  # without what is skipped
+        # without what is skipped
+        layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])
         if layout not in sample_layouts(self._robot):
-            place.refuse(text=f"rows of {block.dtype}", expected=f"sample_dtype of {self._robot.n} joints")
+            place.refuse(
+                text=f"rows of {block.dtype}", expected=f"sample_dtype of {self._robot.n} joints"
+            )
         if self._layout not in (None, layout):
-            place.refuse(text=f"rows of {block.dtype}", expected=f"{self._layout} as in the block before")
+            place.refuse(
+                text=f"rows of {block.dtype}", expected=f"{self._layout} as in the block before"
+            )
         if len(block) == 0:
             return
         check_samples(block, self._last_stamp_ns, str(place))
         self._layout, self._last_stamp_ns = layout, int(block["stamp_ns"][-1])
         for part in _parts(block):
-            self._block("/samples", "robot_idim/samples", part.astype(layout, copy=False), int(part["stamp_ns"][0]))
+            self._block(
+                "/samples",
+                "robot_idim/samples",
+                part.astype(layout, copy=False),
+                int(part["stamp_ns"][0]),
+            )
             shown = part[self._until_joint_state :: self._step]
             self._until_joint_state = (self._until_joint_state - len(part)) % self._step
             self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
@@ -194,9 +218,13 @@ class RecordingWriter:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
         topic = f"/can/{channel}/frames"
         if not FRAMES_TOPIC.fullmatch(topic):
-            Place(self._place).refuse(text=f"CAN channel {channel!r}", expected="letters, digits and _ . - only")
+            Place(self._place).refuse(
+                text=f"CAN channel {channel!r}", expected="letters, digits and _ . - only"
+            )
         if block.dtype != FRAME:
-            Place(f"{self._place}: {topic}").refuse(text=f"rows of {block.dtype}", expected=str(FRAME))
+            Place(f"{self._place}: {topic}").refuse(
+                text=f"rows of {block.dtype}", expected=str(FRAME)
+            )
         if len(block):
             check_frames(block, f"{self._place}: {topic}")
             tenths = np.flatnonzero(np.diff(block["time_ns"] // 100_000_000)) + 1
@@ -204,20 +232,28 @@ class RecordingWriter:
                 self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def captured(self, records: bytes, stamp_ns: int) -> None:
-        """Add records of pcap; all of them are a file of pcap with nanoseconds, whose head is in the first ones."""
-        channel = self._channel(CAPTURE_TOPIC, "pcap", "robot_idim/pcap", "text", "parts of a pcap file")
+        """Add records of pcap; all of them are a file of pcap with nanoseconds, whose
+        head is in the first ones.
+        """
+        channel = self._channel(
+            CAPTURE_TOPIC, "pcap", "robot_idim/pcap", "text", "parts of a pcap file"
+        )
         self._writer.add_message(channel, stamp_ns, records, stamp_ns)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Add an event."""
-        self._json("/events", "robot_idim/event", _TEXT_SCHEMA, stamp_ns, {"kind": kind, "text": text})
+        self._json(
+            "/events", "robot_idim/event", _TEXT_SCHEMA, stamp_ns, {"kind": kind, "text": text}
+        )
 
     def health(self, stamp_ns: int, counters: Mapping[str, float]) -> None:
         """Add the recorder's counters; one that is not finite is stored as null and read as NaN."""
         self._json("/health", "robot_idim/health", {"type": "object"}, stamp_ns, dict(counters))
 
     def flush(self, *, sync: bool = True) -> None:
-        """Write everything so far to the file, where other programs see it; with `sync` to the disk."""
+        """Write everything so far to the file, where other programs see it;
+        with `sync` to the disk.
+        """
         self._writer.flush()
         self._file.flush()
         if sync:
@@ -236,7 +272,9 @@ class RecordingWriter:
             self._file.flush()
             os.fsync(self._file.fileno())
 
-    def _channel(self, topic: str, encoding: str, schema: str, schema_encoding: str, text: str) -> int:
+    def _channel(
+        self, topic: str, encoding: str, schema: str, schema_encoding: str, text: str
+    ) -> int:
         if topic not in self._channels:
             schema_id = self._writer.register_schema(schema, schema_encoding, text.encode())
             self._channels[topic] = self._writer.register_channel(topic, encoding, schema_id)
@@ -246,7 +284,9 @@ class RecordingWriter:
         channel = self._channel(topic, "numpy", schema, "numpy", repr(block.dtype.descr))
         self._writer.add_message(channel, stamp_ns, block.tobytes(), stamp_ns)
 
-    def _json(self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any) -> None:
+    def _json(
+        self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any
+    ) -> None:
         if stamp_ns < 0:
             Place(f"{self._place}: {topic}").refuse("stamp_ns", stamp_ns, "a time from 0")
         channel = self._channel(topic, "json", schema, "jsonschema", json.dumps(layout))
@@ -258,7 +298,9 @@ class RecordingWriter:
         for row in rows:
             stamp_ns = int(row["stamp_ns"])
             # The effort of a JointState is in N m or N by definition, never in A or V.
-            content = self._messages.message(stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing)
+            content = self._messages.message(
+                stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing
+            )
             self._writer.add_message(channel, stamp_ns, content, stamp_ns)
 
 

@@ -1,7 +1,14 @@
-"""The robot's description: joints, motors, limits, bus and drives; the references that it may follow."""
+"""The robot's description: joints, motors, limits, bus and drives; the
+references that it may follow.
+"""
 
 from .bus import BITRATES, FILL_IN, BusFile, DriveFile, EffortTiming, parse_homed, ripple_notes
-from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
+from .description import (
+    Capsule,
+    FrictionTerm,
+    Joint,
+    RobotFile,
+)
 from .drives import (
     MAX_LOAD,
     Bus,
@@ -12,6 +19,7 @@ from .drives import (
     refuse_load,
     refuse_out_of_range,
 )
+from .fit_tables import Controller, Edges, LowSpeed, low_speed_by_method
 from .limits import (
     RADIANS_AS_DEGREES,
     EffortLimits,

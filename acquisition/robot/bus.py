@@ -18,19 +18,23 @@ CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
 PdoNumber = Annotated[int, msgspec.Meta(ge=1, le=512)]
 _OBJECT = r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z"
 ObjectName = Annotated[str, msgspec.Meta(pattern=_OBJECT)]
-HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?(\.([0-9]|[12][0-9]|3[01]))?\Z")]
+HomedName = Annotated[
+    str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?(\.([0-9]|[12][0-9]|3[01]))?\Z")
+]
 Counts = Annotated[float, msgspec.Meta(gt=0, le=1e12)]  # per turn or metre
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 
 Int32 = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)]
 Sign = Literal[1, -1]
 Mapping = Literal["table", "dictionary", "traffic"]
-EffortTiming = Literal["command", "mean", "measured", "unknown"]  # the instants that recorded efforts belong to
+# the instants that recorded efforts belong to
+EffortTiming = Literal["command", "mean", "measured", "unknown"]
 
 MAX_DEMAND_RIPPLE = 0.002  # of the inertia
 TORQUE_DEMAND = 0x6074
 USUAL_SYNC = 0x80
-FILL_IN = "FILL IN"  # marks lines of a description that a program wrote and an engineer has to complete
+# marks lines of a description that a program wrote and an engineer has to complete
+FILL_IN = "FILL IN"
 AXIS = 0x800  # between the objects of two axes of a drive (CiA 402-2)
 _WORDS: dict[str, Iterable[str]] = dict.fromkeys(("reference_rule", "actual_rule"), RULES)
 _WORDS |= dict.fromkeys(("rated_current_unit", "rated_torque_unit"), RATED_UNITS)
@@ -38,11 +42,19 @@ BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000,
 
 
 class PdoFile(TomlTable, frozen=True):
-    """A PDO: its objects in order; `can_id` and `number` (from 1) if they are not the usual ones."""
+    """A PDO: its objects in order; `can_id` and `number` (from 1) if they
+    are not the usual ones.
+    """
 
-    objects: Annotated[tuple[ObjectName, ...], note("its objects in order", min_length=1, max_length=8)]
-    can_id: Annotated[CanId | None, note("CAN identifier (default: the usual one of its number)")] = None
-    number: Annotated[PdoNumber | None, note("number of the PDO, from 1 (default: its place in the list)")] = None
+    objects: Annotated[
+        tuple[ObjectName, ...], note("its objects in order", min_length=1, max_length=8)
+    ]
+    can_id: Annotated[
+        CanId | None, note("CAN identifier (default: the usual one of its number)")
+    ] = None
+    number: Annotated[
+        PdoNumber | None, note("number of the PDO, from 1 (default: its place in the list)")
+    ] = None
 
 
 class DriveFile(TomlTable, frozen=True):
@@ -51,39 +63,61 @@ class DriveFile(TomlTable, frozen=True):
     node: Annotated[Node, note("node id")]
     station: Annotated[
         Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)] | None,
-        note("EtherCAT station address in a capture (default: the next slave of the bus with its position)"),
+        note(
+            "EtherCAT station address in a capture (default: the next slave of the bus with its "
+            "position)"
+        ),
     ] = None
     dictionary: Annotated[str | None, note("EDS or DCF in the folder of robot.toml")] = None
     objects: Annotated[
-        dict[ObjectName, str], note("types of objects such as I32, in place of a dictionary or in addition to one")
+        dict[ObjectName, str],
+        note("types of objects such as I32, in place of a dictionary or in addition to one"),
     ] = msgspec.field(default_factory=dict)
     status: Annotated[ObjectName, note("statusword")] = "6041"
     control: Annotated[ObjectName, note("controlword")] = "6040"
     position: Annotated[ObjectName, note("actual position (I32), counts")] = "6064"
     target: Annotated[ObjectName, note("target position (I32), counts")] = "607A"
-    reference: Annotated[ObjectName | None, note("reference of the current or torque loop, such as 6074")] = None
-    reference_rule: Annotated[str | None, note("unit of one raw integer (default: CiA 402's)")] = None
-    actual: Annotated[ObjectName | None, note("actual current or torque, if the drive has no reference")] = None
+    reference: Annotated[
+        ObjectName | None, note("reference of the current or torque loop, such as 6074")
+    ] = None
+    reference_rule: Annotated[str | None, note("unit of one raw integer (default: CiA 402's)")] = (
+        None
+    )
+    actual: Annotated[
+        ObjectName | None, note("actual current or torque, if the drive has no reference")
+    ] = None
     actual_rule: Annotated[str | None, note("unit of one raw integer (default: CiA 402's)")] = None
     rated_current_a: Annotated[Positive | None, note("required value of 6075h, A")] = None
     rated_torque_nm: Annotated[Positive | None, note("required value of 6076h, N m")] = None
-    rated_force_n: Annotated[Positive | None, note("required value of 6076h of a linear motor, N")] = None
+    rated_force_n: Annotated[
+        Positive | None, note("required value of 6076h of a linear motor, N")
+    ] = None
     rated_current_unit: Annotated[str, note("unit of the drive's 6075h")] = "mA"
     rated_torque_unit: Annotated[str, note("unit of the drive's 6076h; uN m for an EPOS4")] = "mN m"
     counts_per_turn: Annotated[Counts | None, note("position counts per motor revolution")] = None
-    counts_per_m: Annotated[Counts | None, note("position counts per metre of a linear motor")] = None
+    counts_per_m: Annotated[Counts | None, note("position counts per metre of a linear motor")] = (
+        None
+    )
     sign: Annotated[Sign, note("-1: the drive counts against the motor")] = 1
     effort_sign: Annotated[Sign | None, note("-1: effort against the motor (default: sign)")] = None
     zero_counts: Annotated[Int32, note("position at motor zero, counts")] = 0
     homed: Annotated[
-        HomedName | None, note("what shows that the drive is homed: a set bit, 6041.8, or an object not 0, 2000:1")
+        HomedName | None,
+        note("what shows that the drive is homed: a set bit, 6041.8, or an object not 0, 2000:1"),
     ] = None
-    mapping: Annotated[Mapping, note("source of the PDOs: this table, a DCF, or the master's SDO writes")] = "table"
-    tpdo: Annotated[tuple[PdoFile, ...], note("PDOs from the drive (default: status, position, effort)")] = ()
+    mapping: Annotated[
+        Mapping, note("source of the PDOs: this table, a DCF, or the master's SDO writes")
+    ] = "table"
+    tpdo: Annotated[
+        tuple[PdoFile, ...], note("PDOs from the drive (default: status, position, effort)")
+    ] = ()
     rpdo: Annotated[tuple[PdoFile, ...], note("PDOs to the drive (default: control, target)")] = ()
     extra: Annotated[
         tuple[ObjectName | dict[str, Any], ...],
-        note("further objects that the drive sends at each SYNC, such as 606C, for the recorded frames"),
+        note(
+            "further objects that the drive sends at each SYNC, such as 606C, for the recorded "
+            "frames"
+        ),
     ] = ()
 
     def __post_init__(self) -> None:
@@ -91,7 +125,11 @@ class DriveFile(TomlTable, frozen=True):
             if kind not in BITS:
                 self.refuse(f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
         if self.reference is None and self.actual is None:
-            self.refuse("reference", None, "the object of the current or torque reference, or actual for its value")
+            self.refuse(
+                "reference",
+                None,
+                "the object of the current or torque reference, or actual for its value",
+            )
         for k, name in enumerate(self.extra_objects):
             if not re.fullmatch(_OBJECT, name):
                 self.refuse(f"extra[{k}]", name, "an object, such as 606C or 2081:1")
@@ -105,9 +143,15 @@ class DriveFile(TomlTable, frozen=True):
             if value is not None and not RATED_UNITS[unit] <= value <= most:
                 self.refuse(key, value, f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}")
         if (self.counts_per_turn is None) == (self.counts_per_m is None):
-            self.refuse("counts_per_turn", self.counts_per_turn, "counts_per_turn or counts_per_m, one of the two")
+            self.refuse(
+                "counts_per_turn",
+                self.counts_per_turn,
+                "counts_per_turn or counts_per_m, one of the two",
+            )
         if self.dictionary is not None and not re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary):
-            self.refuse("dictionary", self.dictionary, "the name of a file in the folder of robot.toml")
+            self.refuse(
+                "dictionary", self.dictionary, "the name of a file in the folder of robot.toml"
+            )
         if self.mapping == "dictionary" and self.dictionary is None:
             self.refuse("mapping", self.mapping, "a dictionary (EDS or DCF) that holds the mapping")
 
@@ -118,41 +162,70 @@ class DriveFile(TomlTable, frozen=True):
 
     @property
     def extra_objects(self) -> tuple[str, ...]:
-        """The names of `extra`; in older recordings these are tables, with the name and scale of a column of samples."""
-        return tuple(extra if isinstance(extra, str) else str(extra.get("object", "")) for extra in self.extra)
+        """The names of `extra`; in older recordings these are tables, with the name and scale
+        of a column of samples.
+        """
+        return tuple(
+            extra if isinstance(extra, str) else str(extra.get("object", ""))
+            for extra in self.extra
+        )
 
     @property
     def reports_demand(self) -> bool:
-        """Whether its effort is a torque demand, 6074h of any axis: the value of one control step."""
-        return (parse_object(self.reference or self.actual or "0000")[0] - TORQUE_DEMAND) % AXIS == 0
+        """Whether its effort is a torque demand, 6074h of any axis: the
+        value of one control step.
+        """
+        return (
+            parse_object(self.reference or self.actual or "0000")[0] - TORQUE_DEMAND
+        ) % AXIS == 0
 
 
 class BusFile(TomlTable, frozen=True):
     """`[bus]`: python-can's interface and channel, SYNC, the drives."""
 
     interface: Annotated[Word, note("python-can's interface, such as socketcan or udp_multicast")]
-    channel: Annotated[Word, note("python-can's channel, such as can0; of a log of several, the one imported")]
-    drive: Annotated[tuple[DriveFile, ...], note("[[bus.drive]] tables, in the order of the motors", min_length=1)]
+    channel: Annotated[
+        Word, note("python-can's channel, such as can0; of a log of several, the one imported")
+    ]
+    drive: Annotated[
+        tuple[DriveFile, ...],
+        note("[[bus.drive]] tables, in the order of the motors", min_length=1),
+    ]
     sync_period_s: Annotated[Positive, note("time from SYNC to SYNC, s")]
     bitrate: Annotated[int, note("bit rate of the bus, bit/s")] = 1_000_000
-    sync_producer: Annotated[Literal["recorder", "other"], note("who sends SYNC; recorder: this program")] = "recorder"
+    sync_producer: Annotated[
+        Literal["recorder", "other"], note("who sends SYNC; recorder: this program")
+    ] = "recorder"
     sync_can_id: Annotated[CanId, note("CAN identifier of SYNC")] = USUAL_SYNC
     loopback: Annotated[bool, note("whether udp_multicast stays on this machine")] = True
     heartbeat_s: Annotated[
-        float, note("time between heartbeats, s; silence of three times as long is a fault", ge=0.01, le=10.0)
+        float,
+        note(
+            "time between heartbeats, s; silence of three times as long is a fault",
+            ge=0.01,
+            le=10.0,
+        ),
     ] = 0.1
-    master_node: Annotated[Node, note("node id of this master's heartbeat in motion; no drive may have it")] = 127
-    other_nodes: Annotated[tuple[Node, ...], note("node ids of further devices, such as grippers")] = ()
+    master_node: Annotated[
+        Node, note("node id of this master's heartbeat in motion; no drive may have it")
+    ] = 127
+    other_nodes: Annotated[
+        tuple[Node, ...], note("node ids of further devices, such as grippers")
+    ] = ()
     late_sync_s: Annotated[
-        Positive | None, note("largest delay of SYNC in motion, s (default: 3 periods, at least 0.02)")
+        Positive | None,
+        note("largest delay of SYNC in motion, s (default: 3 periods, at least 0.02)"),
     ] = None
-    enable_motion_deg: Annotated[Positive, note("how far a joint may move while drives are enabled, deg")] = 1.0
+    enable_motion_deg: Annotated[
+        Positive, note("how far a joint may move while drives are enabled, deg")
+    ] = 1.0
     enable_motion_m: Annotated[Positive, note("the same of a prismatic joint, m")] = 0.005
     enable_watch_s: Annotated[
         float, note("how long this holds after the last drive is enabled, s", ge=0.05, le=10.0)
     ] = 0.2
     effort_timing: Annotated[
-        EffortTiming, note("instants of the efforts: command held after it, mean about it, measured at it")
+        EffortTiming,
+        note("instants of the efforts: command held after it, mean about it, measured at it"),
     ] = "unknown"
 
     def __post_init__(self) -> None:
@@ -165,7 +238,9 @@ class BusFile(TomlTable, frozen=True):
             self.refuse("master_node", self.master_node, "a node id that no drive has")
         for node in self.other_nodes:
             if node in (*nodes, self.master_node):
-                self.refuse("other_nodes", node, "node ids that neither a drive nor master_node has")
+                self.refuse(
+                    "other_nodes", node, "node ids that neither a drive nor master_node has"
+                )
         for i, node in enumerate(nodes):
             if node in nodes[:i]:
                 self.refuse(f"drive[{i}].node", node, "a node id not used before")
@@ -177,9 +252,12 @@ class BusFile(TomlTable, frozen=True):
 
 
 def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
-    """(w T)²/3: difference of a torque demand at SYNC from its mean, as a share of the inertia; w: of the position loop."""
-    # A drive that interpolates its targets linearly deviates from them between two SYNCs, in proportion to the acceleration,
-    # and its loops (the velocity loop four times as fast) demand a torque for it. At SYNC this deviation is always the same.
+    """(w T)²/3: difference of a torque demand at SYNC from its mean, as a share of the inertia;
+    w: of the position loop.
+    """
+    # A drive that interpolates its targets linearly deviates from them between two SYNCs, in
+    # proportion to the acceleration, and its loops (the velocity loop four times as fast) demand a
+    # torque for it. At SYNC this deviation is always the same.
     return (2 * math.pi * bandwidth_hz * sync_period_s) ** 2 / 3
 
 
@@ -188,7 +266,10 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
     ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
-    text = f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if drives interpolate "
+    text = (
+        f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if "
+        "drives interpolate "
+    )
     text += "linearly: shorten sync_period_s, or record an averaged object"
     return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 

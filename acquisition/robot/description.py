@@ -1,4 +1,5 @@
-"""`robot.toml` as written in the file: its tables and keys, and the checks that types cannot express.
+"""`robot.toml` as written in the file: its tables and keys, and the checks
+that types cannot express.
 
 The layout of the file is that of the `RobotFile` structure below. Angles are degrees here.
 """
@@ -11,43 +12,51 @@ import msgspec
 import numpy as np
 
 from .bus import BusFile
+from .fit_tables import GAINS, Controller, Identification, PayloadFile
 from .toml import Name, Positive, TomlTable, note
 
-Rows = Annotated[int, msgspec.Meta(ge=0)]
-RowStep = Annotated[int, msgspec.Meta(ge=1)]
-Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
-Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
-Edges = Literal["smooth", "matlab"]
 EffortUnit = Literal["A", "V", "N m", "N", "%"]
 GainUnit = Literal["N m/A", "N m/V", "N m/%", "N/A", "N/V", "N/%"]
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
-GAINS = ("position_gain", "velocity_gain", "integral_gain")
 Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
-Gains = tuple[float, ...] | None
 Matrix = tuple[tuple[float, ...], ...]
-SpeedEstimate = Literal["exact", "backward_difference", "two_sample_mean"]
-OwnKind = Literal["Off", "Fv", "Fc"]
-Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
 
 
 class DH(TomlTable, frozen=True):
-    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)."""
+    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d)
+    Rot(z, theta) Trans(z, r).
+    """
 
     alpha_deg: Annotated[float, note("Rot(x, alpha): angle between the joint axes, deg")]
     d_m: Annotated[float, note("Trans(x, d): distance of the joint axes, m")]
-    theta_deg: Annotated[float, note("Rot(z, theta): angle about the joint's axis at joint position 0, deg")]
+    theta_deg: Annotated[
+        float, note("Rot(z, theta): angle about the joint's axis at joint position 0, deg")
+    ]
     r_m: Annotated[float, note("Trans(z, r): offset along the joint's axis at joint position 0, m")]
 
 
 class Capsule(TomlTable, frozen=True):
-    """A cylinder with round ends about a link, in the frame of the link: radius, and the ends of its axis."""
+    """A cylinder with round ends about a link, in the frame of the link: radius,
+    and the ends of its axis.
+    """
 
     radius_m: Annotated[Positive, note("radius, m")]
-    from_m: Annotated[tuple[float, float, float], note("one end of its axis in the frame of the link, x, y, z, m")]
+    from_m: Annotated[
+        tuple[float, float, float], note("one end of its axis in the frame of the link, x, y, z, m")
+    ]
     to_m: Annotated[tuple[float, float, float], note("other end of its axis, x, y, z, m")]
 
 
-QUANTITIES = ("zero", "position", "speed", "acceleration", "following_error", "stribeck_speed", "effort")  # of a joint
+# of a joint
+QUANTITIES = (
+    "zero",
+    "position",
+    "speed",
+    "acceleration",
+    "following_error",
+    "stribeck_speed",
+    "effort",
+)
 
 
 def _key(quantity: str, kind: str) -> str:
@@ -61,32 +70,56 @@ class Joint(TomlTable, frozen=True):
     """One `[[joint]]`: type, geometry, friction terms and limits; None: not stated."""
 
     name: Annotated[Name, note("name, as in the URDF if there is one")]
-    type: Annotated[Literal["revolute", "prismatic"], note("kind of motion along or about the joint's z axis")]
+    type: Annotated[
+        Literal["revolute", "prismatic"], note("kind of motion along or about the joint's z axis")
+    ]
     dh: Annotated[DH | None, note("row of the Denavit-Hartenberg table, in place of a URDF")] = None
     zero_deg: Annotated[float | None, note("added to inv(R) q_motor, deg (default: 0)")] = None
     zero_m: Annotated[float | None, note("added to inv(R) q_motor, m (default: 0)")] = None
     viscous: Annotated[bool | None, note("term of viscous friction (default: true)")] = None
     coulomb: Annotated[bool | None, note("term of Coulomb friction (default: true)")] = None
     offset: Annotated[bool | None, note("term of a constant torque (default: false)")] = None
-    friction: Annotated[Friction, note("asymmetric: Fv and Fc by direction; or a list of all terms")] = "symmetric"
+    friction: Annotated[
+        Friction, note("asymmetric: Fv and Fc by direction; or a list of all terms")
+    ] = "symmetric"
     stribeck_speed_deg_s: Annotated[
-        Positive | None, note("speed at which the term stribeck has fallen to 37 %, deg/s; with that term only")
+        Positive | None,
+        note("speed at which the term stribeck has fallen to 37 %, deg/s; with that term only"),
     ] = None
     stribeck_speed_m_s: Annotated[
-        Positive | None, note("speed at which the term stribeck has fallen to 37 %, m/s; with that term only")
+        Positive | None,
+        note("speed at which the term stribeck has fallen to 37 %, m/s; with that term only"),
     ] = None
     rotor_inertia: Annotated[bool, note("whether the rotor inertia is a separate parameter")] = True
-    position_deg: Annotated[tuple[float, float] | None, note("[lowest, highest] position, deg; needed to move")] = None
-    position_m: Annotated[tuple[float, float] | None, note("[lowest, highest] position, m; needed to move")] = None
+    position_deg: Annotated[
+        tuple[float, float] | None, note("[lowest, highest] position, deg; needed to move")
+    ] = None
+    position_m: Annotated[
+        tuple[float, float] | None, note("[lowest, highest] position, m; needed to move")
+    ] = None
     speed_deg_s: Annotated[Positive | None, note("maximum speed, deg/s; needed to move")] = None
     speed_m_s: Annotated[Positive | None, note("maximum speed, m/s; needed to move")] = None
-    acceleration_deg_s2: Annotated[Positive | None, note("maximum acceleration, deg/s²; needed to move")] = None
-    acceleration_m_s2: Annotated[Positive | None, note("maximum acceleration, m/s²; needed to move")] = None
-    following_error_deg: Annotated[Positive | None, note("maximum following error, deg; needed to move")] = None
-    following_error_m: Annotated[Positive | None, note("maximum following error, m; needed to move")] = None
-    effort_nm: Annotated[Positive | None, note("maximum torque, N m (default: the URDF's, 0: none)")] = None
-    effort_n: Annotated[Positive | None, note("maximum force, N (default: the URDF's, 0: none)")] = None
-    capsule: Annotated[Capsule | None, note("cylinder with round ends about the moved link, for `excite`")] = None
+    acceleration_deg_s2: Annotated[
+        Positive | None, note("maximum acceleration, deg/s²; needed to move")
+    ] = None
+    acceleration_m_s2: Annotated[
+        Positive | None, note("maximum acceleration, m/s²; needed to move")
+    ] = None
+    following_error_deg: Annotated[
+        Positive | None, note("maximum following error, deg; needed to move")
+    ] = None
+    following_error_m: Annotated[
+        Positive | None, note("maximum following error, m; needed to move")
+    ] = None
+    effort_nm: Annotated[
+        Positive | None, note("maximum torque, N m (default: the URDF's, 0: none)")
+    ] = None
+    effort_n: Annotated[
+        Positive | None, note("maximum force, N (default: the URDF's, 0: none)")
+    ] = None
+    capsule: Annotated[
+        Capsule | None, note("cylinder with round ends about the moved link, for `excite`")
+    ] = None
 
     def __post_init__(self) -> None:
         other, unit = ("prismatic", "deg") if self.type == "revolute" else ("revolute", "m")
@@ -97,14 +130,18 @@ class Joint(TomlTable, frozen=True):
                 self.refuse(key, getattr(self, key), f"{replacement} for a {self.type} joint")
         limits = self.si("position")
         if limits is not None and not limits[0] < limits[1]:
-            self.refuse(self.key("position"), getattr(self, self.key("position")), "[lowest, highest]")
+            self.refuse(
+                self.key("position"), getattr(self, self.key("position")), "[lowest, highest]"
+            )
         if isinstance(self.friction, tuple):
             for term in self.friction:
                 if self.friction.count(term) > 1:
                     self.refuse("friction", term, "each term once")
             for name in ("viscous", "coulomb", "offset"):
                 if getattr(self, name) is not None:
-                    self.refuse(name, getattr(self, name), "no such key with a list of terms in friction")
+                    self.refuse(
+                        name, getattr(self, name), "no such key with a list of terms in friction"
+                    )
 
     @cached_property
     def position_unit(self) -> str:
@@ -122,7 +159,11 @@ class Joint(TomlTable, frozen=True):
         if isinstance(self.friction, tuple):
             return self.friction
         stated: tuple[tuple[FrictionTerm, bool | None], ...]
-        stated = (("viscous", self.viscous), ("coulomb", self.coulomb), ("offset", self.offset or False))
+        stated = (
+            ("viscous", self.viscous),
+            ("coulomb", self.coulomb),
+            ("offset", self.offset or False),
+        )
         return tuple(term for term, has in stated if has is not False)
 
     def key(self, quantity: str) -> str:
@@ -130,7 +171,9 @@ class Joint(TomlTable, frozen=True):
         return _key(quantity, self.type)
 
     def si(self, quantity: str) -> Any:
-        """A quantity of `QUANTITIES` in rad or m (per s, s²), `effort` in N m or N; None if not stated."""
+        """A quantity of `QUANTITIES` in rad or m (per s, s²), `effort` in N m or
+        N; None if not stated.
+        """
         value = getattr(self, self.key(quantity))
         if self.type == "prismatic" or quantity == "effort":
             return value
@@ -140,25 +183,49 @@ class Joint(TomlTable, frozen=True):
 
 
 class Motor(TomlTable, frozen=True):
-    """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit of the recorded effort."""
+    """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit
+    of the recorded effort.
+    """
 
     name: Annotated[Name, note("name, for messages and options")]
-    ratio: Annotated[float | None, note("motor rad (or m) per joint rad (or m), sign included (default: 1)")] = None
-    effort_unit: Annotated[EffortUnit | None, note("unit of the recorded effort if there is no drive gain")] = None
-    drive_gain: Annotated[float | None, note("motor torque or force per unit of effort, in drive_gain_unit")] = None
-    drive_gain_unit: Annotated[GainUnit | None, note("unit of the drive gain; with drive_gain")] = None
-    drive_gain_half_width: Annotated[Positive | None, note("half of its 95 % interval, same unit (default: 0)")] = None
-    saturation: Annotated[Positive | None, note("maximum effort of the drive, in the recorded unit")] = None
+    ratio: Annotated[
+        float | None, note("motor rad (or m) per joint rad (or m), sign included (default: 1)")
+    ] = None
+    effort_unit: Annotated[
+        EffortUnit | None, note("unit of the recorded effort if there is no drive gain")
+    ] = None
+    drive_gain: Annotated[
+        float | None, note("motor torque or force per unit of effort, in drive_gain_unit")
+    ] = None
+    drive_gain_unit: Annotated[GainUnit | None, note("unit of the drive gain; with drive_gain")] = (
+        None
+    )
+    drive_gain_half_width: Annotated[
+        Positive | None, note("half of its 95 % interval, same unit (default: 0)")
+    ] = None
+    saturation: Annotated[
+        Positive | None, note("maximum effort of the drive, in the recorded unit")
+    ] = None
 
     def __post_init__(self) -> None:
         if (self.drive_gain is None) != (self.drive_gain_unit is None):
-            self.refuse("drive_gain", self.drive_gain, "drive_gain and drive_gain_unit together, or neither")
+            self.refuse(
+                "drive_gain", self.drive_gain, "drive_gain and drive_gain_unit together, or neither"
+            )
         if self.drive_gain is not None and self.drive_gain <= 0:
-            self.refuse("drive_gain", self.drive_gain, "a positive number (signs belong to ratio or motor_matrix)")
+            self.refuse(
+                "drive_gain",
+                self.drive_gain,
+                "a positive number (signs belong to ratio or motor_matrix)",
+            )
         if self.drive_gain_unit is None and self.effort_unit is None:
-            self.refuse("effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive gain is given")
+            self.refuse(
+                "effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive gain is given"
+            )
         if self.drive_gain_unit is not None and self.effort_unit not in (None, self.recorded_unit):
-            self.refuse("effort_unit", self.effort_unit, f"{self.recorded_unit!r}, as drive_gain_unit says")
+            self.refuse(
+                "effort_unit", self.effort_unit, f"{self.recorded_unit!r}, as drive_gain_unit says"
+            )
 
     @cached_property
     def recorded_unit(self) -> str:
@@ -167,107 +234,57 @@ class Motor(TomlTable, frozen=True):
 
     @cached_property
     def gain(self) -> float | None:
-        """Motor torque or force per unit of recorded effort; 1 if recorded as torque or force; None if unknown."""
-        return 1.0 if self.drive_gain_unit is None and self.effort_unit in ("N m", "N") else self.drive_gain
-
-
-class Controller(TomlTable, frozen=True):
-    """`[controller]`: how the drives follow their reference. Least squares needs only `bandwidth_hz`."""
-
-    bandwidth_hz: Annotated[
-        Positive | None,
-        note("bandwidth of the position loop, Hz; sets cut-off and decimation (default: by the motion)"),
-    ] = None
-    structure: Annotated[Structure | None, note("control law (default: a PD of the bandwidth)")] = None
-    sample_rate_hz: Annotated[Positive | None, note("rate of the control law, Hz")] = None
-    position_gain: Annotated[Gains, note("per motor, effort per rad or m (computed_torque: 1/s²)")] = None
-    velocity_gain: Annotated[Gains, note("per motor, effort per rad/s or m/s (computed_torque: 1/s)")] = None
-    integral_gain: Annotated[Gains, note("per motor, effort per rad s or m s; none without an integral")] = None
-    velocity_estimate: Annotated[SpeedEstimate | None, note("speed from positions (default: backward_difference)")] = (
-        None
-    )
-    gravity_feedforward: Annotated[bool, note("whether gravity at the measured position is added to the law")] = False
-
-    def __post_init__(self) -> None:
-        if self.gravity_feedforward and self.structure in (None, "computed_torque"):
-            self.refuse("gravity_feedforward", True, "a structure that has no gravity by itself")
-        for name in GAINS:
-            gains = getattr(self, name)
-            if gains is not None and any(g <= 0 for g in gains):
-                self.refuse(name, list(gains), "positive numbers")
-
-
-class LowSpeed(TomlTable, frozen=True):
-    """Percentage of the peak speed below which samples weigh nothing in least squares and in iv; None: the default."""
-
-    ls: Annotated[Share | None, note("of least squares, % of the joint's peak speed (default: 4)")] = None
-    iv: Annotated[Share | None, note("of instrumental variables, % of the joint's peak speed (default: 4)")] = None
-
-
-class Identification(TomlTable, frozen=True):
-    """`[identification]`: overrides of the defaults of a fit; options of the command override both."""
-
-    cutoff_hz: Annotated[Positive | None, note("low-pass cut-off, Hz (default: 5 times the bandwidth)")] = None
-    decimation: Annotated[RowStep | None, note("samples per row of the fit (default: by the bandwidth)")] = None
-    span: Annotated[Literal["motion", "all"], note("rows between first and last motion, or all")] = "motion"
-    cut_start_samples: Annotated[Rows | None, note("samples left out at the start (default: 5 cut-off periods)")] = None
-    cut_end_samples: Annotated[Rows | None, note("samples left out at the end (default: 5 cut-off periods)")] = None
-    edges: Annotated[Edges, note('edge rule of decimation; "matlab" as MATLAB has it')] = "smooth"
-    low_speed_percent: Annotated[
-        Share | LowSpeed | None,
-        note("slower samples weigh nothing, % of the joint's peak speed; by method or one for all (default: 4)"),
-    ] = None
-    torque_lag_s: Annotated[
-        Lag | Literal["none"] | None,
-        note("known delay of the recorded torque, s, positive: late; or none (default: estimated)"),
-    ] = None
-    tolerance_percent: Annotated[Positive, note("iv stops when no value changes by more, % of the value")] = 2.5
-    max_iterations: Annotated[RowStep, note("maximum number of passes of iv")] = 10
-    own: Annotated[
-        tuple[OwnKind, ...] | None,
-        note("kinds of parameters that several recordings do not share (default: Fv and Fc with --gains, else none)"),
-    ] = None
-
-    @property
-    def low_speed(self) -> LowSpeed:
-        """`low_speed_percent` by method."""
-        return low_speed_by_method(self.low_speed_percent)
-
-
-def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
-    """A low-speed threshold by method, from one number for both or one for each."""
-    return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
-
-
-class PayloadFile(TomlTable, frozen=True):
-    """`[payload]`: how the numbers of `--payload` are meant: the frame of the centre of mass, and how well it was weighed."""
-
-    frame: Annotated[
-        Name | None, note("fixed link that the centre of mass is given in (default: the frame of the last joint)")
-    ] = None
-    mass_half_width_kg: Annotated[float, note("half of the 95 % interval of the weighed mass, kg", ge=0)] = 0.0
-    center_half_width_m: Annotated[float, note("the same of each coordinate, m", ge=0)] = 0.005
+        """Motor torque or force per unit of recorded effort; 1 if recorded as torque or
+        force; None if unknown.
+        """
+        return (
+            1.0
+            if self.drive_gain_unit is None and self.effort_unit in ("N m", "N")
+            else self.drive_gain
+        )
 
 
 class RobotFile(TomlTable, frozen=True):
     """`robot.toml` as written in the file."""
 
     name: Annotated[Name, note("name of the robot")]
-    joint: Annotated[tuple[Joint, ...], note("[[joint]] tables, from the base outwards", min_length=1)]
-    motor: Annotated[tuple[Motor, ...], note("[[motor]] tables; motor k turns joint k", min_length=1)]
+    joint: Annotated[
+        tuple[Joint, ...], note("[[joint]] tables, from the base outwards", min_length=1)
+    ]
+    motor: Annotated[
+        tuple[Motor, ...], note("[[motor]] tables; motor k turns joint k", min_length=1)
+    ]
     controller: Annotated[Controller, note("how the drives follow their reference")]
-    gravity_m_s2: Annotated[tuple[float, float, float], note("gravity in the base frame, m/s²")] = (0.0, 0.0, -9.81)
-    urdf: Annotated[str | None, note("file in the same folder; joints not named here are locked at 0")] = None
-    urdf_meshes: Annotated[bool, note("recordings carry the meshes of the URDF's visual shapes")] = False
-    motor_matrix: Annotated[Matrix | None, note("R, in place of ratios: motor speed = R · joint speed")] = None
-    identification: Annotated[Identification, note("settings of a fit that replace the rules")] = Identification()
-    parameters: Annotated[dict[str, float], note("standard parameters to simulate with, SI")] = msgspec.field(
-        default_factory=dict
+    gravity_m_s2: Annotated[tuple[float, float, float], note("gravity in the base frame, m/s²")] = (
+        0.0,
+        0.0,
+        -9.81,
     )
-    payload: Annotated[PayloadFile, note("how the numbers of `--payload` are meant")] = PayloadFile()
+    urdf: Annotated[
+        str | None, note("file in the same folder; joints not named here are locked at 0")
+    ] = None
+    urdf_meshes: Annotated[
+        bool, note("recordings carry the meshes of the URDF's visual shapes")
+    ] = False
+    motor_matrix: Annotated[
+        Matrix | None, note("R, in place of ratios: motor speed = R · joint speed")
+    ] = None
+    identification: Annotated[Identification, note("settings of a fit that replace the rules")] = (
+        Identification()
+    )
+    parameters: Annotated[dict[str, float], note("standard parameters to simulate with, SI")] = (
+        msgspec.field(default_factory=dict)
+    )
+    payload: Annotated[PayloadFile, note("how the numbers of `--payload` are meant")] = (
+        PayloadFile()
+    )
     bus: Annotated[BusFile | None, note("CAN bus and drives; needed to record")] = None
-    base_capsule: Annotated[Capsule | None, note("cylinder with round ends about the base, in its frame")] = None
-    ground_m: Annotated[float | None, note("height of the ground in the base frame, against gravity, m")] = None
+    base_capsule: Annotated[
+        Capsule | None, note("cylinder with round ends about the base, in its frame")
+    ] = None
+    ground_m: Annotated[
+        float | None, note("height of the ground in the base frame, against gravity, m")
+    ] = None
 
     def __post_init__(self) -> None:
         n = len(self.joint)
@@ -279,15 +296,21 @@ class RobotFile(TomlTable, frozen=True):
             self.refuse("urdf_meshes", True, "a urdf that refers to them")
         if self.payload.frame is not None and self.urdf is None:
             self.refuse("payload.frame", self.payload.frame, "a urdf with this link")
-        for kind, names in (("joint", [j.name for j in self.joint]), ("motor", [m.name for m in self.motor])):
+        for kind, names in (
+            ("joint", [j.name for j in self.joint]),
+            ("motor", [m.name for m in self.motor]),
+        ):
             for i, name in enumerate(names):
                 if name in names[:i]:
                     self.refuse(f"{kind}[{i}].name", name, "a name not used before")
         for i, joint in enumerate(self.joint):
             if (joint.dh is None) == (self.urdf is None):
-                expected = "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
+                expected = (
+                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
+                )
                 self.refuse(f"joint[{i}].dh", joint.dh, expected)
-            # Not checked in the joint: one whose terms are chosen for a fit may still state the speed.
+            # Not checked in the joint: one whose terms are chosen for a fit may
+            # still state the speed.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
             if "stribeck" in joint.terms and speed is None:
                 self.refuse(key, None, "the speed at which Stribeck friction has decreased to 37 %")
@@ -315,6 +338,7 @@ class RobotFile(TomlTable, frozen=True):
         if np.linalg.matrix_rank(np.array(matrix)) < n:
             self.refuse("motor_matrix", matrix, "an invertible matrix")
         for i, row in enumerate(matrix):
-            if row[i] == 0:  # names such as Ia2 and gains are by joint, so each joint needs its own motor
+            # names such as Ia2 and gains are by joint, so each joint needs its own motor
+            if row[i] == 0:
                 expected = f"motor {i + 1} to turn joint {i + 1}: order the motors so"
                 self.refuse(f"motor_matrix[{i}]", list(row), expected)

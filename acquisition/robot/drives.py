@@ -13,7 +13,8 @@ from .robot import Robot
 
 MAX_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
-POSITION_TYPE = "I32"  # of the position and of its target; codecs and the unwrapping of counters depend on it
+# of the position and of its target; codecs and the unwrapping of counters depend on it
+POSITION_TYPE = "I32"
 
 Values = Mapping[tuple[int, int], int]
 
@@ -23,14 +24,16 @@ class Drive:
     """A drive with its objects, PDOs and codecs.
 
     Attributes:
-        effort: codec of the effort in samples: the reference, or the actual value if no reference is described.
+        effort: codec of the effort in samples: the reference, or the actual value if no
+            reference is described.
         rated: required raw values of objects of the drive, by index.
         tpdos, rpdos: from the drive, to the drive.
         extras: further objects in the PDOs.
         dictionary: None if the description states the objects.
-        speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the joints that it moves;
-            None if one of them states none.
-        counts_per_joint: counts of the motor per degree or metre of the joints that it moves, and that unit.
+        speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the
+            joints that it moves; None if one of them states none.
+        counts_per_joint: counts of the motor per degree or metre of the joints that
+            it moves, and that unit.
     """
 
     name: str
@@ -78,7 +81,9 @@ class Bus:
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the drives' dictionaries."""
         dictionaries = [drive.dictionary for drive in self.drives if drive.dictionary is not None]
-        return tuple(dict.fromkeys(text for dictionary in dictionaries for text in dictionary.warnings))
+        return tuple(
+            dict.fromkeys(text for dictionary in dictionaries for text in dictionary.warnings)
+        )
 
     @property
     def provenance(self) -> str:
@@ -93,15 +98,23 @@ def refuse_load(bus: Bus, place: str) -> None:
     """Refuse PDOs that do not fit between two SYNCs; for sessions that send, not for listeners."""
     if bus.load > MAX_LOAD:
         period_s = bus.file.sync_period_s
-        expected = f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or fewer PDOs"
+        expected = (
+            f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or "
+            "fewer PDOs"
+        )
         problem = f"{bus.load:.0%} of {bus.file.bitrate} bit/s"
-        Place(place, "bus").refuse("sync_period_s", period_s, expected, text=problem, shown=f"{period_s:g}")
+        Place(place, "bus").refuse(
+            "sync_period_s", period_s, expected, text=problem, shown=f"{period_s:g}"
+        )
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
-    """Refuse positions (N, n), a row each SYNC, beyond the range of a drive's target: it would stop while others move on."""
+    """Refuse positions (N, n), a row each SYNC, beyond the range of a drive's target: it would
+    stop while others move on.
+    """
     low, high = cia.range_of(POSITION_TYPE)
-    with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
+    # values that are not finite are refused below
+    with np.errstate(over="ignore", invalid="ignore"):
         motors = robot.motor_position(path)
         for i, drive in enumerate(bus.drives):
             counts = drive.position_codec.exact(motors[:, i])
@@ -110,44 +123,67 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
                 k = int(np.argmin(inside))
                 at = Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s")
                 key = f"target of node {drive.node} ({drive.name})"
-                at.refuse(key, float(counts[k]), f"{low} to {high}", shown=f"{counts[k]:.10g} counts")
+                at.refuse(
+                    key, float(counts[k]), f"{low} to {high}", shown=f"{counts[k]:.10g} counts"
+                )
 
 
 def refuse_pdos(bus: Bus, place: str) -> None:
     """Refuse PDOs that a drive or another node would misunderstand."""
-    # A controlword on the identifier of another service would be a command of that service, to every node.
+    # A controlword on the identifier of another service would be a command of that
+    # service, to every node.
     sync = bus.file.sync_can_id
     free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
     if sync != USUAL_SYNC and sync not in FREE_CAN_IDS:
-        Place(place, "bus").refuse("sync_can_id", sync, f"0x{USUAL_SYNC:X}, or {free}", shown=f"0x{sync:X}")
+        Place(place, "bus").refuse(
+            "sync_can_id", sync, f"0x{USUAL_SYNC:X}, or {free}", shown=f"0x{sync:X}"
+        )
     used = {sync: "SYNC"}
     for i, (file, drive) in enumerate(zip(bus.file.drive, bus.drives, strict=True)):
         for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
             numbers: set[int] = set()
             for pdo in pdos:
-                at = Place(f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})")
+                at = Place(
+                    f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})"
+                )
                 if pdo.number in numbers:
-                    at.refuse(text=f"number = {pdo.number} is used twice", expected="one of its own")
+                    at.refuse(
+                        text=f"number = {pdo.number} is used twice", expected="one of its own"
+                    )
                 numbers.add(pdo.number)
                 if pdo.bits > cia.MAX_PDO_BITS:
                     at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
                 name = f"identifier 0x{pdo.can_id:03X}"
-                if not cia.LOWEST_CAN_ID <= pdo.can_id <= cia.HIGHEST_CAN_ID and pdo.can_id not in FREE_CAN_IDS:
-                    at.refuse(text=name, expected=f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}")
+                if (
+                    not cia.LOWEST_CAN_ID <= pdo.can_id <= cia.HIGHEST_CAN_ID
+                    and pdo.can_id not in FREE_CAN_IDS
+                ):
+                    at.refuse(
+                        text=name,
+                        expected=f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}",
+                    )
                 if pdo.can_id in used:
-                    at.refuse(text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own")
+                    at.refuse(
+                        text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own"
+                    )
                 used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
 def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
     """Refuse counts per metre of a motor that turns, and per turn of one that slides."""
-    # The effort, a torque or a force, shows which; for amperes or volts, the joints that the motor moves.
+    # The effort, a torque or a force, shows which; for amperes or volts, the joints
+    # that the motor moves.
     motor = robot.motors[i]
     unit = (motor.drive_gain_unit or motor.recorded_unit).partition("/")[0]
-    slides = any(r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True))
+    slides = any(
+        r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True)
+    )
     metre, turn = file.counts_per_m, file.counts_per_turn
     if metre is not None and (unit == "N m" or (unit != "N" and not slides)):
-        why = f"motor {motor.name!r} {'gives a torque' if unit == 'N m' else 'moves no prismatic joint'}"
+        why = (
+            f"motor {motor.name!r} "
+            f"{'gives a torque' if unit == 'N m' else 'moves no prismatic joint'}"
+        )
         at.refuse("counts_per_m", metre, "counts_per_turn", text=why, shown=f"{metre:g}")
     if turn is not None and unit == "N":
         why = f"motor {motor.name!r} gives a force"
@@ -155,21 +191,34 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
 
 
 def axis_of(drive: Drive) -> int:
-    """Offset of a drive's control and status objects from 6040h and 6041h, of one axis: a multiple of 800h (CiA 402-2)."""
+    """Offset of a drive's control and status objects from 6040h and 6041h, of one axis: a
+    multiple of 800h (CiA 402-2).
+    """
     axis = drive.control.index - cia.CONTROLWORD
-    if axis % AXIS or drive.status.index - cia.STATUSWORD != axis or drive.control.sub or drive.status.sub:
+    if (
+        axis % AXIS
+        or drive.status.index - cia.STATUSWORD != axis
+        or drive.control.sub
+        or drive.status.sub
+    ):
         problem = f"control {drive.control} and status {drive.status}"
-        Place(f"node {drive.node}").refuse(text=problem, expected="those of one axis, such as 6040:0 and 6041:0")
+        Place(f"node {drive.node}").refuse(
+            text=problem, expected="those of one axis, such as 6040:0 and 6041:0"
+        )
     return axis
 
 
 def axis_index(drive: Drive, index: int) -> int:
-    """Index of an object of CiA 402 for the axis of a drive, also if its control object is not the standard's."""
+    """Index of an object of CiA 402 for the axis of a drive, also if its control object
+    is not the standard's.
+    """
     return (index + drive.control.index - cia.CONTROLWORD) & 0xFFFF
 
 
 def check_carriers(bus: Bus) -> None:
-    """Refuse PDOs to the drives without the objects that tracking needs, or with others: these would be set to 0."""
+    """Refuse PDOs to the drives without the objects that tracking needs, or with others:
+    these would be set to 0.
+    """
     for drive in bus.drives:
         at = Place(f"node {drive.node}")
         mode = f"{cia.MODE_OF_OPERATION + axis_of(drive):04X}:0"
@@ -185,7 +234,9 @@ def check_carriers(bus: Bus) -> None:
 
 
 def effort_scale(rule: cia.Rule, file: DriveFile, at: Place, expected: str) -> float:
-    """SI per raw unit, with the sign; refused if the rated value that the rule multiplies is not stated."""
+    """SI per raw unit, with the sign; refused if the rated value that the rule
+    multiplies is not stated.
+    """
     rated = getattr(file, rule.rated) if rule.rated else 1.0
     if rated is None:
         at.refuse(rule.rated, None, expected)

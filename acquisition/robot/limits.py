@@ -1,7 +1,8 @@
-"""Limits of the description: efforts of joints and drives; recorded positions, speeds and efforts checked.
+"""Limits of the description: efforts of joints and drives; recorded positions,
+speeds and efforts checked.
 
-Impossible positions have causes that a fit does not show: degrees read as radians, a wrong ratio, a counter that wraps, a
-foreign sample. A small overshoot of a stated limit only gives a warning.
+Impossible positions have causes that a fit does not show: degrees read as radians, a wrong ratio, a
+counter that wraps, a foreign sample. A small overshoot of a stated limit only gives a warning.
 """
 
 import math
@@ -16,16 +17,21 @@ from .robot import Robot
 
 MAX_RANGE_EXCESS = 0.5  # of a joint's range; positions further beyond the limits are refused
 MAX_SPEED_RATIO = 3.0  # times the speed limit
-MAX_UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s; no joint of a robot is faster
+# rad/s, m/s; no joint of a robot is faster
+MAX_UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}
 MIN_EFFORT_RATIO = 1.2  # times the effort limit: from there on a warning
 MIN_OVERSHOOT = 0.01  # of the range, and of the speed limit; below there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: smaller differences over one sample are no speed
-SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared, to reduce noise of single samples
-MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0  # typical steps, squares of noise: a joint that moves less is at rest
+# over which positions and speeds are compared, to reduce noise of single samples
+SPEED_WINDOW_S = 0.05
+# typical steps, squares of noise: a joint that moves less is at rest
+MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0
 MAX_SPEED_DEVIATION = 0.1  # of the change of position; above it there is a warning
 MAX_SPEED_GAIN = 2.0  # a factor that only a wrong unit, sign or column explains
 MIN_USED_RANGE = 0.1  # of a joint: less, if radians were degrees, is no motion
-RADIANS_AS_DEGREES = "joints move within a 57th of their limits: are positions radians, declared as degrees?"
+RADIANS_AS_DEGREES = (
+    "joints move within a 57th of their limits: are positions radians, declared as degrees?"
+)
 _MIN_JUMP_RATIO = 3.0  # times the steps before and after: a single jump
 
 
@@ -47,11 +53,12 @@ class EffortLimits:
 
 
 def effort_limits(robot: Robot) -> EffortLimits:
-    """Limits of a robot's efforts: at each joint the smaller of the stated limit and the `saturation` of its drive.
+    """Limits of a robot's efforts: at each joint the smaller of the stated limit and the
+    `saturation` of its drive.
 
-    For coupled joints, the effort of a motor is a sum over joints, and its limit applies to that sum. Stated efforts, in N m
-    or N, are not used if the drive gain is not known. The rated effort, which drives exceed for seconds, and the range of the
-    object that reports it are no limits.
+    For coupled joints, the effort of a motor is a sum over joints, and its limit applies to that
+    sum. Stated efforts, in N m or N, are not used if the drive gain is not known. The rated effort,
+    which drives exceed for seconds, and the range of the object that reports it are no limits.
     """
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
     rows: list[tuple[str, Array, float, str]] = []
@@ -80,11 +87,12 @@ def effort_limits(robot: Robot) -> EffortLimits:
 
 
 def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
-    """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots of limits, or 57 times as
-    much would suit them.
+    """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small
+    overshoots of limits, or 57 times as much would suit them.
 
-    Raises `BadInputError` with `place`, joint, time, value, limit and the remedy, if a position exceeds its limits by over
-    half the joint's range, or a joint is over three times as fast as its limit; noise of samples is subtracted.
+    Raises `BadInputError` with `place`, joint, time, value, limit and the remedy, if a position
+    exceeds its limits by over half the joint's range, or a joint is over three times as fast as its
+    limit; noise of samples is subtracted.
     """
     overshoots, at, step_s = [], Place(place), np.diff(stamp_s)
     step_s = np.maximum(step_s, np.median(step_s)) if len(step_s) else step_s
@@ -93,17 +101,24 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
         overshoots += _speed(joint, stamp_s, step_s, x, at)
     pairs = zip(np.degrees(q.T), robot.joints, strict=True)
     turning = [(x, joint.si("position")) for x, joint in pairs if joint.type == "revolute"]
-    within = all(by and by[0] <= x.min(initial=0.0) and x.max(initial=0.0) <= by[1] for x, by in turning)
+    within = all(
+        by and by[0] <= x.min(initial=0.0) and x.max(initial=0.0) <= by[1] for x, by in turning
+    )
     if within and any(np.ptp(x) > MIN_USED_RANGE * (by[1] - by[0]) for x, by in turning if len(x)):
         overshoots.append(RADIANS_AS_DEGREES)
     return tuple(overshoots)
 
 
 def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
-    """Warnings about joint efforts (N, n) that exceed a limit by a fifth or more: a wrong gain, ratio or unit."""
+    """Warnings about joint efforts (N, n) that exceed a limit by a fifth or more: a
+    wrong gain, ratio or unit.
+    """
     limits = effort_limits(robot)
     found = zip(limits.names, limits.directions, limits.limits, limits.units, strict=True)
-    peaks = [(name, float(np.abs(effort @ row).max(initial=0.0)), most, unit) for name, row, most, unit in found]
+    peaks = [
+        (name, float(np.abs(effort @ row).max(initial=0.0)), most, unit)
+        for name, row, most, unit in found
+    ]
     return tuple(
         f"effort of {name} up to {peak:.4g} {unit}: limit {most:.4g} {unit}"
         for name, peak, most, unit in peaks
@@ -111,10 +126,16 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
     )
 
 
-def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:
-    """Warnings about speeds v (N, n) unlike the derivative of q (N, n), rad or m; wrong units and signs are refused."""
+def check_recorded_velocities(
+    robot: Robot, q: Array, v: Array, rate_hz: float, place: str
+) -> tuple[str, ...]:
+    """Warnings about speeds v (N, n) unlike the derivative of q (N, n), rad or m; wrong units
+    and signs are refused.
+    """
     h = 1 / rate_hz
-    travelled = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)])
+    travelled = np.concatenate(
+        [np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)]
+    )
     step = max(1, round(SPEED_WINDOW_S / h))
     by_position, by_speed = np.diff(q[::step], axis=0), np.diff(travelled[::step], axis=0)
     warnings = []
@@ -124,16 +145,23 @@ def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, 
             continue
         gain = float(by_position[:, j] @ by_speed[:, j]) / moved
         deviation = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
-        text = f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, off by {100 * deviation:.2g} %"
+        text = (
+            f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, "
+            f"off by {100 * deviation:.2g} %"
+        )
         if deviation > MAX_SPEED_DEVIATION and not 1 / MAX_SPEED_GAIN < gain < MAX_SPEED_GAIN:
-            Place(place).refuse(text=text, expected="the joint's own speed: check its unit, side, sign and column")
+            Place(place).refuse(
+                text=text, expected="the joint's own speed: check its unit, side, sign and column"
+            )
         if deviation > MAX_SPEED_DEVIATION:
             warnings.append(text)
     return tuple(warnings)
 
 
 def _travels(q: Array, moved: float) -> bool:
-    """Whether positions q (N,) move more than by rounding and noise; `moved`: sum of squared changes over the window."""
+    """Whether positions q (N,) move more than by rounding and noise; `moved`: sum of squared
+    changes over the window.
+    """
     steps = np.abs(np.diff(q))
     noise = float(np.sum(np.diff(q, n=3) ** 2)) / 20  # unit noise has third differences of sqrt(20)
     if moved == 0.0 or moved > MIN_TRAVEL_RATIO * noise:
@@ -163,7 +191,10 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     far = joint.type == "revolute" and np.abs(x).max() > 5 * max(-low, high)
     if far and low <= math.radians(x.min()) and math.radians(x.max()) <= high:
         causes = "are they degrees, declared as radians? Else a wrong ratio"
-    place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
+    place.refuse(
+        text=text,
+        expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml",
+    )
 
 
 def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) -> list[str]:
@@ -172,13 +203,17 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) 
     step = np.abs(np.diff(x))
     if len(step) < 4:
         return []
-    # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is 0.67 of that; motion hardly
-    # contributes to them.
+    # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is
+    # 0.67 of that; motion hardly contributes to them.
     noise = float(np.median(np.abs(np.diff(x, n=4)))) / (0.6745 * math.sqrt(70))
     beyond = np.maximum(step - NOISE_DEVIATIONS * noise, 0.0) / step_s
     k = int(np.argmax(beyond))
     speed = f"{_shown(joint, step[k] / step_s[k])}/s"
-    limit = f"limit {_shown(joint, stated)}/s" if stated is not None else f"expected below {_shown(joint, most)}/s"
+    limit = (
+        f"limit {_shown(joint, stated)}/s"
+        if stated is not None
+        else f"expected below {_shown(joint, most)}/s"
+    )
     when = f"{stamp_s[k + 1] - stamp_s[0]:.3f} s"
     if beyond[k] <= most:
         if stated is None or beyond[k] <= (1 + MIN_OVERSHOOT) * stated:
@@ -186,8 +221,14 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) 
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
     if step[k] > _MIN_JUMP_RATIO * neighbour:
-        problem = f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})"
-        expected = "motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
+        problem = (
+            f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
+            f"({speed}; {limit})"
+        )
+        expected = (
+            "motion: a counter that wrapped, lost or foreign samples, or two recordings glued "
+            "together"
+        )
         place.refuse(text=problem, expected=expected)
     causes = "a wrong unit (degrees read as radians), ratio or sample rate"
     expected = f"a speed below it: {causes}, or {joint.key('speed')} of robot.toml"

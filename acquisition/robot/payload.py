@@ -1,4 +1,6 @@
-"""The payload of a recording: a weighed mass that the last link carries, and where its centre of mass is."""
+"""The payload of a recording: a weighed mass that the last link carries, and where
+its centre of mass is.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -16,14 +18,18 @@ CENTER_HALF_WIDTH_M = 0.005  # of a centre of mass by drawing or by hand
 
 @dataclass(frozen=True)
 class Payload:
-    """A mass fixed to the last link. Its ranges are checked where it is parsed or read, not where it is made.
+    """A mass fixed to the last link.
+
+    Its ranges are checked where it is parsed or read, not where it is made.
 
     Attributes:
         mass_kg: None: unknown.
         center_of_mass_m: None: unknown.
-        frame: fixed link of the URDF in which the centre of mass is given; None: frame of the last joint.
+        frame: fixed link of the URDF in which the centre of mass is given; None:
+            frame of the last joint.
         mass_half_width_kg: half-width of the mass's 95 % interval.
-        center_half_width_m: half-width of the 95 % interval of each coordinate of the centre of mass; 0: exact.
+        center_half_width_m: half-width of the 95 % interval of each coordinate of the
+            centre of mass; 0: exact.
     """
 
     mass_kg: Mass | None
@@ -34,9 +40,15 @@ class Payload:
 
     @property
     def text(self) -> str:
-        """As options state it: `2.805@0.03,0.15,-0.16`, with `+-0.001` if not the default; or `unknown`."""
+        """As options state it: `2.805@0.03,0.15,-0.16`, with `+-0.001` if not the
+        default; or `unknown`.
+        """
         center, mass = ",".join(map(repr, self.center_of_mass_m or ())), self.mass_kg or "unknown"
-        width = f"+-{self.center_half_width_m!r}" if self.center_half_width_m != CENTER_HALF_WIDTH_M else ""
+        width = (
+            f"+-{self.center_half_width_m!r}"
+            if self.center_half_width_m != CENTER_HALF_WIDTH_M
+            else ""
+        )
         return f"{mass}@{center}{width}" if center else f"{mass}"
 
     def describe(self, last_joint: str = "the last joint") -> str:
@@ -45,14 +57,17 @@ class Payload:
         mass = "unknown mass" if self.mass_kg is None else f"{self.mass_kg:g}{width} kg"
         if self.center_of_mass_m is None:
             return f"{mass}, centre of mass not stated"
-        center = ", ".join(f"{x:g}" for x in self.center_of_mass_m) + f" ± {self.center_half_width_m:g}"
+        center = (
+            ", ".join(f"{x:g}" for x in self.center_of_mass_m) + f" ± {self.center_half_width_m:g}"
+        )
         return f"{mass} at {center} m in {self.frame or f'the frame of {last_joint}'}"
 
     __str__ = describe
 
 
 def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
-    """The payload of `KG`, `KG@X,Y,Z` or `KG@X,Y,Z+-HALF` (m), with the frame and half-widths of the robot's `[payload]`.
+    """The payload of `KG`, `KG@X,Y,Z` or `KG@X,Y,Z+-HALF` (m), with the frame and half-widths of
+    the robot's `[payload]`.
 
     Raises `BadInputError` with `key`, the text as `value`, and `expected`.
     """
@@ -64,5 +79,10 @@ def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
         stated = {"center_half_width_m": float(half_width)} if within else {}
         return msgspec.convert(msgspec.structs.asdict(robot.payload) | given | stated, Payload)
     except ValueError as error:  # of msgspec too
-        expected = "KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each number within 5 m"
-        raise BadInputError(key=key, value=text, expected=f"{expected}; +-0.005 after it") from error
+        expected = (
+            "KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each number "
+            "within 5 m"
+        )
+        raise BadInputError(
+            key=key, value=text, expected=f"{expected}; +-0.005 after it"
+        ) from error

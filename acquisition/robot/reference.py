@@ -21,9 +21,11 @@ LIMIT_SHARE = 0.8  # of a joint's stated range and speed
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FourierReference:
-    """q_j(t) = center_j + sum_k sine_jk sin(k w t) + cosine_jk (cos(k w t) - 1), w = 2 pi / period_s.
+    """q_j(t) = center_j + sum_k sine_jk sin(k w t) + cosine_jk (cos(k w t) -
+    1), w = 2 pi / period_s.
 
-    `sine` and `cosine` are (n, H), rad or m. The coefficients make speed and acceleration zero at t = 0.
+    `sine` and `cosine` are (n, H), rad or m. The coefficients make speed and
+    acceleration zero at t = 0.
     """
 
     period_s: float
@@ -43,19 +45,27 @@ class FourierReference:
 
 
 def fourier_reference(
-    robot: Robot, *, period_s: float, seed: int, harmonics: int = HARMONICS, share: float = LIMIT_SHARE
+    robot: Robot,
+    *,
+    period_s: float,
+    seed: int,
+    harmonics: int = HARMONICS,
+    share: float = LIMIT_SHARE,
 ) -> FourierReference:
-    """A random Fourier series for each joint, from rest to rest, within `share` of its range, speed and acceleration; rad or m.
+    """A random Fourier series for each joint, from rest to rest, within `share` of its range, speed
+    and acceleration; rad or m.
 
-    The same `seed` gives the same series; at least two `harmonics`. Raises `BadInputError` if the period is not positive or
-    a joint states no range.
+    The same `seed` gives the same series; at least two `harmonics`. Raises `BadInputError` if the
+    period is not positive or a joint states no range.
     """
     if not period_s > 0:
         Place("").refuse(text=f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
         if joint.si("position") is None:
             at = Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]")
-            at.refuse(joint.key("position"), None, "[lowest, highest]: the reference moves within it")
+            at.refuse(
+                joint.key("position"), None, "[lowest, highest]: the reference moves within it"
+            )
     rng = np.random.default_rng(seed)
     k = np.arange(1, harmonics + 1)
     sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
@@ -85,11 +95,13 @@ MAX_PATH_VALUES = 10**8  # numbers in it, a position of each joint at each SYNC:
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
-    """Joint positions (N, n) along a table, with cubic splines between its rows, one row each `period_s`; rad or m.
+    """Joint positions (N, n) along a table, with cubic splines between its rows, one row
+    each `period_s`; rad or m.
 
-    The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] slows the path down: speeds are multiplied
-    by it, accelerations by its square. Raises `BadInputError` if the table cannot be read, its time does not grow, it is
-    longer than a day or than memory allows, or has no spline through its numbers.
+    The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] slows the path
+    down: speeds are multiplied by it, accelerations by its square. Raises `BadInputError` if the
+    table cannot be read, its time does not grow, it is longer than a day or than memory allows, or
+    has no spline through its numbers.
     """
     from scipy.interpolate import CubicSpline
 
@@ -110,20 +122,30 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         except ValueError:  # rows so close, or numbers so large, that its equations overflow
             q = np.array([np.nan])
     if not np.isfinite(q).all():
-        found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
-        Place(str(path)).refuse(text=found, expected="positions in rad or m with a smooth path through them")
+        found = (
+            f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to "
+            f"{np.abs(table[:, 1:]).max():.3g}"
+        )
+        Place(str(path)).refuse(
+            text=found, expected="positions in rad or m with a smooth path through them"
+        )
     return q
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Refuse a path (N, n) from rest to rest, rad or m, that leaves limits of position, speed or acceleration, or has none."""
+    """Refuse a path (N, n) from rest to rest, rad or m, that leaves limits of position, speed or
+    acceleration, or has none.
+    """
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:
                 problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
-                Place(place).refuse(text=problem, expected="one in robot.toml before anything moves")
+                Place(place).refuse(
+                    text=problem, expected="one in robot.toml before anything moves"
+                )
     at_rest = np.concatenate([q[:1], q, q[-1:]])
-    with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
+    # values that are not finite are refused below
+    with np.errstate(over="ignore", invalid="ignore"):
         dq = np.diff(at_rest, axis=0) / period_s
         ddq = np.diff(dq, axis=0) / period_s
     for i, joint in enumerate(robot.joints):
@@ -139,29 +161,50 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                at, shown = Place(f"{place}: at {k * period_s:.4g} s"), f"{values[k]:.4g} {unit}{per}"
-                at.refuse(f"{name} of {joint.name}", float(values[k]), f"{bottom:.4g} to {top:.4g}", shown=shown)
+                at, shown = (
+                    Place(f"{place}: at {k * period_s:.4g} s"),
+                    f"{values[k]:.4g} {unit}{per}",
+                )
+                at.refuse(
+                    f"{name} of {joint.name}",
+                    float(values[k]),
+                    f"{bottom:.4g} to {top:.4g}",
+                    shown=shown,
+                )
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """A slow straight move (N, n), of minimum jerk, from rest at `start` to rest at `end` (n,); obstacles are not checked."""
+    """A slow straight move (N, n), of minimum jerk, from rest at `start` to rest at `end` (n,);
+    obstacles are not checked.
+    """
     distance = np.abs(end - start)
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
     acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
     # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
-    duration_s = float(np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration)).max(initial=0.2))
+    duration_s = float(
+        np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration)).max(
+            initial=0.2
+        )
+    )
     x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
     return np.asarray(start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5))
 
 
-def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
-    """Joint positions (n,) along a path (N, n), one for each SYNC; if `stopping()` is true, the motion slows down to rest.
+def follow(
+    path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]
+) -> Iterator[Array]:
+    """Joint positions (n,) along a path (N, n), one for each SYNC; if `stopping()` is true, the
+    motion slows down to rest.
 
-    It slows down along the path, by at most half of the joints' acceleration limits in addition to the path's own acceleration.
+    It slows down along the path, by at most half of the joints' acceleration limits in addition to
+    the path's own acceleration.
     """
     at, rate = 0.0, 1.0
     speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s
-    stop_s = max(SLOW_STOP_S, *(2 * v / j.si("acceleration") for v, j in zip(speed, robot.joints, strict=True)))
+    stop_s = max(
+        SLOW_STOP_S,
+        *(2 * v / j.si("acceleration") for v, j in zip(speed, robot.joints, strict=True)),
+    )
     while at < len(path) - 1 and rate > 0.0:
         yield _between(path, at)
         if stopping():

@@ -17,11 +17,14 @@ Entry = Callable[[str, str], cia.ObjectEntry]  # from a key of the description a
 def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
     """The drives of `robot` with their PDOs and codecs.
 
-    `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`.
+    `traffic` are values that another master wrote, by node and (index, sub), for drives with
+    `mapping = "traffic"`.
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")
-    bus = Bus(file=robot.bus, drives=tuple(_drive(robot, i, place, traffic) for i in range(robot.n)))
+    bus = Bus(
+        file=robot.bus, drives=tuple(_drive(robot, i, place, traffic) for i in range(robot.n))
+    )
     refuse_pdos(bus, place)
     for i, file in enumerate(robot.bus.drive):
         refuse_counts(robot, i, file, Place(place, f"bus.drive[{i}]"))
@@ -29,8 +32,12 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
 
 
 def _limit(robot: Robot, i: int, quantity: str) -> float | None:
-    """The limit of a motor: the sum over the joints that it moves; None if one of them states none."""
-    moved = [(abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r]
+    """The limit of a motor: the sum over the joints that it moves; None if
+    one of them states none.
+    """
+    moved = [
+        (abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r
+    ]
     if any(value is None for _, value in moved):
         return None
     return float(sum(r * value for r, value in moved))
@@ -38,7 +45,12 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
 
 def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | None) -> Drive:
     assert robot.bus is not None
-    file, motor, files, at = robot.bus.drive[i], robot.motors[i], robot.files, Place(place, f"bus.drive[{i}]")
+    file, motor, files, at = (
+        robot.bus.drive[i],
+        robot.motors[i],
+        robot.files,
+        Place(place, f"bus.drive[{i}]"),
+    )
     dictionary, types = None, dict(cia.STANDARD)
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)
@@ -53,7 +65,9 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         number = parse_object(name)
         listed = dictionary is None or number in dictionary.entries or number in written
         if number not in types or not listed:
-            why = f"{file.dictionary} does not contain it" if dictionary else "its type is not known"
+            why = (
+                f"{file.dictionary} does not contain it" if dictionary else "its type is not known"
+            )
             at.refuse(key, name, "an object of the drive, or one in objects", text=why)
         return cia.ObjectEntry(index=number[0], sub=number[1], type=types[number])
 
@@ -73,7 +87,9 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         source = (traffic or {}).get(file.node, {})
         if file.mapping == "dictionary" and dictionary is not None:
             source = {key: e.value for key, e in dictionary.entries.items() if e.value is not None}
-        tpdos, rpdos = (cia.pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo"))
+        tpdos, rpdos = (
+            cia.pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo")
+        )
     speed, acceleration = (_limit(robot, i, quantity) for quantity in ("speed", "acceleration"))
     slides = robot.joints[int(np.argmax(np.abs(robot.R[i])))].type == "prismatic"
     per_joint = float(np.abs(robot.R[i]).sum() * file.counts_per_unit)
@@ -98,7 +114,9 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         counts_per_joint=(per_joint, "m") if slides else (per_joint * np.pi / 180, "deg"),
     )
     for needed in measured:
-        if (traffic is not None or file.mapping != "traffic") and drive.carrier(needed, "tpdo") is None:
+        if (traffic is not None or file.mapping != "traffic") and drive.carrier(
+            needed, "tpdo"
+        ) is None:
             problem = f"{at.table}.mapping: no PDO from the drive carries {needed}"
             Place(at.name).refuse(text=problem, expected=f"one ({file.mapping})")
     return drive
@@ -107,7 +125,9 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
 def _pdos(
     way: str, file: DriveFile, default: tuple[cia.ObjectEntry, ...], entry: Entry, at: Place
 ) -> tuple[cia.Pdo, ...]:
-    """The PDOs of one direction, as described, else as few as possible with the `default` objects in order."""
+    """The PDOs of one direction, as described, else as few as possible with the
+    `default` objects in order.
+    """
     pdos = []
     files: tuple[PdoFile, ...] = getattr(file, way) or _pack(default)
     for k, written in enumerate(files):
@@ -115,7 +135,11 @@ def _pdos(
         number = written.number or k + 1
         can_id = written.can_id or cia.usual_can_id(way, number, file.node)
         if can_id is None:
-            at.refuse(f"{way}[{k}].can_id", None, "an identifier: only the first four PDOs have a usual one")
+            at.refuse(
+                f"{way}[{k}].can_id",
+                None,
+                "an identifier: only the first four PDOs have a usual one",
+            )
         pdo = cia.Pdo(number=number, can_id=can_id, entries=entries)
         if pdo.bits > cia.MAX_PDO_BITS:
             sizes = " + ".join(str(e.bits // 8) for e in entries)
@@ -134,12 +158,19 @@ def _pack(entries: tuple[cia.ObjectEntry, ...]) -> tuple[PdoFile, ...]:
     return tuple(PdoFile(objects=tuple(map(str, part))) for part in parts)
 
 
-def _effort(file: DriveFile, word: str, entry: cia.ObjectEntry, motor: Motor, at: Place) -> cia.EffortCodec:
+def _effort(
+    file: DriveFile, word: str, entry: cia.ObjectEntry, motor: Motor, at: Place
+) -> cia.EffortCodec:
     kind, usual, meaning = cia.EFFORT_OBJECTS.get(entry.key, ("", "", ""))
     known = kind == entry.type
     name = getattr(file, f"{word}_rule") or (usual if known else None)
     if name is None:
-        at.refuse(f"{word}_rule", None, f"one of {', '.join(cia.RULES)}", text=f"{entry} ({entry.type}) is not known")
+        at.refuse(
+            f"{word}_rule",
+            None,
+            f"one of {', '.join(cia.RULES)}",
+            text=f"{entry} ({entry.type}) is not known",
+        )
     rule = cia.RULES[name]
     scale = effort_scale(rule, file, at, f"the rated value that {name!r} multiplies")
     if rule.unit != motor.recorded_unit:
@@ -155,7 +186,9 @@ def _effort(file: DriveFile, word: str, entry: cia.ObjectEntry, motor: Motor, at
 def _rated_values(file: DriveFile) -> dict[int, int]:
     rated = {}
     if file.rated_current_a is not None:
-        rated[cia.RATED_CURRENT] = round(file.rated_current_a / cia.RATED_UNITS[file.rated_current_unit])
+        rated[cia.RATED_CURRENT] = round(
+            file.rated_current_a / cia.RATED_UNITS[file.rated_current_unit]
+        )
     torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
     if torque is not None:
         rated[cia.RATED_TORQUE] = round(torque / cia.RATED_UNITS[file.rated_torque_unit])

@@ -1,4 +1,7 @@
-"""The robot of a description: joints, motors, the matrix between them, gains, limits. SI, angles in radians."""
+"""The robot of a description: joints, motors, the matrix between them, gains, limits.
+
+SI, angles in radians.
+"""
 
 import math
 import xml.etree.ElementTree as ET
@@ -15,19 +18,32 @@ from ..arrays import Array
 from ..errors import Place
 from ..files import read_meshes
 from .bus import FILL_IN, BusFile, dictionary_label
-from .description import Capsule, Controller, Identification, Joint, Motor, PayloadFile, RobotFile
+from .description import Capsule, Joint, Motor, RobotFile
+from .fit_tables import Controller, Identification, PayloadFile
 from .toml import InvalidValueError, parse_toml
 
-SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, replaces [controller]
+# of the drives of a dry run, replaces [controller]
+SIMULATED_CONTROLLER = "simulated_controller.toml"
 # Guards of [bus] and [[joint]] above these would stop nothing.
-MAX_BUS_GUARDS = {"heartbeat_s": 1.0, "late_sync_s": 1.0, "enable_motion_deg": 10.0, "enable_motion_m": 0.1}
-MAX_JOINT_GUARDS = {"following_error_deg": 30.0, "following_error_m": 0.3, "speed_deg_s": 3000.0, "speed_m_s": 20.0}
+MAX_BUS_GUARDS = {
+    "heartbeat_s": 1.0,
+    "late_sync_s": 1.0,
+    "enable_motion_deg": 10.0,
+    "enable_motion_m": 0.1,
+}
+MAX_JOINT_GUARDS = {
+    "following_error_deg": 30.0,
+    "following_error_m": 0.3,
+    "speed_deg_s": 3000.0,
+    "speed_m_s": 20.0,
+}
 _OTHER_FILES = {  # by their first byte
     b"<": ("is a URDF", "; `robot-identify init {0} -o robot.toml` makes one"),
     b"{": ("is a JSON file", "; `robot-identify export {0} --toml robot.toml` makes one of a fit"),
     b"\x89": ("is a recording", ""),
 }
-_MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
+# before a mesh's name in the URDF: the name of its attachment, a label, never a path
+_MESH = "mesh:"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,9 +57,11 @@ class Robot:
         parameters: a-priori standard parameters by name, SI; may be empty.
         payload: how the numbers of a payload are meant.
         base_capsule, ground_m: a shape about the base; the height of the ground, against gravity.
-        identified_gain: (n,) drive gains, motor torque per unit of recorded effort, that replace those of the motors.
+        identified_gain: (n,) drive gains, motor torque per unit of recorded effort, that
+            replace those of the motors.
         bus: `[bus]` of the file, None without it; `resolve` makes the drives.
-        files: the files of the description by name (`robot.toml`, the URDF and its meshes, object dictionaries).
+        files: the files of the description by name (`robot.toml`, the URDF and its
+            meshes, object dictionaries).
     """
 
     name: str
@@ -64,7 +82,10 @@ class Robot:
     identified_gain: Array | None = None
 
     def __repr__(self) -> str:
-        return f"Robot({self.name}: {self.n} joints{'' if self.bus is None else f', {len(self.bus.drive)} drives'})"
+        return (
+            f"Robot({self.name}: {self.n} "
+            f"joints{'' if self.bus is None else f', {len(self.bus.drive)} drives'})"
+        )
 
     def mesh(self, name: str) -> bytes | None:
         """Content of a mesh by its name in the URDF; None if the robot does not include it."""
@@ -121,11 +142,15 @@ class Robot:
         return (q - self.zero) @ self.R.T
 
     def joint_effort(self, effort_motor: Array) -> Array:
-        """Joint efforts (N, n) from recorded motor efforts (N, n): Rᵀ G v. In A or V if the gain is not known."""
+        """Joint efforts (N, n) from recorded motor efforts (N, n): Rᵀ G v. In A or V if
+        the gain is not known.
+        """
         return (effort_motor * self.gain) @ self.R
 
     def motor_effort(self, effort: Array) -> Array:
-        """Motor efforts (N, n) in the recorded unit from joint efforts (N, n); the inverse of `joint_effort`."""
+        """Motor efforts (N, n) in the recorded unit from joint efforts (N, n); the
+        inverse of `joint_effort`.
+        """
         return np.linalg.solve(self.R.T, effort.T).T / self.gain
 
 
@@ -164,7 +189,9 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     if document.urdf is not None:
         files["robot.urdf"] = _companion(path, document.urdf, "urdf")
         if document.urdf_meshes:
-            meshes = read_meshes(files["robot.urdf"], (path.parent / document.urdf).parent, str(path))
+            meshes = read_meshes(
+                files["robot.urdf"], (path.parent / document.urdf).parent, str(path)
+            )
             files |= {f"{_MESH}{name}": content for name, content in meshes.items()}
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
         for k, extra in enumerate(drive.extra):
@@ -177,16 +204,28 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     return robot_from_files(files, str(path))
 
 
-# A new description may have no key without effect and no guard without effect; recordings that have one can still be read.
+# A new description may have no key without effect and no guard without effect; recordings that have
+# one can still be read.
 def _refuse_idle_keys(c: Controller, place: Place) -> None:
     law = ("sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
-    idle = law if c.structure is None else () if c.structure in ("cascade_p_pi", "pid") else ("integral_gain",)
+    idle = (
+        law
+        if c.structure is None
+        else ()
+        if c.structure in ("cascade_p_pi", "pid")
+        else ("integral_gain",)
+    )
     for name in idle:
         value = getattr(c, name)
         if value is not None:
             none = f"none, structure = {c.structure!r} has no integral"
             expected = "controller.structure with it" if c.structure is None else none
-            place.refuse(name, list(value) if isinstance(value, tuple) else value, expected, text="does nothing")
+            place.refuse(
+                name,
+                list(value) if isinstance(value, tuple) else value,
+                expected,
+                text="does nothing",
+            )
 
 
 def _refuse_wide_guards(table: BusFile | Joint, guards: Mapping[str, float], place: Place) -> None:
@@ -205,10 +244,11 @@ def _companion(path: Path, name: str, key: str) -> bytes:
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
-    """Build a robot from its files by name, as in a recording; `place` names the description in errors.
+    """Build a robot from its files by name, as in a recording; `place` names the
+    description in errors.
 
-    They are `robot.toml`, and if it refers to them `robot.urdf`, `mesh:<name>` and `dictionary:<name>`; of a dry run
-    `simulated_controller.toml`.
+    They are `robot.toml`, and if it refers to them `robot.urdf`, `mesh:<name>` and
+    `dictionary:<name>`; of a dry run `simulated_controller.toml`.
     """
     at = Place(place)
     if "robot.toml" not in files:
@@ -225,15 +265,24 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         if "robot.urdf" not in files:
             at.refuse("urdf", f.urdf, text="the URDF is missing next to the description")
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
-        if f.payload.frame is not None and f.payload.frame not in urdf:  # a typing error; the model looks at the tree
+        # a typing error; the model looks at the tree
+        if f.payload.frame is not None and f.payload.frame not in urdf:
             at.refuse("payload.frame", f.payload.frame, "a link of the URDF")
     R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     if f.motor_matrix is not None:
         R = np.array(f.motor_matrix, dtype=float)
-    zero, gravity = np.array([j.si("zero") or 0.0 for j in f.joint]), np.array(f.gravity_m_s2, dtype=float)
+    zero, gravity = (
+        np.array([j.si("zero") or 0.0 for j in f.joint]),
+        np.array(f.gravity_m_s2, dtype=float),
+    )
     for array in (R, zero, gravity):
         array.flags.writeable = False
-    names = ["robot.toml", "robot.urdf", SIMULATED_CONTROLLER, *(name for name in files if name.startswith(_MESH))]
+    names = [
+        "robot.toml",
+        "robot.urdf",
+        SIMULATED_CONTROLLER,
+        *(name for name in files if name.startswith(_MESH)),
+    ]
     if f.bus is not None:
         names += [dictionary_label(d.dictionary) for d in f.bus.drive if d.dictionary is not None]
     return Robot(
@@ -267,8 +316,10 @@ def lines_to_fill_in(robot: Robot) -> list[int]:
 def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tuple[Joint, ...]:
     """Joints without an effort limit get that of the URDF, unless it is 0 or missing."""
     try:
-        limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).findall("joint")}  # not of transmissions
-    except (ET.ParseError, ValueError, LookupError):  # reported by the code that needs the URDF's model
+        # not of transmissions
+        limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).findall("joint")}
+    # reported by the code that needs the URDF's model
+    except (ET.ParseError, ValueError, LookupError):
         return joints
     out = []
     for joint in joints:
@@ -279,7 +330,9 @@ def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tu
         except ValueError:
             effort = math.nan
         if not 0 <= effort < math.inf:
-            place.refuse(f"urdf: joint {joint.name}: effort", text, "a number from 0; 0 states none")
+            place.refuse(
+                f"urdf: joint {joint.name}: effort", text, "a number from 0; 0 states none"
+            )
         if effort and joint.si("effort") is None:
             joint = msgspec.structs.replace(joint, **{joint.key("effort"): effort})
         out.append(joint)

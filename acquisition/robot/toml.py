@@ -1,4 +1,6 @@
-"""Decodes TOML descriptions into typed, frozen structures; errors have place, key, value and what was expected."""
+"""Decodes TOML descriptions into typed, frozen structures; errors have place, key, value
+and what was expected.
+"""
 
 import math
 import re
@@ -12,7 +14,8 @@ from ..errors import Place
 
 T = TypeVar("T")
 
-# The parser's memory grows with the square of a dotted key's length, and recordings may come from anyone.
+# The parser's memory grows with the square of a dotted key's length, and recordings
+# may come from anyone.
 MAX_TOML_BYTES = 256 * 1024
 MAX_LINE_BYTES = 2000
 
@@ -21,12 +24,16 @@ Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Z
 
 
 def note(description: str, **limits: Any) -> msgspec.Meta:
-    """The description of a key, with its unit and default: JSON Schemas and the reference of all keys show it."""
+    """The description of a key, with its unit and default: JSON Schemas and the
+    reference of all keys show it.
+    """
     return msgspec.Meta(description=description, **limits)
 
 
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
-    """A table of a description: unknown keys are refused; `__post_init__` refuses what the types cannot express."""
+    """A table of a description: unknown keys are refused; `__post_init__` refuses what
+    the types cannot express.
+    """
 
     def refuse(self, key: str, value: object, expected: str) -> NoReturn:
         """Refuse the value of a key of this table; `parse_toml` adds the place of the table."""
@@ -34,7 +41,9 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class InvalidValueError(ValueError):
-    """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds the place of the table."""
+    """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds
+    the place of the table.
+    """
 
 
 def parse_toml(text: bytes, kind: type[T], place: str) -> T:
@@ -70,9 +79,18 @@ def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """The words that `kind` allows at `path`."""
     at = _without_note(msgspec.inspect.type_info(kind))
     for step in re.findall(r"\w+|\[[^]]*\]", path):
-        if isinstance(at, msgspec.inspect.UnionType):  # the list for an item of it, else the first type
-            lists = [t for t in at.types if isinstance(t, msgspec.inspect.VarTupleType) and step.startswith("[")]
-            at = lists[0] if lists else next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
+        # the list for an item of it, else the first type
+        if isinstance(at, msgspec.inspect.UnionType):
+            lists = [
+                t
+                for t in at.types
+                if isinstance(t, msgspec.inspect.VarTupleType) and step.startswith("[")
+            ]
+            at = (
+                lists[0]
+                if lists
+                else next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
+            )
         if isinstance(at, msgspec.inspect.VarTupleType):
             at = _without_note(at.item_type)
         elif isinstance(at, msgspec.inspect.StructType):
@@ -98,6 +116,14 @@ def _value_at(data: Any, path: str) -> Any:
 def _refuse_nonfinite(data: Any, key: str, file: Place) -> None:
     if isinstance(data, float) and not math.isfinite(data):
         file.refuse(key, data, "a finite number")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    items = (
+        data.items()
+        if isinstance(data, dict)
+        else enumerate(data)
+        if isinstance(data, list)
+        else ()
+    )
     for name, value in items:
-        _refuse_nonfinite(value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), file)
+        _refuse_nonfinite(
+            value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), file
+        )

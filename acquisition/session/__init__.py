@@ -1,4 +1,6 @@
-"""The session: record, enable, track, stop; its guards; the recorder and the second stop in another process."""
+"""The session: record, enable, track, stop; its guards; the recorder and the second
+stop in another process.
+"""
 
 from .logs import InlineLog
 from .recorder import RecordedSummary, Recorder, Status, write_decoded

@@ -1,6 +1,7 @@
 """A session's recorder: in the session's process for simulated time, else in a separate process.
 
-If an interface can be opened only once, the session passes its frames on; else the recorder opens the bus itself.
+If an interface can be opened only once, the session passes its frames on; else the
+recorder opens the bus itself.
 """
 
 import multiprocessing
@@ -72,7 +73,9 @@ class InlineLog:
 
 
 class ProcessLog:
-    """A recorder in a separate process. In the role `FED`, and only then, the session's link calls `tap`.
+    """A recorder in a separate process.
+
+    In the role `FED`, and only then, the session's link calls `tap`.
 
     Raises `BusFaultError` where the process cannot open the bus or the file.
     """
@@ -95,7 +98,8 @@ class ProcessLog:
         self.on_status: OnStatus = lambda status, stamp_ns: None
         arguments = ((other, watched), path.absolute(), dict(robot.files), place, role, payload)
         self._process = context.Process(target=run, args=arguments, name="recorder", daemon=True)
-        # Signals are blocked while the process starts: a Ctrl-C of the whole group must not end it before it ignores them.
+        # Signals are blocked while the process starts: a Ctrl-C of the whole group must not end it
+        # before it ignores them.
         resource_tracker.ensure_running()  # its first start would unblock the signals
         before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
         try:
@@ -128,7 +132,9 @@ class ProcessLog:
         self._send(("granted", counters))
 
     def alive(self) -> None:
-        """Send a sign of life to the second stop: only from code whose progress shows that the session runs, never a thread."""
+        """Send a sign of life to the second stop: only from code whose progress shows that the
+        session runs, never a thread.
+        """
         if self._watchdog_pipe is not None:
             self._watchdog_pipe.alive()
 
@@ -138,7 +144,9 @@ class ProcessLog:
             self._watchdog_pipe.ended()
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Latest status, None if there is no new one. Called at every SYNC by the SYNC loop, as a sign of life.
+        """Latest status, None if there is no new one.
+
+        Called at every SYNC by the SYNC loop, as a sign of life.
 
         Raises `BusFaultError` when the recorder has ended, hangs, or stops the drives.
         """
@@ -161,7 +169,9 @@ class ProcessLog:
         silent_s = time.monotonic() - self._heard_s
         self._hangs = silent_s > MAX_SILENT_S
         if self._hangs:
-            raise BusFaultError(f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s")
+            raise BusFaultError(
+                f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s"
+            )
         if status is not None:
             self.on_status(status, stamp_ns)
         return status

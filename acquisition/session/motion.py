@@ -1,8 +1,8 @@
 """Enabling and disabling of all drives together, and the conditions that must hold in between.
 
-While a drive is not enabled, its target follows the measured position. Once it reports operation enabled, its target stays at
-the last position before. If the target continued to follow, the arm could sink when the brake opens, and the drive would
-detect no following error.
+While a drive is not enabled, its target follows the measured position. Once it reports operation
+enabled, its target stays at the last position before. If the target continued to follow, the arm
+could sink when the brake opens, and the drive would detect no following error.
 """
 
 from collections.abc import Collection, Iterator
@@ -17,7 +17,8 @@ from ..protocol import FOLLOWS, REMOTE, Command, State, error_words, status_word
 from ..robot import Joint, Robot
 
 ENABLE_S = 5.0  # for all drives to be enabled, or disabled
-# One transition at a time, so that a drive can decelerate and engage its brake before voltage is off.
+# One transition at a time, so that a drive can decelerate and engage its brake
+# before voltage is off.
 _DOWN: dict[State | None, Command] = {
     State.OPERATION_ENABLED: Command.SWITCH_ON,
     State.SWITCHED_ON: Command.SHUTDOWN,
@@ -31,11 +32,15 @@ def all_enabled(master: Master) -> bool:
     return all(watch.state is State.OPERATION_ENABLED for watch in master.nodes)
 
 
-def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -> Iterator[Orders | None]:
-    """Orders for each SYNC until every drive is in operation enabled; None where nothing is to be sent.
+def enable(
+    master: Master, targets: list[int], in_fault: Collection[int] = ()
+) -> Iterator[Orders | None]:
+    """Orders for each SYNC until every drive is in operation enabled; None where
+    nothing is to be sent.
 
-    `targets`, empty, receives the target counts (n) at which the drives are held. Only faults of the nodes `in_fault`, which
-    the operator confirmed, are reset. Raises `BusFaultError`: another fault, or not enabled after 5 s.
+    `targets`, empty, receives the target counts (n) at which the drives are held. Only faults of
+    the nodes `in_fault`, which the operator confirmed, are reset. Raises `BusFaultError`: another
+    fault, or not enabled after 5 s.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
@@ -43,7 +48,9 @@ def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -
         if len(measured) == len(watches):
             targets[:] = [
                 target if watch.state is State.OPERATION_ENABLED else counts
-                for watch, target, counts in zip(watches, targets or measured, measured, strict=True)
+                for watch, target, counts in zip(
+                    watches, targets or measured, measured, strict=True
+                )
             ]
         if all_enabled(master):
             return
@@ -52,12 +59,19 @@ def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -
             continue
         controls = []
         for watch in watches:
-            command = toward(watch.state, State.OPERATION_ENABLED) if watch.state is not None else None
+            command = (
+                toward(watch.state, State.OPERATION_ENABLED) if watch.state is not None else None
+            )
             if watch.state is State.OPERATION_ENABLED:
                 command = Command.ENABLE_OPERATION
             if command is Command.FAULT_RESET and watch.drive.node not in in_fault:
-                place, expected = f"node {watch.drive.node} ({watch.drive.name})", "switch on disabled, as before"
-                raise BusFaultError("went into fault after the session began", place=place, expected=expected)
+                place, expected = (
+                    f"node {watch.drive.node} ({watch.drive.name})",
+                    "switch on disabled, as before",
+                )
+                raise BusFaultError(
+                    "went into fault after the session began", place=place, expected=expected
+                )
             if command is Command.FAULT_RESET and k % 2:
                 command = None  # a drive acts on the rising edge of this bit
             controls.append(command.controlword if command else 0)
@@ -71,13 +85,18 @@ def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
-    """Orders at constant targets until every drive is in switch on disabled or fault. Raises `BusFaultError` after 5 s."""
+    """Orders at constant targets until every drive is in switch on disabled or fault.
+
+    Raises `BusFaultError` after 5 s.
+    """
     for _ in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         states = [watch.state for watch in master.nodes]
         if all(state in (State.SWITCH_ON_DISABLED, State.FAULT) for state in states):
             return
         downs = [_DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states]
-        yield [(command.controlword, target) for command, target in zip(downs, targets, strict=True)]
+        yield [
+            (command.controlword, target) for command, target in zip(downs, targets, strict=True)
+        ]
     raise BusFaultError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")
 
 
@@ -86,7 +105,8 @@ LOST_HEARTBEATS = 3
 SPEED_MARGIN = 1.2  # times the limit: the speed may overshoot while tracking
 SPEED_SYNCS = 5  # over which speed is measured
 CLEAR_SYNCS = 3  # in a row in which a bit of _OPERATING is 0 are a fault
-# Bits of the statusword that are 1 in operation. Some drives never set them: a bit is checked once it was 1.
+# Bits of the statusword that are 1 in operation. Some drives never set them: a bit is
+# checked once it was 1.
 _OPERATING = {
     REMOTE: "does not take commands from the bus (statusword bit 9, remote, is 0)",
     FOLLOWS: "does not follow its target (statusword bit 12 is 0)",
@@ -99,15 +119,20 @@ class MotionState:
 
     enabling: bool = True  # until all drives have been enabled for `enable_watch_s`
     start: Array | None = None  # joint positions (n,) when enabling began
-    measured: list[Array] = field(default_factory=list)  # joint positions of the last SYNCs, latest last
+    # joint positions of the last SYNCs, latest last
+    measured: list[Array] = field(default_factory=list)
     target: Array | None = None  # target position (n,) of the drives, None where they have none
     enabled: set[int] = field(default_factory=set)  # nodes that have been enabled
-    bits_seen: dict[int, int] = field(default_factory=dict)  # of the statusword, by node, set while it was enabled
-    clear_syncs: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
+    # of the statusword, by node, set while it was enabled
+    bits_seen: dict[int, int] = field(default_factory=dict)
+    # SYNCs in a row in which a (node, bit) was 0
+    clear_syncs: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
 def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
-    """The fault that ends any active session: emergency, restart, lost heartbeat, missed answers, bus error."""
+    """The fault that ends any active session: emergency, restart, lost heartbeat,
+    missed answers, bus error.
+    """
     if master.bus_error is not None:
         return BusFaultError(master.bus_error, place="bus")
     lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
@@ -121,17 +146,23 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
             return BusFaultError(f"left operational (NMT state {watch.nmt})", place=node)
         # A heartbeat that left the drive before START may arrive after it.
         if watch.unstarted >= LOST_HEARTBEATS:
-            text = f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
+            text = (
+                f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
+            )
             return BusFaultError(text, place=node)
         if watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
-            return BusFaultError(f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node)
+            return BusFaultError(
+                f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node
+            )
         if watch.silent_syncs >= SILENT_SYNCS:
             return BusFaultError(f"{watch.silent_syncs} SYNC not answered", place=node)
     return None
 
 
 def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
-    """The fault of a drive that has left operation enabled, or does not follow commands by its statusword."""
+    """The fault of a drive that has left operation enabled, or does not follow
+    commands by its statusword.
+    """
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
         name = f"node {node} ({watch.drive.name})"
@@ -143,7 +174,11 @@ def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
         motion.enabled.add(node)
         motion.bits_seen[node] = motion.bits_seen.get(node, 0) | word
         for bit, text in _OPERATING.items():
-            clear = motion.clear_syncs.get((node, bit), 0) + 1 if motion.bits_seen[node] & ~word & bit else 0
+            clear = (
+                motion.clear_syncs.get((node, bit), 0) + 1
+                if motion.bits_seen[node] & ~word & bit
+                else 0
+            )
             motion.clear_syncs[node, bit] = clear
             if clear >= CLEAR_SYNCS:
                 return BusFaultError(f"{text} for {clear} SYNC", place=name)
@@ -151,7 +186,9 @@ def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
 
 
 def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultError | None:
-    """The fault of a joint: limits of position, speed, following error, and motion while drives are enabled."""
+    """The fault of a joint: limits of position, speed, following error, and motion
+    while drives are enabled.
+    """
     q, file = motion.measured[-1], master.bus.file
     dq = None
     if len(motion.measured) > SPEED_SYNCS:
@@ -159,21 +196,39 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         if not low <= q[i] <= high:
-            return _limit_fault(joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}")
-        largest = float(np.radians(file.enable_motion_deg)) if joint.type == "revolute" else file.enable_motion_m
+            return _limit_fault(
+                joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}"
+            )
+        largest = (
+            float(np.radians(file.enable_motion_deg))
+            if joint.type == "revolute"
+            else file.enable_motion_m
+        )
         if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
             moved = q[i] - motion.start[i]
             expected = f"{largest:.4g} at most"
-            return _limit_fault(joint, "motion while drives were enabled", moved, joint.position_unit, expected)
+            return _limit_fault(
+                joint, "motion while drives were enabled", moved, joint.position_unit, expected
+            )
         largest = joint.si("following_error")
         if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
             error = abs(q[i] - motion.target[i])
-            return _limit_fault(joint, "following error", error, joint.position_unit, f"{largest:.4g} at most")
+            return _limit_fault(
+                joint, "following error", error, joint.position_unit, f"{largest:.4g} at most"
+            )
         largest = joint.si("speed")
         if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:
-            return _limit_fault(joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most")
+            return _limit_fault(
+                joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most"
+            )
     return None
 
 
 def _limit_fault(joint: Joint, key: str, value: float, unit: str, expected: str) -> BusFaultError:
-    return BusFaultError(place=joint.name, key=key, value=float(value), shown=f"{value:.4g} {unit}", expected=expected)
+    return BusFaultError(
+        place=joint.name,
+        key=key,
+        value=float(value),
+        shown=f"{value:.4g} {unit}",
+        expected=expected,
+    )

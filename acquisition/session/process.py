@@ -1,7 +1,9 @@
-"""The recorder's process: it receives, appends and writes, and stops the drives of a session that dies or hangs in motion.
+"""The recorder's process: it receives, appends and writes, and stops the drives of a session that
+dies or hangs in motion.
 
-Only the session's SYNC loop sends signs of life, through a pipe at every SYNC. The first one arms the watchdog; only a session
-that ends in order disarms it. When the pipe ends or a sign is missing, the bus is opened for sending and `stop_drives` runs.
+Only the session's SYNC loop sends signs of life, through a pipe at every SYNC. The first one arms
+the watchdog; only a session that ends in order disarms it. When the pipe ends or a sign is missing,
+the bus is opened for sending and `stop_drives` runs.
 """
 
 import os
@@ -20,7 +22,16 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Ints
-from ..bus import Receiver, WallClock, command_ids, describe_step, kernel_drops, not_disabled, open_bus, stop_drives
+from ..bus import (
+    Receiver,
+    WallClock,
+    command_ids,
+    describe_step,
+    kernel_drops,
+    not_disabled,
+    open_bus,
+    stop_drives,
+)
 from ..errors import BusFaultError, RobotIdimError
 from ..protocol import HEARTBEAT
 from ..recording import FRAME, SENT
@@ -28,7 +39,8 @@ from ..robot import Bus, BusFile, Payload, Robot, resolve, robot_from_files
 from .recorder import RecordedSummary, Recorder
 
 BLOCK_S = 0.1
-STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # handled by the session's process
+# handled by the session's process
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 SILENT_S = 0.3
 SILENT_PERIODS = 3  # of SYNC, if longer than SILENT_S
 ALIVE, ENDED = b"\1", b"\0"
@@ -49,7 +61,8 @@ class WatchdogPipe:
 
     def alive(self) -> None:
         """Send a sign of life; after `ended`, the end instead."""
-        with suppress(OSError):  # full, or nobody reads: the missing status of the recorder shows it
+        # full, or nobody reads: the missing status of the recorder shows it
+        with suppress(OSError):
             os.write(self._connection.fileno(), self._sign)
 
     def ended(self) -> None:
@@ -58,7 +71,10 @@ class WatchdogPipe:
         self.alive()
 
     def stopped(self) -> str:
-        """Reason for which the second stop acts, empty if it does not. Set before its first frame can be received."""
+        """Reason for which the second stop acts, empty if it does not.
+
+        Set before its first frame can be received.
+        """
         with suppress(OSError):  # nothing to read
             return os.read(self._connection.fileno(), 4096).decode()
         return ""
@@ -69,7 +85,9 @@ class WatchdogPipe:
 
 
 class Watchdog:
-    """The recorder's end of the pipe: a thread that waits for signs of life, and stops the drives when they stop."""
+    """The recorder's end of the pipe: a thread that waits for signs of life, and stops the
+    drives when they stop.
+    """
 
     def __init__(self, connection: Connection, bus: Bus) -> None:
         self._connection, self._bus = connection, bus
@@ -104,19 +122,26 @@ class Watchdog:
 
     def _stop_drives(self, reason: str) -> None:
         self.reason = f"{reason}: the recorder's process stopped the drives"
-        with suppress(OSError):  # before the first frame: the session must not attribute it to another master
+        # before the first frame: the session must not attribute it to another master
+        with suppress(OSError):
             os.write(self._connection.fileno(), self.reason.encode())
         self._event("fault", self.reason)
         unconfirmed = [drive.node for drive in self._bus.drives]
         try:
             unconfirmed = stop_drives(self._bus)
         except RobotIdimError as error:
-            self._event("fault", f"the recorder's process could not stop the drives: {error.args[0]}")
+            self._event(
+                "fault", f"the recorder's process could not stop the drives: {error.args[0]}"
+            )
         if unconfirmed:
             with suppress(OSError, ValueError):  # a closed terminal
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")
                 sys.stderr.flush()
-        text = not_disabled(unconfirmed) if unconfirmed else "every drive confirmed to the recorder's process"
+        text = (
+            not_disabled(unconfirmed)
+            if unconfirmed
+            else "every drive confirmed to the recorder's process"
+        )
         self._event("not disabled" if unconfirmed else "disabled", text)
 
     def _event(self, kind: str, text: str) -> None:
@@ -126,8 +151,9 @@ class Watchdog:
 class Role(Enum):
     """The task of the recorder's process; in all but `LISTENER` the session is the master.
 
-    `LISTENER` and `OBSERVER` open the bus and only receive. `GUARD` also stops the drives when the session dies or hangs. `FED`
-    gets the frames from the session, if the interface can be opened only once.
+    `LISTENER` and `OBSERVER` open the bus and only receive. `GUARD` also stops the drives
+    when the session dies or hangs. `FED` gets the frames from the session, if the interface
+    can be opened only once.
     """
 
     LISTENER = "passive"
@@ -136,10 +162,21 @@ class Role(Enum):
     FED = "fed"
 
 
-def run(pipes: Pipes, path: Path, files: Mapping[str, bytes], place: str, role: Role, payload: Payload | None) -> None:
-    """The recorder's process. It ignores signals such as Ctrl-C, and ends on request or when the session has died."""
+def run(
+    pipes: Pipes,
+    path: Path,
+    files: Mapping[str, bytes],
+    place: str,
+    role: Role,
+    payload: Payload | None,
+) -> None:
+    """The recorder's process.
+
+    It ignores signals such as Ctrl-C, and ends on request or when the session has died.
+    """
     connection, watched = pipes
-    for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its watchdog must still run
+    # Ctrl-Z halts the session: its watchdog must still run
+    for number in (*STOPPING, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     bus = None
@@ -160,7 +197,11 @@ def run(pipes: Pipes, path: Path, files: Mapping[str, bytes], place: str, role: 
         if done is not None:
             connection.send(("done", done))
     except (RobotIdimError, OSError) as error:
-        problem = error.args[0] if isinstance(error, RobotIdimError) else f"{path}: cannot be written: {error.strerror}"
+        problem = (
+            error.args[0]
+            if isinstance(error, RobotIdimError)
+            else f"{path}: cannot be written: {error.strerror}"
+        )
         try:
             connection.send(("failed", problem))
         except OSError:
@@ -171,14 +212,22 @@ def run(pipes: Pipes, path: Path, files: Mapping[str, bytes], place: str, role: 
 
 
 def _master_ids(robot: Robot, place: str) -> Ints:
-    """Identifiers of frames that only the master sends, which in an active session is this program."""
+    """Identifiers of frames that only the master sends, which in an active
+    session is this program.
+    """
     bus = resolve(robot, place)
-    ids = [HEARTBEAT + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
+    ids = [HEARTBEAT + bus.file.master_node] + [bus.file.sync_can_id] * (
+        bus.file.sync_producer == "recorder"
+    )
     return np.array([*ids, *command_ids(bus)])
 
 
 def _record(
-    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: Ints, watchdog: Watchdog | None
+    connection: Connection,
+    recorder: Recorder,
+    receiver: Receiver | None,
+    ours: Ints,
+    watchdog: Watchdog | None,
 ) -> RecordedSummary | None:
     """Record until the session requests the end, or has died and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
@@ -198,7 +247,8 @@ def _record(
                 elif message[0] == "frames":
                     block = np.frombuffer(message[1], FRAME).copy()
                     _note_step(recorder, clock)
-                    received = (block["flags"] & SENT) == 0  # frames sent have the session's time already
+                    # frames sent have the session's time already
+                    received = (block["flags"] & SENT) == 0
                     block["time_ns"][received] = clock.continued(block["time_ns"][received])
                     recorder.add(block)
                 elif message[0] == "granted":
@@ -225,14 +275,17 @@ def _record(
             block = receiver.take()
             _note_step(recorder, clock)
             block["time_ns"] = clock.continued(block["time_ns"])
-            # The kernel marks frames sent by any program of this machine; SENT means sent by this session.
+            # The kernel marks frames sent by any program of this machine; SENT means
+            # sent by this session.
             by_us = np.where(np.isin(block["can_id"], ours), SENT, 0)
             block["flags"] = (block["flags"] & (0xFF ^ SENT)) | by_us
             recorder.add(block)
             if receiver.error is not None:
                 recorder.event(clock.now_ns(), "fault", f"bus: cannot be read: {receiver.error}")
                 raise BusFaultError(f"cannot be read: {receiver.error}", place="bus")
-        status = recorder.tick(clock.now_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)
+        status = recorder.tick(
+            clock.now_ns(), kernel_drops(receiver.sock) if receiver is not None else 0
+        )
         if status is not None:
             try:
                 connection.send(("status", status))
@@ -242,6 +295,10 @@ def _record(
 
 
 def _note_step(recorder: Recorder, clock: WallClock) -> None:
-    """Record that the computer's clock was set; called after frames from before and after the step were taken."""
+    """Record that the computer's clock was set; called after frames from before and
+    after the step were taken.
+    """
     if step_ns := clock.step_ns():
-        recorder.event(clock.now_ns(), "mark", f"{describe_step(step_ns)}: times go on as if it had not been")
+        recorder.event(
+            clock.now_ns(), "mark", f"{describe_step(step_ns)}: times go on as if it had not been"
+        )

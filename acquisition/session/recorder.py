@@ -1,4 +1,6 @@
-"""Writes the frames of a session: on the disk every half second, with status and counters, decoded at the end."""
+"""Writes the frames of a session: on the disk every half second, with status and
+counters, decoded at the end.
+"""
 
 import shutil
 from contextlib import suppress
@@ -26,7 +28,8 @@ class Status:
     missing: int = 0
     duplicate: int = 0
     short: int = 0
-    lowest: tuple[float, ...] = ()  # position of each joint so far, rad or m; empty before the first sample
+    # position of each joint so far, rad or m; empty before the first sample
+    lowest: tuple[float, ...] = ()
     highest: tuple[float, ...] = ()
     disk_full: bool = False  # less than `MIN_FREE_BYTES` is free
 
@@ -42,9 +45,14 @@ class RecordedSummary:
 
 
 class Recorder:
-    """Writes the recording `path`; flushed data survives a kill. Raises `BadInputError` if it exists or writing fails."""
+    """Writes the recording `path`; flushed data survives a kill.
 
-    def __init__(self, path: Path, robot: Robot, *, source: str, place: str, payload: Payload | None = None) -> None:
+    Raises `BadInputError` if it exists or writing fails.
+    """
+
+    def __init__(
+        self, path: Path, robot: Robot, *, source: str, place: str, payload: Payload | None = None
+    ) -> None:
         assert robot.bus is not None
         self._path, self._robot, self._place = path, robot, place
         file = robot.bus
@@ -56,7 +64,9 @@ class Recorder:
             robot=robot,
             source=source,
             sample_rate_hz=1.0 / file.sync_period_s,
-            effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
+            effort_provenance=self._bus.provenance
+            if self._bus
+            else "mapped by another master, see the frames",
             effort_timing=file.effort_timing,
             payload=payload,
             notes={
@@ -70,8 +80,12 @@ class Recorder:
         try:
             self._writer = recording.RecordingWriter(path, header)
         except OSError as error:
-            raise BadInputError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
-        self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
+            raise BadInputError(
+                f"cannot be written: {error.strerror or error}", place=str(path)
+            ) from error
+        self.channel = (
+            "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
+        )
         self._recent: list[recording.Block] = []  # since the last status
         self._status = Status()
         self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
@@ -79,7 +93,10 @@ class Recorder:
         self._fd_frames = 0
 
     def add(self, block: recording.Block) -> None:
-        """Write frames in the order of reception; programs that follow the file see them at once. CAN FD is only counted."""
+        """Write frames in the order of reception; programs that follow the file see them at once.
+
+        CAN FD is only counted.
+        """
         of_fd = (block["flags"] & recording.CAN_FD) != 0
         self._fd_frames += int(of_fd.sum())
         block = block[~of_fd]
@@ -105,15 +122,27 @@ class Recorder:
         recent = np.concatenate(self._recent) if self._recent else np.zeros(0, recording.FRAME)
         self._recent = []
         self._status = status = self._next_status(recent, elapsed_s, drops)
-        counters = {"frames": status.frames, "kernel_drops": drops, "late": status.late, "missing": status.missing}
-        self._writer.health(stamp_ns, self.granted | counters | {"duplicate": status.duplicate, "short": status.short})
+        counters = {
+            "frames": status.frames,
+            "kernel_drops": drops,
+            "late": status.late,
+            "missing": status.missing,
+        }
+        self._writer.health(
+            stamp_ns,
+            self.granted | counters | {"duplicate": status.duplicate, "short": status.short},
+        )
         self._writer.flush()
         self._flushed_ns = stamp_ns
         return status
 
     def _next_status(self, recent: recording.Block, elapsed_s: float, drops: int) -> Status:
         last = self._status
-        low, high, counted = last.lowest, last.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
+        low, high, counted = (
+            last.lowest,
+            last.highest,
+            dict.fromkeys(("late", "missing", "duplicate", "short"), 0),
+        )
         with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
                 self._bus = resolve(self._robot, self._place, recording.written_by_master(recent))
@@ -135,7 +164,9 @@ class Recorder:
     def finish(self, stamp_ns: int) -> RecordedSummary:
         """Decode the recorded frames, write the samples after them, and close the file."""
         self._writer.flush()
-        frames = recording.read_recording(self._path).frames.get(self.channel, np.zeros(0, recording.FRAME))
+        frames = recording.read_recording(self._path).frames.get(
+            self.channel, np.zeros(0, recording.FRAME)
+        )
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         if self._fd_frames:
             text = f"frames left out: {self._fd_frames} of CAN FD"
@@ -155,16 +186,26 @@ class Recorder:
 
 
 def write_decoded(
-    writer: recording.RecordingWriter, frames: recording.Block, robot: Robot, stamp_ns: int, place: str
+    writer: recording.RecordingWriter,
+    frames: recording.Block,
+    robot: Robot,
+    stamp_ns: int,
+    place: str,
 ) -> RecordedSummary:
-    """Decode frames and write samples, counters and warnings, or the reason why there are no samples."""
+    """Decode frames and write samples, counters and warnings, or the reason
+    why there are no samples.
+    """
     try:
-        decoded = recording.decode(frames, robot, resolve(robot, place, recording.written_by_master(frames)), place)
+        decoded = recording.decode(
+            frames, robot, resolve(robot, place, recording.written_by_master(frames)), place
+        )
     except BadInputError as error:
         writer.event(stamp_ns, "warning", f"{recording.NO_SAMPLES}{error.args[0]}")
         return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=error.args[0])
     decoded.write(writer, stamp_ns)
-    return RecordedSummary(frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings)
+    return RecordedSummary(
+        frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings
+    )
 
 
 def _table(bus: Bus) -> dict[str, str]:
@@ -175,5 +216,7 @@ def _table(bus: Bus) -> dict[str, str]:
         for way, found in (("tpdo", d.tpdos), ("rpdo", d.rpdos))
         for p in found
     ]
-    rated = [f"node {d.node} {index:04X} = {raw}" for d in bus.drives for index, raw in d.rated.items()]
+    rated = [
+        f"node {d.node} {index:04X} = {raw}" for d in bus.drives for index, raw in d.rated.items()
+    ]
     return {"pdo_table": "; ".join(pdos), "rated_raw": "; ".join(rated)}

@@ -27,7 +27,15 @@ from ..bus import (
 from ..errors import BadInputError, RefusedError, RobotIdimError
 from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
-from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
+from ..recording import (
+    ERROR,
+    EXTENDED,
+    REMOTE_REQUEST,
+    Block,
+    Recording,
+    read_recording,
+    written_by_master,
+)
 from ..robot import (
     FILL_IN,
     Bus,
@@ -56,47 +64,69 @@ ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, s
 class UserInterface:
     """How a session is stopped, shows its state and asks its operator. By default nothing moves.
 
-    `confirm` shows the joint positions and the drives in fault before motion, and returns True if the operator confirms them.
+    `confirm` shows the joint positions and the drives in fault before motion, and returns True if
+    the operator confirms them.
     """
 
     stop: Stop = field(default_factory=Stop)
     confirm: Confirm = lambda words, faults: False
     show: ShowStatus = lambda status, left_s: None  # called twice a second
-    announce: Callable[[Outcome], None] = lambda outcome: None  # called as soon as the outcome is known
-    note: Callable[[str], None] = lambda text: None  # what a passive recording does to the bus, before it is opened
+    # called as soon as the outcome is known
+    announce: Callable[[Outcome], None] = lambda outcome: None
+    # what a passive recording does to the bus, before it is opened
+    note: Callable[[str], None] = lambda text: None
 
 
 def record(
     robot: Robot, place: str, out: Path, options: RecordOptions, operator: UserInterface
 ) -> tuple[Outcome, RecordedSummary]:
-    """Record until the task is done or the operator's `stop` has a reason. The robot moves only with `options.track`.
+    """Record until the task is done or the operator's `stop` has a reason.
 
-    `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an existing file is never
-    replaced. Errors of a running session are in the returned outcome; those of options, description, bus or file are raised as
-    `RobotIdimError` before it runs.
+    The robot moves only with `options.track`.
+
+    `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an
+    existing file is never replaced. Errors of a running session are in the returned outcome; those
+    of options, description, bus or file are raised as `RobotIdimError` before it runs.
     """
     if robot.bus is None:
         expected = "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`"
         raise BadInputError(place=place, key="bus", value=None, expected=expected)
     if options.passive and (options.track is not None or options.dry_run):
-        raise RefusedError("sends nothing", what="sending", place="--passive", expected="no --track and no --dry-run")
+        raise RefusedError(
+            "sends nothing",
+            what="sending",
+            place="--passive",
+            expected="no --track and no --dry-run",
+        )
     if robot.bus.mapped_by_traffic and not options.passive:
         expected = "'table' or 'dictionary' in an active session"
         raise BadInputError(place=place, key="mapping", value="traffic", expected=expected)
     payload = None if options.payload is None else parse_payload(options.payload, robot)
     task = _task_of(robot, robot.bus.sync_period_s, options, operator)
-    bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)  # before anything is opened
+    # before anything is opened
+    bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)
     if bus is None or options.passive:
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
     dry = options.dry_run
-    opened = _simulated(bus, robot, out, place, payload) if dry else _on_bus(bus, robot, out, place, options, payload)
+    opened = (
+        _simulated(bus, robot, out, place, payload)
+        if dry
+        else _on_bus(bus, robot, out, place, options, payload)
+    )
     with opened as (link, log):
         started_ns = link.now_ns()
-        whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
+        whole_s = (
+            task.duration_s
+            if task.reference is None
+            else len(task.reference) * bus.file.sync_period_s
+        )
 
         def show(status: Status, now_ns: int) -> None:
-            operator.show(status, None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9))
+            operator.show(
+                status,
+                None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9),
+            )
 
         log.on_status = show
         # After the recorder has started.
@@ -104,22 +134,31 @@ def record(
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
-            outcome = run_active(robot, Master(link, bus), log, task, operator.stop, operator.announce)
+            outcome = run_active(
+                robot, Master(link, bus), log, task, operator.stop, operator.announce
+            )
         try:
             return outcome, log.finish(link.now_ns())
         except RobotIdimError as error:
-            raise outcome.error or error from error  # the first error may be the cause of the second
+            # the first error may be the cause of the second
+            raise outcome.error or error from error
 
 
-def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface) -> Task:
+def _task_of(
+    robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface
+) -> Task:
     """The task in the options. Raises `RobotIdimError` for options that contradict each other."""
     if options.track is not None and options.duration_s is not None:
-        raise BadInputError("lasts as long as its reference", place="--track", expected="no --duration")
+        raise BadInputError(
+            "lasts as long as its reference", place="--track", expected="no --duration"
+        )
     if options.track is None and options.speed != 1.0:
         problem = "applies to a reference only"
         raise BadInputError(problem, key="--speed", value=options.speed, expected="--track with it")
     if not 0 < options.speed <= 1:
-        raise BadInputError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
+        raise BadInputError(
+            key="--speed", value=options.speed, expected="more than 0, and 1 at most"
+        )
     if options.track is None:
         return Task(duration_s=options.duration_s)
     reference = table_reference(options.track, robot, period_s, options.speed)
@@ -128,8 +167,12 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
     if options.dry_run:
         return task
     if lines := lines_to_fill_in(robot):
-        raise BadInputError(FILL_IN, place="robot.toml", key="lines", value=lines, expected="none in [bus]")
-    return replace(task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm))
+        raise BadInputError(
+            FILL_IN, place="robot.toml", key="lines", value=lines, expected="none in [bus]"
+        )
+    return replace(
+        task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm)
+    )
 
 
 @contextmanager
@@ -139,7 +182,9 @@ def _simulated(
     """Link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus, payload)
     described = describe_loops(robot, mechanism.loops)
-    log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place, payload=payload))
+    log = InlineLog(
+        Recorder(out, described, source="dry run on simulated drives", place=place, payload=payload)
+    )
     with closing(log):
         link = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
@@ -151,23 +196,35 @@ def _simulated(
 def _on_bus(
     bus: Bus, robot: Robot, out: Path, place: str, options: RecordOptions, payload: Payload | None
 ) -> Iterator[tuple[Link, ProcessLog]]:
-    """Link to the drives, and the recorder in a separate process. The link comes first: without a bus no file is written."""
+    """Link to the drives, and the recorder in a separate process.
+
+    The link comes first: without a bus no file is written.
+    """
     shared = bus.file.interface in SHARED
-    with closing(open_link(bus.file, passive=False, tap=None if shared else lambda frame: log.tap(frame))) as link:
+    with closing(
+        open_link(bus.file, passive=False, tap=None if shared else lambda frame: log.tap(frame))
+    ) as link:
         role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
         log = ProcessLog(out, robot, place, role, link.now_ns() - time.monotonic_ns(), payload)
         with closing(log):
             yield link, log
 
 
-def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm: Confirm) -> list[str]:
-    """Check supervision, homing, joint positions and jitter before a real robot moves; texts for `/events`."""
+def _before_motion(
+    robot: Robot, master: Master, options: RecordOptions, confirm: Confirm
+) -> list[str]:
+    """Check supervision, homing, joint positions and jitter before a real robot
+    moves; texts for `/events`.
+    """
     if not options.unsupervised_drives:
         refuse_unsupervised(master)
     confirmed = confirm_motion(robot, master, confirm, reset_faults=options.reset_faults)
     marks = [f"confirmed: {', '.join(confirmed)}"]
     jitter = refuse_jitter(master)
-    marks.append(f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before motion")
+    marks.append(
+        f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before "
+        "motion"
+    )
     if options.speed != 1:
         marks.append(f"{options.track} at {options.speed:g} of its speed")
     if master.bus.file.interface not in SHARED:
@@ -176,14 +233,21 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm
 
 
 def _listen(
-    robot: Robot, place: str, out: Path, task: Task, operator: UserInterface, payload: Payload | None
+    robot: Robot,
+    place: str,
+    out: Path,
+    task: Task,
+    operator: UserInterface,
+    payload: Payload | None,
 ) -> tuple[Outcome, RecordedSummary]:
     """Record the frames of the bus. Only the recorder's process opens it, and cannot send."""
     assert robot.bus is not None
     stop, clock, words = operator.stop, WallClock(), listening_words(robot.bus)
     if words:
         operator.note(words)
-    log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload)
+    log = ProcessLog(
+        out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload
+    )
     try:
         started_s = time.monotonic()
         log.event(clock.now_ns(), "phase", "record")
@@ -194,7 +258,9 @@ def _listen(
                     break
                 status = log.poll(clock.now_ns())
                 if status is not None:
-                    operator.show(status, None if task.duration_s is None else task.duration_s - elapsed_s)
+                    operator.show(
+                        status, None if task.duration_s is None else task.duration_s - elapsed_s
+                    )
                     if status.disk_full:
                         stop.reason = "disk nearly full"
                 time.sleep(0.02)
@@ -212,14 +278,19 @@ def _listen(
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Inside the block Ctrl-C, SIGTERM and a closed terminal set `stop`; Ctrl-C after any of them asks for a quick stop."""
+    """Inside the block Ctrl-C, SIGTERM and a closed terminal set `stop`; Ctrl-C after any of them
+    asks for a quick stop.
+    """
 
     def asked(number: int, _: FrameType | None) -> None:
         stop.at_once |= number == signal.SIGINT and stop.reason.startswith(STOPPED)
         stop.reason = stop.reason or f"{STOPPED} {signal.Signals(number).name}"
 
-    # An ignored SIGHUP stays ignored (`nohup`). SIGINT is handled also in background jobs, where shells ignore it.
-    numbers = [n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
+    # An ignored SIGHUP stays ignored (`nohup`). SIGINT is handled also in background jobs,
+    # where shells ignore it.
+    numbers = [
+        n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN
+    ]
     before = {number: signal.signal(number, asked) for number in numbers}
     try:
         yield
@@ -231,19 +302,25 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
 WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this computer
 
 
-def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:
-    """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
+def replay(
+    path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False
+) -> int:
+    """Send the frames that the drives of a recording sent, and its SYNCs, in their order
+    and with their timing.
 
-    Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed, and `onto_bus` allows
-    interfaces with hardware. Returns the number of frames sent. Raises `RobotIdimError`: `speed` or the interface is refused,
-    the recording holds no frames of drives, another node sends before or between these frames, or the bus accepts none.
+    Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed,
+    and `onto_bus` allows interfaces with hardware. Returns the number of frames sent. Raises
+    `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives,
+    another node sends before or between these frames, or the bus accepts none.
     """
     if not speed > 0:
         raise BadInputError(key="--speed", value=speed, expected="more than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
         problem = "hardware may be on this bus"
         expected = f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}"
-        raise RefusedError(problem, what="sending", key="--interface", value=file.interface, expected=expected)
+        raise RefusedError(
+            problem, what="sending", key="--interface", value=file.interface, expected=expected
+        )
     recording = read_recording(path)
     frames = from_drives(recording, str(path))
     assert recording.robot.bus is not None  # else there were no drives
@@ -258,8 +335,14 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))
             if frame is not None and not frame.flags & ERROR:
-                place, sent = f"{file.interface} {file.channel}", f"{count} frames were" if count else "nothing was"
-                problem, expected = f"{service_of(frame, sync_can_id)} received", f"an idle bus; {sent} sent"
+                place, sent = (
+                    f"{file.interface} {file.channel}",
+                    f"{count} frames were" if count else "nothing was",
+                )
+                problem, expected = (
+                    f"{service_of(frame, sync_can_id)} received",
+                    f"an idle bus; {sent} sent",
+                )
                 raise RefusedError(problem, what="sending", place=place, expected=expected)
             if left_s <= 0:
                 return
@@ -279,10 +362,12 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
 
 
 def from_drives(recording: Recording, place: str) -> Block:
-    """Frames that the drives of the recording sent, and SYNC, from the channel with the most frames.
+    """Frames that the drives of the recording sent, and SYNC, from the
+    channel with the most frames.
 
-    Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and heartbeats. Error frames,
-    remote requests and 29-bit frames are left out. Raises `BadInputError` where no frame is left.
+    Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and
+    heartbeats. Error frames, remote requests and 29-bit frames are left out. Raises `BadInputError`
+    where no frame is left.
     """
     if not recording.frames:
         raise BadInputError("holds no CAN frames", place=place, expected="a recording of drives")
@@ -295,5 +380,7 @@ def from_drives(recording: Recording, place: str) -> Block:
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
     if not len(found):
-        raise BadInputError("holds no frame of its drives, and no SYNC", place=place, expected="some to send")
+        raise BadInputError(
+            "holds no frame of its drives, and no SYNC", place=place, expected="some to send"
+        )
     return found

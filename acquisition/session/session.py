@@ -1,7 +1,9 @@
-"""The session's loop: configure the drives and record, or enable, approach, track and stop. Drives are disabled in `finally`.
+"""The session's loop: configure the drives and record, or enable, approach, track and stop.
 
-Nothing moves unless the task has a reference. However a session ends, all drives that it commanded are disabled, and the
-recording says which of them confirmed it.
+Drives are disabled in `finally`.
+
+Nothing moves unless the task has a reference. However a session ends, all drives that it commanded
+are disabled, and the recording says which of them confirmed it.
 """
 
 import itertools
@@ -13,7 +15,15 @@ from .. import bus
 from ..arrays import Array
 from ..errors import BusFaultError, RefusedError, RobotIdimError
 from ..protocol import DISABLED, Command, Mode, State, notices
-from ..robot import Drive, Robot, approach, check_carriers, check_limits, follow, refuse_out_of_range
+from ..robot import (
+    Drive,
+    Robot,
+    approach,
+    check_carriers,
+    check_limits,
+    follow,
+    refuse_out_of_range,
+)
 from .logs import SessionLog
 from .motion import MotionState, all_enabled, disable, enable, joint_fault, node_fault, state_fault
 from .timing import Pace
@@ -31,10 +41,11 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """The task of a session: to record for a time, or to follow a reference; without one nothing moves.
+    """The task of a session: to record for a time, or to follow a reference;
+    without one nothing moves.
 
-    `before_motion` checks the drives before anything is written to them; it returns texts for the recording, or raises
-    `RobotIdimError` if nothing may move.
+    `before_motion` checks the drives before anything is written to them; it returns texts for the
+    recording, or raises `RobotIdimError` if nothing may move.
     """
 
     duration_s: float | None = None  # of a session without a reference; None: until it is stopped
@@ -50,7 +61,8 @@ class Outcome:
     reason: str
     fault: bool  # whether an error ended it
     error: RobotIdimError | None = None
-    unconfirmed: tuple[int, ...] = ()  # nodes of commanded drives that did not confirm to be disabled
+    # nodes of commanded drives that did not confirm to be disabled
+    unconfirmed: tuple[int, ...] = ()
     reports: tuple[str, ...] = ()  # of drives in fault, one line each
 
     @property
@@ -67,12 +79,13 @@ def run_active(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Configure the drives, send SYNC and record; follow the task's reference if it has one, else nothing moves.
+    """Configure the drives, send SYNC and record; follow the task's reference if it has
+    one, else nothing moves.
 
-    `master` has an open link that may send; `log` gets its frames independently. `stop`, set from outside (Ctrl-C), ends the
-    session. `announce` is called with the outcome as soon as it is known, also when an exception follows. An
-    `RobotIdimError` that ended the session is not raised: it is the `error` of the outcome. Any other exception is raised
-    after the drives were disabled.
+    `master` has an open link that may send; `log` gets its frames independently. `stop`, set from
+    outside (Ctrl-C), ends the session. `announce` is called with the outcome as soon as it is
+    known, also when an exception follows. An `RobotIdimError` that ended the session is not raised:
+    it is the `error` of the outcome. Any other exception is raised after the drives were disabled.
     """
     link = master.link
     session = _Session(robot, master, log, task, stop)
@@ -94,7 +107,8 @@ def run_active(
         outcome = Outcome(reason=reason, fault=fault, error=failure, unconfirmed=tuple(unconfirmed))
         if unconfirmed:
             announce(outcome)  # now: the requests that follow take time
-            master.while_awaiting = log.alive  # the second stop stays armed, and must not act in that time
+            # the second stop stays armed, and must not act in that time
+            master.while_awaiting = log.alive
         else:
             log.ended()
         if session.addressed:
@@ -114,8 +128,16 @@ def run_active(
 class _Session:
     """One run. Phases are generators: they yield the orders of each SYNC, and `_run` sends them."""
 
-    def __init__(self, robot: Robot, master: bus.Master, log: SessionLog, task: Task, stop: Stop) -> None:
-        self._robot, self._master, self._log, self._task, self._stop = robot, master, log, task, stop
+    def __init__(
+        self, robot: Robot, master: bus.Master, log: SessionLog, task: Task, stop: Stop
+    ) -> None:
+        self._robot, self._master, self._log, self._task, self._stop = (
+            robot,
+            master,
+            log,
+            task,
+            stop,
+        )
         self._link, self._bus = master.link, master.bus
         self._period_s = master.bus.file.sync_period_s
         self._pace = Pace(master)
@@ -143,7 +165,8 @@ class _Session:
         self._note("mark", *(f"node {node}: found in fault" for node in self._in_fault))
         if self._task.reference is not None:
             self._note("mark", *self._task.before_motion(self._master))
-            self._master.wait(self._link.now_ns())  # takes the frames received while the operator was asked
+            # takes the frames received while the operator was asked
+            self._master.wait(self._link.now_ns())
         self.addressed = True
         self._master.configure()
         differences = self._master.differences()
@@ -180,7 +203,8 @@ class _Session:
             self._run("disable", self._disable())  # the operator stopped the session
             return
         if not self._stop.reason:
-            # From the held targets, not from measured positions: the difference between them would be a step of the target.
+            # From the held targets, not from measured positions: the difference between them would
+            # be a step of the target.
             start = bus.joints_of(self._robot, self._bus, self._held)
             path = approach(start, reference[0], self._robot, self._period_s)
             check_limits(path, self._robot, self._period_s, "the approach to the reference's start")
@@ -190,35 +214,49 @@ class _Session:
         self._run("stop", self._hold())
         self._run("disable", self._disable())
 
-    def _run(self, name: str, orders: Iterator[bus.Orders | None], planned_s: float | None = None) -> None:
-        """Run a phase: for each SYNC its orders, which apply from that SYNC on, then SYNC, answers and guards."""
+    def _run(
+        self, name: str, orders: Iterator[bus.Orders | None], planned_s: float | None = None
+    ) -> None:
+        """Run a phase: for each SYNC its orders, which apply from that SYNC on, then
+        SYNC, answers and guards.
+        """
         self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
         if planned_s is not None:
             self._note("plan", f"{name} {planned_s:g} s")
         for order in orders:
             if order is not None:
                 self._held = [target for _, target in order]
-                self._targets = [*self._targets[-3:], bus.joints_of(self._robot, self._bus, self._held)]
+                self._targets = [
+                    *self._targets[-3:],
+                    bus.joints_of(self._robot, self._bus, self._held),
+                ]
                 bus.send_orders(self._master, order)
             self._sync()
 
     def _sync(self) -> None:
-        """Send or await SYNC, take the answers, check the guards. Raises the `RobotIdimError` of a guard."""
+        """Send or await SYNC, take the answers, check the guards.
+
+        Raises the `RobotIdimError` of a guard.
+        """
         motion = self._motion
         in_motion = motion is not None and bool(motion.enabled)
         self._pace.sync(in_motion=in_motion)
         now_ns = self._link.now_ns()
         if self._master.signs or self._master.bus_error:
-            self._log.poll(now_ns)  # raises if the second stop sent those frames: it is not another master
+            # raises if the second stop sent those frames: it is not another master
+            self._log.poll(now_ns)
         error = node_fault(self._master, now_ns) or self._other_master(in_motion)
         if error is None and motion is not None:
             q = self._positions()
             if q is not None:
                 motion.start = q if motion.start is None else motion.start
                 motion.measured = [*motion.measured[-10:], q]
-                # A drive takes a period to reach a target: its position now belongs to the target before the last.
+                # A drive takes a period to reach a target: its position now belongs to the
+                # target before the last.
                 motion.target = self._targets[-2] if len(self._targets) >= 2 else None
-                error = state_fault(self._master, motion) or joint_fault(self._master, self._robot, motion)
+                error = state_fault(self._master, motion) or joint_fault(
+                    self._master, self._robot, motion
+                )
             if error is None and self._stop.at_once:
                 error = BusFaultError(f"{self._stop.reason}, then again: quick stop")
             for watch in self._master.nodes:
@@ -231,10 +269,14 @@ class _Session:
             self._stop.reason = "disk nearly full"
 
     def _other_master(self, in_motion: bool) -> RobotIdimError | None:
-        """The fault if another master commands our drives in motion; any other sign of one is a warning, once each."""
+        """The fault if another master commands our drives in motion; any other sign of one
+        is a warning, once each.
+        """
         signs, self._master.signs = self._master.signs, {}
         for sign, commands in signs.items():
-            error = BusFaultError(f"{sign}: another master is active", place="bus", expected="none in motion")
+            error = BusFaultError(
+                f"{sign}: another master is active", place="bus", expected="none in motion"
+            )
             if in_motion and commands:
                 return error
             self._note_once("warning", error.args[0])
@@ -243,21 +285,30 @@ class _Session:
     def _positions(self) -> Array | None:
         """Measured joint positions (n,), None until every drive has sent its position."""
         counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
-        return bus.joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
+        return (
+            bus.joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
+        )
 
     def _record(self) -> Iterator[None]:
-        while not self._stop.reason and (self._until_ns is None or self._link.now_ns() < self._until_ns):
+        while not self._stop.reason and (
+            self._until_ns is None or self._link.now_ns() < self._until_ns
+        ):
             yield None
 
     def _enable(self) -> Iterator[bus.Orders | None]:
-        """Enable all drives, each held at its position. The guards of motion are active from here on."""
+        """Enable all drives, each held at its position.
+
+        The guards of motion are active from here on.
+        """
         self._motion = MotionState()
         targets: list[int] = []
         for order in enable(self._master, targets, self._in_fault):
             if self._stop.reason:
                 return
             yield order
-        held = itertools.repeat(_enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s))
+        held = itertools.repeat(
+            _enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s)
+        )
         yield from itertools.takewhile(lambda _: not self._stop.reason, held)
         self._motion.enabling = False
 
@@ -265,7 +316,12 @@ class _Session:
         """Orders that keep drives enabled at the joint targets of `path` (N, n)."""
         for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
             motor = self._robot.motor_position(q[None])[0]
-            yield _enabled_at([int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)])
+            yield _enabled_at(
+                [
+                    int(drive.position_codec.raw(motor[i]))
+                    for i, drive in enumerate(self._bus.drives)
+                ]
+            )
 
     def _hold(self) -> Iterator[bus.Orders]:
         yield from itertools.repeat(_enabled_at(self._held), max(3, round(HOLD_S / self._period_s)))
@@ -273,10 +329,14 @@ class _Session:
     def _disable(self) -> Iterator[bus.Orders]:
         """Disable all drives, without the guards of motion: drives leave operation enabled here."""
         self._motion = None
-        yield from disable(self._master, self._held or [watch.counts or 0 for watch in self._master.nodes])
+        yield from disable(
+            self._master, self._held or [watch.counts or 0 for watch in self._master.nodes]
+        )
 
     def make_safe(self) -> list[int]:
-        """Stop and disable every drive, or read the states if none was commanded; node ids of those that did not confirm."""
+        """Stop and disable every drive, or read the states if none was commanded; node ids of
+        those that did not confirm.
+        """
         if not self.addressed or (not self._started and self._task.reference is None):
             self.addressed = False
             return []
@@ -295,7 +355,8 @@ class _Session:
         in_fault = [
             watch.drive
             for watch in self._master.nodes
-            if watch.emergency is not None or watch.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+            if watch.emergency is not None
+            or watch.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         ]
         asked = [drive for drive in in_fault if self.addressed and drive.node not in unconfirmed]
         return [text for drive in asked if (text := bus.error_report(self._master, drive))]

@@ -25,7 +25,11 @@ MAX_ANSWER_SHARE = 0.7  # of a period, for the drives' answers to SYNC
 
 def largest_delay_s(file: BusFile) -> float:
     """How late SYNC may be in motion, s."""
-    return max(MAX_LATE_PERIODS * file.sync_period_s, MAX_LATE_S) if file.late_sync_s is None else file.late_sync_s
+    return (
+        max(MAX_LATE_PERIODS * file.sync_period_s, MAX_LATE_S)
+        if file.late_sync_s is None
+        else file.late_sync_s
+    )
 
 
 class Pace:
@@ -43,16 +47,18 @@ class Pace:
         self.next_ns = self._link.now_ns() + self._period_ns
 
     def sync(self, *, in_motion: bool) -> None:
-        """Wait until SYNC is due, send it (or await that of the other producer), and take the answers.
+        """Wait until SYNC is due, send it (or await that of the other
+        producer), and take the answers.
 
-        Raises `BusFaultError` where SYNC is later than allowed in motion, or absent: drives would stop at their last
-        target, and the next target would be a step.
+        Raises `BusFaultError` where SYNC is later than allowed in motion, or absent: drives would
+        stop at their last target, and the next target would be a step.
         """
         if self._ours:
             self._master.wait(self.next_ns)
             self._refuse_late(in_motion)
             if self._link.now_ns() > self.next_ns + self._period_ns:
-                self.next_ns = self._link.now_ns()  # after a delay the period restarts here: no burst of SYNCs
+                # after a delay the period restarts here: no burst of SYNCs
+                self.next_ns = self._link.now_ns()
             self._master.sync()
         else:
             patience_ns = self._latest_ns if in_motion else MAX_ABSENT_PERIODS * self._period_ns
@@ -62,7 +68,9 @@ class Pace:
                 raise BusFaultError(f"no SYNC in {waited}", place="bus", expected=expected)
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
-        self._master.wait(self.next_ns + round(MAX_ANSWER_SHARE * self._period_ns), for_answers=True)
+        self._master.wait(
+            self.next_ns + round(MAX_ANSWER_SHARE * self._period_ns), for_answers=True
+        )
         self.next_ns += self._period_ns
 
     def _refuse_late(self, in_motion: bool) -> None:
@@ -72,7 +80,8 @@ class Pace:
             raise BusFaultError(f"SYNC {late_ns * 1e-9:.3g} s late in motion", expected=expected)
 
 
-PRIORITY = 20  # of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
+# of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
+PRIORITY = 20
 MCL_CURRENT, MCL_FUTURE = 1, 2  # of mlockall(2)
 MAX_JITTER_SYNCS, MIN_JITTER_SYNCS, MAX_JITTER_S = 200, 20, 1.0
 DEVIATIONS = 3  # standard deviations of jitter within the largest delay of SYNC
@@ -88,8 +97,14 @@ class Scheduling:
     @property
     def words(self) -> str:
         """In words."""
-        fifo = f"SCHED_FIFO, priority {PRIORITY}" if self.fifo else "SCHED_OTHER: SCHED_FIFO is not permitted (rtprio)"
-        return f"{fifo}; memory {'locked' if self.locked else 'not locked: memlock is not unlimited'}"
+        fifo = (
+            f"SCHED_FIFO, priority {PRIORITY}"
+            if self.fifo
+            else "SCHED_OTHER: SCHED_FIFO is not permitted (rtprio)"
+        )
+        return (
+            f"{fifo}; memory {'locked' if self.locked else 'not locked: memlock is not unlimited'}"
+        )
 
     @property
     def counters(self) -> dict[str, float]:
@@ -99,7 +114,9 @@ class Scheduling:
 
 @contextmanager
 def real_time_scheduling() -> Iterator[Scheduling]:
-    """Real-time scheduling, locked memory, no garbage collection inside the block where permitted; yields what was granted."""
+    """Real-time scheduling, locked memory, no garbage collection inside the block where permitted;
+    yields what was granted.
+    """
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     collected = gc.isenabled()
     gc.collect()
@@ -111,7 +128,9 @@ def real_time_scheduling() -> Iterator[Scheduling]:
     with suppress(OSError):  # not permitted; RESET_ON_FORK: new child processes do not inherit it
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
         fifo = True
-    granted = Scheduling(fifo=fifo, locked=unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0)
+    granted = Scheduling(
+        fifo=fifo, locked=unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0
+    )
     try:
         yield granted
     finally:
@@ -141,10 +160,13 @@ class Jitter:
 
 
 def sync_jitter(master: Master) -> Jitter:
-    """Measure the jitter of SYNC over 200 periods or a second, 20 periods at least. Nothing is sent.
+    """Measure the jitter of SYNC over 200 periods or a second, 20 periods at least.
 
-    Where this master produces SYNC, the times at which it would be sent are measured, else the times at which it arrives.
-    Raises `BusFaultError` where SYNC of the other producer is absent for 50 periods.
+    Nothing is sent.
+
+    Where this master produces SYNC, the times at which it would be sent are measured, else the
+    times at which it arrives. Raises `BusFaultError` where SYNC of the other producer is
+    absent for 50 periods.
     """
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
     count = min(MAX_JITTER_SYNCS, max(MIN_JITTER_SYNCS, round(MAX_JITTER_S * 1e9 / period_ns)))

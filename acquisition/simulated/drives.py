@@ -1,7 +1,9 @@
-"""CiA 402 drives that move a plant, in lock-step with a session in this process, or in real time for any master.
+"""CiA 402 drives that move a plant, in lock-step with a session in this process, or in
+real time for any master.
 
-At SYNC a drive samples, answers, and applies the targets received since the last SYNC; then the plant is stepped by one
-period. Time is that of the frames passed in, so a run in lock-step repeats bit for bit.
+At SYNC a drive samples, answers, and applies the targets received since the last SYNC; then
+the plant is stepped by one period. Time is that of the frames passed in, so a run in
+lock-step repeats bit for bit.
 """
 
 from collections import deque
@@ -21,29 +23,45 @@ from .mechanism import SUBSTEPS, DrivenPlant, cubic, driven_plant
 from .node import Sent, SimulatedNode, Supervision, simulated_node
 from .units import units_and_limits
 
-# Times the following-error limits of the joints that a motor moves: the drive (6065h) reacts after the session.
+# Times the following-error limits of the joints that a motor moves: the drive (6065h)
+# reacts after the session.
 WINDOW_FACTOR = 2
-# Values of 605Ah with which a drive stays in quick stop active at standstill; smaller ones lead to switch on disabled.
+# Values of 605Ah with which a drive stays in quick stop active at standstill; smaller ones lead
+# to switch on disabled.
 QUICK_STOP_STAYS = range(5, 9)
 
 
 class SimulatedDrives:
-    """All drives of a robot: `receive` takes a frame and returns the frames that the drives send. No I/O, no clock.
+    """All drives of a robot: `receive` takes a frame and returns the frames that the drives send.
 
-    They move `mechanism` (default: `driven_plant` of the description). Unless `supervised`, drives do not detect a lost SYNC, a
-    lost master (no 1016h, 6007h is 0) or a following error (6065h is off).
+    No I/O, no clock.
+
+    They move `mechanism` (default: `driven_plant` of the description). Unless
+    `supervised`, drives do not detect a lost SYNC, a lost master (no 1016h, 6007h is 0) or
+    a following error (6065h is off).
     """
 
     def __init__(
-        self, robot: Robot, bus: Bus, mechanism: DrivenPlant | None = None, *, supervised: bool = True
+        self,
+        robot: Robot,
+        bus: Bus,
+        mechanism: DrivenPlant | None = None,
+        *,
+        supervised: bool = True,
     ) -> None:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
                 node.set_homed(file.homed)
-        following = np.abs(robot.R) @ [joint.si("following_error") or np.inf for joint in robot.joints]
+        following = np.abs(robot.R) @ [
+            joint.si("following_error") or np.inf for joint in robot.joints
+        ]
         self._supervisions = [
-            Supervision(node, WINDOW_FACTOR * limit * node.drive.position_codec.counts_per_unit, supervised=supervised)
+            Supervision(
+                node,
+                WINDOW_FACTOR * limit * node.drive.position_codec.counts_per_unit,
+                supervised=supervised,
+            )
             for node, limit in zip(self.nodes, following, strict=True)
         ]
         mechanism = mechanism or driven_plant(robot, bus)
@@ -56,14 +74,19 @@ class SimulatedDrives:
             sign=np.array([c.sign for c in codecs]),
             zero_counts=np.array([c.zero_counts for c in codecs]),
         )
-        self._quick_stop = np.abs(robot.R) @ [joint.si("acceleration") or 10.0 for joint in robot.joints]
+        self._quick_stop = np.abs(robot.R) @ [
+            joint.si("acceleration") or 10.0 for joint in robot.joints
+        ]
         for node, limit in zip(self.nodes, self._quick_stop, strict=True):
-            # The ramps are the motor's acceleration limit, rad/s² or m/s², as in the commissioning of an arm.
+            # The ramps are the motor's acceleration limit, rad/s² or m/s², as in the
+            # commissioning of an arm.
             ramps = cia.QUICK_STOP_DECELERATION, cia.PROFILE_DECELERATION
             keys = [(axis_index(node.drive, index), 0) for index in ramps]
             unit = _ramp(node, node.values | dict.fromkeys(keys, 1))
             for key in [key for key in keys if key in node.values and unit]:
-                node.values[key] = node.initial[key] = int(cia.saturated(np.array(limit / unit), "U32"))
+                node.values[key] = node.initial[key] = int(
+                    cia.saturated(np.array(limit / unit), "U32")
+                )
         for i, node in enumerate(self.nodes):
             stated = units_and_limits(robot, bus, i) if node.drive.dictionary is None else {}
             node.types |= dict.fromkeys(stated.keys() - node.types, "U32")
@@ -71,7 +94,8 @@ class SimulatedDrives:
             node.initial |= stated
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._next_heartbeat = [0] * robot.n
-        # State of the loops: target, the way to it, speed at it (times the period), integral of the error, efforts, brakes.
+        # State of the loops: target, the way to it, speed at it (times the period), integral of the
+        # error, efforts, brakes.
         self._target, self._travel, self._speed, self._integral = np.zeros((4, robot.n))
         self._actual, self._reported = np.zeros((2, robot.n))
         self._held = np.ones(robot.n, np.bool_)
@@ -82,7 +106,9 @@ class SimulatedDrives:
         return [node.state for node in self.nodes]
 
     def set_heartbeats(self, every_ms: int) -> None:
-        """Set `every_ms`, from the next boot on, for drives whose dictionaries have a heartbeat time (1017h) of 0."""
+        """Set `every_ms`, from the next boot on, for drives whose dictionaries have a
+        heartbeat time (1017h) of 0.
+        """
         for node in self.nodes:
             if node.initial.get((cia.HEARTBEAT_TIME, 0)) == 0:
                 node.initial[cia.HEARTBEAT_TIME, 0] = every_ms
@@ -105,11 +131,15 @@ class SimulatedDrives:
     def due_ns(self) -> int | None:
         """When `advance` must be called next, None where nothing is due."""
         times = [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
-        times += [due for supervision in self._supervisions if (due := supervision.due_ns()) is not None]
+        times += [
+            due for supervision in self._supervisions if (due := supervision.due_ns()) is not None
+        ]
         return min(times, default=None)
 
     def advance(self, now_ns: int) -> Sent:
-        """Heartbeats that are due; drives that supervise SYNC or a master react where it is lost."""
+        """Heartbeats that are due; drives that supervise SYNC or a master
+        react where it is lost.
+        """
         sent: Sent = []
         for i, node in enumerate(self.nodes):
             every_ns = self._heartbeat_ns(i)
@@ -135,7 +165,9 @@ class SimulatedDrives:
         for i, node in enumerate(self.nodes):
             node.tick()
             if node.operational:
-                sent += self._supervisions[i].follow(behind[i] * node.drive.position_codec.counts_per_unit)
+                sent += self._supervisions[i].follow(
+                    behind[i] * node.drive.position_codec.counts_per_unit
+                )
                 sent += self._answer(i, now_ns)
         if moving:
             self._move()
@@ -149,18 +181,25 @@ class SimulatedDrives:
 
     def _move(self) -> None:
         """Step control loops and plant by one period."""
-        # A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Any other effort
-        # is the mean torque since the last SYNC: it is half a period late.
+        # A torque demand (6074h) is that of the last step: it leads the torque by the lag
+        # of the current loop. Any other effort is the mean torque since the last SYNC: it
+        # is half a period late.
         loops, T = self._loops, self._period_s
         stopping = np.array([node.state is cia.State.QUICK_STOP_ACTIVE for node in self.nodes])
-        enabled = np.array([node.state is cia.State.OPERATION_ENABLED for node in self.nodes]) | stopping
+        enabled = (
+            np.array([node.state is cia.State.OPERATION_ENABLED for node in self.nodes]) | stopping
+        )
         if self.plant.prescribed_effort() is not None:  # the control loops have no effect
             self.plant.step(self._actual, ~enabled | stopping, T)
             return
         position, _ = self._measured()
         # A drive that was enabled at this SYNC starts from its measured position.
-        start, before = np.where(self._held, position, self._target), np.where(self._held, 0.0, self._travel)
-        # Quick stop: the target's speed falls by the ramp that 605Ah selects, else at the acceleration limit.
+        start, before = (
+            np.where(self._held, position, self._target),
+            np.where(self._held, 0.0, self._travel),
+        )
+        # Quick stop: the target's speed falls by the ramp that 605Ah selects, else at
+        # the acceleration limit.
         stated = np.array([_ramp(node, node.values) for node in self.nodes])
         ramps = np.where(stated, stated, self._quick_stop)
         slower = np.sign(before) * np.maximum(np.abs(before) - ramps * T**2, 0.0)
@@ -176,7 +215,11 @@ class SimulatedDrives:
             error, ahead = start + way - position, loops.feedforward * speed / T
             x = loops.position_share * error - (1 - loops.feedforward) * dq
             self._integral = np.where(enabled, self._integral + x * T / SUBSTEPS, 0.0)
-            demand = loops.position * error + loops.velocity * (ahead - dq) + loops.integral * self._integral
+            demand = (
+                loops.position * error
+                + loops.velocity * (ahead - dq)
+                + loops.integral * self._integral
+            )
             demand = np.where(enabled, demand, 0.0)
             self._actual = demand + (self._actual - demand) * decay
             self.plant.step(self._robot.joint_effort(self._actual[None])[0], ~enabled, T / SUBSTEPS)
@@ -189,11 +232,19 @@ class SimulatedDrives:
                 node.state = cia.State.SWITCH_ON_DISABLED
 
     def _targets(self, position: Array, enabled: NDArray[np.bool_]) -> Array:
-        """Motor targets (n,) from 607Ah; the present position where a drive is not enabled or in another mode."""
+        """Motor targets (n,) from 607Ah; the present position where a drive is not
+        enabled or in another mode.
+        """
         target = position.copy()
         for i, node in enumerate(self.nodes):
-            if enabled[i] and node.values.get((cia.MODE_DISPLAY, 0), 8) == cia.Mode.CYCLIC_SYNCHRONOUS_POSITION:
-                target[i] = node.drive.position_codec.si(np.array(node.values[node.drive.target.key]))
+            if (
+                enabled[i]
+                and node.values.get((cia.MODE_DISPLAY, 0), 8)
+                == cia.Mode.CYCLIC_SYNCHRONOUS_POSITION
+            ):
+                target[i] = node.drive.position_codec.si(
+                    np.array(node.values[node.drive.target.key])
+                )
         return target
 
     def _measured(self) -> tuple[Array, Array]:
@@ -217,23 +268,30 @@ class SimulatedDrives:
             for extra in drive.extras:
                 if extra.index == axis_index(drive, cia.VELOCITY_ACTUAL):
                     per_unit = drive.position_codec.sign * drive.position_codec.counts_per_unit
-                    node.values[extra.key] = int(cia.saturated(np.array(speed[i] * per_unit), extra.type))
+                    node.values[extra.key] = int(
+                        cia.saturated(np.array(speed[i] * per_unit), extra.type)
+                    )
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
-    """Deceleration of a quick stop by `values` of its objects, rad/s² or m/s² of the motor; 0 if unknown."""
+    """Deceleration of a quick stop by `values` of its objects, rad/s² or m/s² of
+    the motor; 0 if unknown.
+    """
     objects = {index: values.get((axis_index(node.drive, index), 0)) for index in cia.RAMP_OBJECTS}
     codec = node.drive.position_codec
     return (cia.quick_stop_ramp(objects, codec) or 0.0) / float(codec.counts_per_unit)
 
 
-IDLE_HEARTBEAT_MS = 200  # until a master sets another, so that a master that listens first receives heartbeats
+# until a master sets another, so that a master that listens first receives heartbeats
+IDLE_HEARTBEAT_MS = 200
 
 
 class LockStepLink:
-    """A `MasterLink` to simulated drives, which it boots; every run with the same drives gives the same frames.
+    """A `MasterLink` to simulated drives, which it boots; every run with the same drives
+    gives the same frames.
 
-    Time is simulated: it advances only when the link waits. `tap` is called with every frame that the link sends or receives.
+    Time is simulated: it advances only when the link waits. `tap` is called with every frame that
+        the link sends or receives.
     """
 
     def __init__(self, drives: SimulatedDrives, *, tap: Tap | None = None) -> None:
@@ -264,18 +322,23 @@ class LockStepLink:
                 due_ns = self.drives.due_ns()
             if self._time_ns >= until_ns:
                 return None
-            self._time_ns = until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
+            self._time_ns = (
+                until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
+            )
         frame = Frame(self._time_ns, *self._from_drives.popleft())
         if self._tap is not None:
             self._tap(frame)
         return frame
 
 
-def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
-    """Boot simulated drives and run them in real time on the bus of their description, for any master.
+def serve(
+    drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None
+) -> None:
+    """Boot simulated drives and run them in real time on the bus of their
+    description, for any master.
 
-    `stopped` is called at least every 50 ms, and True ends the simulation; `ready` is called once the drives have booted.
-    Raises `BusFaultError` where the bus cannot be opened or fails.
+    `stopped` is called at least every 50 ms, and True ends the simulation; `ready` is called once
+    the drives have booted. Raises `BusFaultError` where the bus cannot be opened or fails.
     """
     link = open_link(drives.bus.file, passive=False)
     try:
@@ -287,9 +350,12 @@ def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[
                 link.send(can_id, data)
             now_ns = link.now_ns()
             due = drives.due_ns()
-            frame = link.receive(min(now_ns + 50_000_000, due if due is not None else now_ns + 50_000_000))
+            frame = link.receive(
+                min(now_ns + 50_000_000, due if due is not None else now_ns + 50_000_000)
+            )
             sent = [] if frame is None else drives.receive(link.now_ns(), frame.can_id, frame.data)
-            if frame is None or (due is not None and due <= now_ns):  # heartbeats are sent on a busy bus too
+            # heartbeats are sent on a busy bus too
+            if frame is None or (due is not None and due <= now_ns):
                 sent = sent + drives.advance(link.now_ns())
     finally:
         with suppress(BusFaultError):

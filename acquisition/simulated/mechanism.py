@@ -1,8 +1,10 @@
-"""Plants and control loops of simulated drives: the described robot, a recorded table, or independent joints instead.
+"""Plants and control loops of simulated drives: the described robot, a recorded table, or
+independent joints instead.
 
-This package does not know the dynamics of `[parameters]`. Another package provides them by an entry point of the group
-`robot_idim.plants`: a function of the robot and its payload that returns the plant and control loops that suit the inertias
-of the unloaded robot. It raises `BadInputError` where the description cannot be simulated.
+This package does not know the dynamics of `[parameters]`. Another package provides them by an entry
+point of the group `robot_idim.plants`: a function of the robot and its payload that returns the
+plant and control loops that suit the inertias of the unloaded robot. It raises `BadInputError`
+where the description cannot be simulated.
 """
 
 from collections.abc import Callable
@@ -29,22 +31,41 @@ class Plant(Protocol):
         """Position and speed, each (n,)."""
 
     def prescribed_effort(self) -> Array | None:
-        """Effort (n,) that drives report instead of that of their loops; None if the loops move the plant."""
+        """Effort (n,) that drives report instead of that of their loops; None if
+        the loops move the plant.
+        """
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
-        """Step by `duration_s` under constant `effort` (n,); brakes hold the joints where `held` (n,)."""
+        """Step by `duration_s` under constant `effort` (n,); brakes hold the
+        joints where `held` (n,).
+        """
 
 
 class JointwisePlant:
-    """Independent joints: inertia a = effort - load cos(q) - viscous v - coulomb sign(v); each quantity (n,).
+    """Independent joints: inertia a = effort - load cos(q) - viscous v - coulomb
+    sign(v); each quantity (n,).
 
-    `load` is the effort that holds a horizontal joint; a prismatic joint (`slides`) carries it at every position.
+    `load` is the effort that holds a horizontal joint; a prismatic joint (`slides`)
+    carries it at every position.
     """
 
     def __init__(
-        self, inertia: Array, viscous: Array, coulomb: Array, load: Array, *, slides: Mask, position: Array
+        self,
+        inertia: Array,
+        viscous: Array,
+        coulomb: Array,
+        load: Array,
+        *,
+        slides: Mask,
+        position: Array,
     ) -> None:
-        self._inertia, self._viscous, self._coulomb, self._load, self._slides = inertia, viscous, coulomb, load, slides
+        self._inertia, self._viscous, self._coulomb, self._load, self._slides = (
+            inertia,
+            viscous,
+            coulomb,
+            load,
+            slides,
+        )
         self._q, self._dq = np.array(position, dtype=float), np.zeros(len(position))
 
     def state(self) -> tuple[Array, Array]:
@@ -56,7 +77,9 @@ class JointwisePlant:
         return None
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
-        """Load at the middle of the step; Coulomb friction stops a joint, but does not reverse its motion."""
+        """Load at the middle of the step; Coulomb friction stops a joint, but does
+        not reverse its motion.
+        """
         speed = np.where(held, 0.0, self._dq)
         middle = self._q + 0.5 * duration_s * speed
         load = self._load * np.where(self._slides, 1.0, np.cos(middle))
@@ -66,8 +89,12 @@ class JointwisePlant:
         self._q = middle + 0.5 * duration_s * self._dq
 
 
-def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
-    """Independent joints that suit the drives, in mid-range; a horizontal joint carries `load_share` of its rated effort."""
+def typical_plant(
+    robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD
+) -> JointwisePlant:
+    """Independent joints that suit the drives, in mid-range; a horizontal joint carries
+    `load_share` of its rated effort.
+    """
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
     return JointwisePlant(
@@ -87,7 +114,9 @@ def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
 
 
 def middle_of_range(robot: Robot) -> Array:
-    """Joint positions (n,) in the middle of the stated limits, 0 where none are stated; rad or m."""
+    """Joint positions (n,) in the middle of the stated limits, 0 where
+    none are stated; rad or m.
+    """
     return np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
 
 
@@ -123,7 +152,8 @@ SUBSTEPS = 4  # of the control loops in a SYNC period
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopGains:
-    """Control law of the drives, each with its own motor: u = Kp e + Kd (phi dr - dq) + Ki integral(alpha e - (1 - phi) dq).
+    """Control law of the drives, each with its own motor: u = Kp e + Kd (phi dr - dq) + Ki
+    integral(alpha e - (1 - phi) dq).
 
     e = r - q, in rad (or m) of the motor; u in the recorded effort; gains (n,).
     """
@@ -133,42 +163,51 @@ class LoopGains:
     integral: Array  # Ki
     position_share: Array  # alpha
     feedforward: float = 1.0  # phi, the share of the reference's speed that is fed forward
-    # Between two targets the reference is a cubic of continuous speed; if False a straight line, with which the demand has a
-    # ripple in each SYNC period.
+    # Between two targets the reference is a cubic of continuous speed; if False a straight line,
+    # with which the demand has a ripple in each SYNC period.
     smooth: bool = True
     current_s: float = 3e-4  # time constant of the current loop
 
 
 def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
-    """Position loops of the stated bandwidth w, velocity loops four times as fast with an integral, speed fed forward.
+    """Position loops of the stated bandwidth w, velocity loops four times as fast with an
+    integral, speed fed forward.
 
-    `inertia` (n,) at the joints. Kd ((w e + de) + w integral(w e + de)) = 2 w Kd e + Kd de + w² Kd integral(e).
+    `inertia` (n,) at the joints. Kd ((w e + de) + w integral(w e + de)) = 2 w Kd e + Kd
+    de + w² Kd integral(e).
     """
     w = 2 * np.pi * robot.bandwidth_hz
     velocity = 4 * w * (np.linalg.inv(robot.R) ** 2).T @ inertia / robot.gain
     position, integral = 2 * w * velocity, w**2 * velocity
-    return LoopGains(position=position, velocity=velocity, integral=integral, position_share=np.ones(robot.n))
+    return LoopGains(
+        position=position, velocity=velocity, integral=integral, position_share=np.ones(robot.n)
+    )
 
 
 def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
-    """The description for a recording of simulated drives: the law of `cascaded_loops` is added if it states none.
+    """The description for a recording of simulated drives: the law of `cascaded_loops` is
+    added if it states none.
 
-    The fit then simulates the recorded drives. The law is in a separate file because it does not describe the robot's real
-    drives: robot.toml, from which a description is exported, stays unchanged.
+    The fit then simulates the recorded drives. The law is in a separate file because it
+    does not describe the robot's real drives: robot.toml, from which a description is
+    exported, stays unchanged.
     """
     bandwidth_hz = robot.controller.bandwidth_hz
     if robot.bus is None or robot.controller != Controller(bandwidth_hz=bandwidth_hz):
         return robot
     law = (
         f'bandwidth_hz = {bandwidth_hz}\nstructure = "pid"\nvelocity_estimate = "exact"\n'
-        f"sample_rate_hz = {SUBSTEPS / robot.bus.sync_period_s}\nposition_gain = {loops.position.tolist()}\n"
+        f"sample_rate_hz = {SUBSTEPS / robot.bus.sync_period_s}\nposition_gain = "
+        f"{loops.position.tolist()}\n"
         f"velocity_gain = {loops.velocity.tolist()}\nintegral_gain = {loops.integral.tolist()}\n"
     )
     return robot_from_files({**robot.files, SIMULATED_CONTROLLER: law.encode()}, "recording")
 
 
 def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """Distance and speed at a share of the period, by a cubic over `travel` with end speeds `first` and `last`."""
+    """Distance and speed at a share of the period, by a cubic over `travel` with end
+    speeds `first` and `last`.
+    """
     # Speeds are times the period, so that all are in rad or m, (n,).
     rest, a, b = 1 - share, first - travel, last - travel
     speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
@@ -181,7 +220,9 @@ PlantOf = Callable[[Robot, Payload | None], tuple[Plant, LoopGains]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivenPlant:
-    """The plant of simulated drives, and their loops; `warning` is set where it is not the described robot."""
+    """The plant of simulated drives, and their loops; `warning` is set where it is
+    not the described robot.
+    """
 
     plant: Plant
     loops: LoopGains
@@ -189,7 +230,9 @@ class DrivenPlant:
 
 
 def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> DrivenPlant:
-    """The robot of `[parameters]` with its payload; without parameters or dynamics independent joints, and a warning."""
+    """The robot of `[parameters]` with its payload; without parameters or dynamics independent
+    joints, and a warning.
+    """
     if not robot.parameters:
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
     from importlib.metadata import entry_points
@@ -208,11 +251,16 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
 
 def _independent_joints(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
     rated = rated_motor_effort(bus)
-    warning = f"simulated as independent joints with a gravity-like load, not as the described robot: {why}"
+    warning = (
+        "simulated as independent joints with a gravity-like load, not as the described "
+        f"robot: {why}"
+    )
     loops = cascaded_loops(robot, typical_inertia(robot, rated))
     return DrivenPlant(plant=typical_plant(robot, rated), loops=loops, warning=warning)
 
 
 def rated_motor_effort(bus: Bus) -> Array:
-    """Rated efforts (n,) of the motors, in the recorded units: 1000 raw units of each drive's effort object."""
+    """Rated efforts (n,) of the motors, in the recorded units: 1000 raw units of each
+    drive's effort object.
+    """
     return np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])

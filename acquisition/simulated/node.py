@@ -1,11 +1,14 @@
-"""One simulated CiA 402 drive without I/O: object dictionary, SDO server, NMT, state machine, PDOs, and its supervision."""
+"""One simulated CiA 402 drive without I/O: object dictionary, SDO server, NMT, state machine,
+PDOs, and its supervision.
+"""
 
 from dataclasses import dataclass, field
 
 from .. import protocol as cia
 from ..robot import Drive, axis_of, parse_homed
 
-NMT_STATE = {1: 5, 2: 4, 128: 127}  # command to the state in heartbeats: operational, stopped, pre-operational
+# command to the state in heartbeats: operational, stopped, pre-operational
+NMT_STATE = {1: 5, 2: 4, 128: 127}
 RESET = (129, 130)
 CONSUMERS = 2  # heartbeats that a drive without a dictionary supervises at most
 
@@ -28,7 +31,8 @@ class SimulatedNode:
     tpdos: tuple[cia.Pdo, ...] = ()
     rpdos: tuple[cia.Pdo, ...] = ()
     more_status: int = 0  # bits of the statusword other than those of the state
-    boot_up_counts: bool = False  # the boot-up is the first heartbeat (CiA 301): the next comes a heartbeat time later
+    # the boot-up is the first heartbeat (CiA 301): the next comes a heartbeat time later
+    boot_up_counts: bool = False
 
     def boot(self) -> Sent:
         """Reset all values to their initial ones; the boot-up message."""
@@ -54,11 +58,18 @@ class SimulatedNode:
         return self.error(code, register)
 
     def error(self, code: int, register: int = 1) -> Sent:
-        """An emergency message without a change of state; the objects of the last error are set too."""
+        """An emergency message without a change of state; the objects of the
+        last error are set too.
+        """
         for key, value in (((0x1001, 0), register), ((0x1003, 1), code), ((0x603F, 0), code)):
             if key in self.values:
                 self.values[key] = value
-        return [(cia.EMERGENCY + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
+        return [
+            (
+                cia.EMERGENCY + self.drive.node,
+                code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]),
+            )
+        ]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
         """The answers to a frame other than SYNC."""
@@ -92,7 +103,9 @@ class SimulatedNode:
 
     def answers(self) -> Sent:
         """TPDOs with the current values."""
-        return [(pdo.can_id, pdo.pack(self.values)) for pdo in self.tpdos] if self.operational else []
+        return (
+            [(pdo.can_id, pdo.pack(self.values)) for pdo in self.tpdos] if self.operational else []
+        )
 
     def tick(self) -> None:
         """Make the automatic transitions of the state machine, and update the statusword."""
@@ -114,7 +127,9 @@ class SimulatedNode:
             self.initial[index, sub] = self.statusword
         else:
             self.types.setdefault((index, sub), "U32")
-            self.values[index, sub] = self.initial[index, sub] = self.values.get((index, sub), 0) | mask
+            self.values[index, sub] = self.initial[index, sub] = (
+                self.values.get((index, sub), 0) | mask
+            )
         self.tick()
 
     def _set(self, key: Key, value: int) -> None:
@@ -122,9 +137,11 @@ class SimulatedNode:
         self.values[key] = value
         if key == (cia.CONTROLWORD, 0):
             command = cia.command_of(value)
-            held = command is cia.Command.FAULT_RESET and before & 0x80  # acts on the rising edge only
+            # acts on the rising edge only
+            held = command is cia.Command.FAULT_RESET and before & 0x80
             if command is not None and not held:
-                self.state = cia.TRANSITIONS.get((self.state, command), self.state)  # illegal commands are ignored
+                # illegal commands are ignored
+                self.state = cia.TRANSITIONS.get((self.state, command), self.state)
         elif key == (cia.MODE_OF_OPERATION, 0) and (cia.MODE_DISPLAY, 0) in self.values:
             self.values[cia.MODE_DISPLAY, 0] = value
 
@@ -154,12 +171,21 @@ class SimulatedNode:
         index, sub = key
         for communication, mapping in cia.PARAMETERS.values():
             if mapping <= index < mapping + cia.MAX_PDOS:
-                active = not self.values.get((index - mapping + communication, 1), cia.NOT_VALID) & cia.NOT_VALID
+                active = (
+                    not self.values.get((index - mapping + communication, 1), cia.NOT_VALID)
+                    & cia.NOT_VALID
+                )
                 if active or (sub and self.values.get((index, 0))):
                     return "not possible in this state"
-                if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(value & 0xFF):
+                if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(
+                    value & 0xFF
+                ):
                     return "object cannot be mapped to a PDO"
-                bits = sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) if not sub else 0
+                bits = (
+                    sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1))
+                    if not sub
+                    else 0
+                )
                 if bits > cia.MAX_PDO_BITS:
                     return "PDO would be too long"
         return ""
@@ -168,12 +194,17 @@ class SimulatedNode:
         place = f"node {self.drive.node}"
         known = {key: kind for key, kind in self.types.items() if key in self.values}
         both = (cia.pdos_of(way, self.values, known, place) for way in cia.PARAMETERS)
-        fit = (tuple(p for p in pdos if p.bits <= cia.MAX_PDO_BITS and p.can_id < 0x800) for pdos in both)
+        fit = (
+            tuple(p for p in pdos if p.bits <= cia.MAX_PDO_BITS and p.can_id < 0x800)
+            for pdos in both
+        )
         self.tpdos, self.rpdos = fit
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
-    """A drive with the objects of its dictionary; without one, the usual objects and those in the description."""
+    """A drive with the objects of its dictionary; without one, the usual objects and
+    those in the description.
+    """
     read_only: frozenset[Key] = frozenset()
     if drive.dictionary is not None:
         entries = {key: entry for key, entry in drive.dictionary.entries.items() if entry.type}
@@ -183,7 +214,9 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         values |= {(cia.IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
         # PDOs are disabled at the start: the master enables those it uses.
         for (index, sub), value in list(values.items()):
-            if sub == 1 and any(first <= index < first + cia.MAX_PDOS for first, _ in cia.PARAMETERS.values()):
+            if sub == 1 and any(
+                first <= index < first + cia.MAX_PDOS for first, _ in cia.PARAMETERS.values()
+            ):
                 values[index, sub] = value | cia.NOT_VALID
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
@@ -191,16 +224,31 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         types = dict(cia.STANDARD) | {e.key: e.type for e in used}
         types |= {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
-        types |= {(cia.CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
+        types |= {
+            (cia.CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)
+        }
         for communication, mapping in cia.PARAMETERS.values():
             for k in range(4):
-                types |= {(communication + k, 0): "U8", (communication + k, 1): "U32", (communication + k, 2): "U8"}
+                types |= {
+                    (communication + k, 0): "U8",
+                    (communication + k, 1): "U32",
+                    (communication + k, 2): "U8",
+                }
                 types |= {(mapping + k, sub): "U32" if sub else "U8" for sub in range(9)}
-        values = dict.fromkeys(types, 0) | {(cia.DEVICE_TYPE, 0): 0x00020192, (cia.CONSUMER_HEARTBEAT, 0): CONSUMERS}
+        values = dict.fromkeys(types, 0) | {
+            (cia.DEVICE_TYPE, 0): 0x00020192,
+            (cia.CONSUMER_HEARTBEAT, 0): CONSUMERS,
+        }
         # CiA 402: fault signal; off.
-        values |= {(cia.IDENTITY, 0): 4, (cia.ABORT_CONNECTION, 0): 1, (cia.FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}
+        values |= {
+            (cia.IDENTITY, 0): 4,
+            (cia.ABORT_CONNECTION, 0): 1,
+            (cia.FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1,
+        }
         values |= dict.fromkeys(((option, 0) for option in cia.STOP_OPTIONS), 2)  # quick stop ramp
-        values |= {(first + k, 1): cia.NOT_VALID for first, _ in cia.PARAMETERS.values() for k in range(4)}
+        values |= {
+            (first + k, 1): cia.NOT_VALID for first, _ in cia.PARAMETERS.values() for k in range(4)
+        }
     values |= {(index, 0): raw for index, raw in drive.rated.items() if (index, 0) in values}
     node = SimulatedNode(drive=drive, types=types, values=values, read_only=read_only)
     node.tick()
@@ -208,16 +256,20 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     return node
 
 
-SYNC_LOST_NS = 100_000_000  # without SYNC for this time an enabled drive enters fault, as real drives are set to do
+# without SYNC for this time an enabled drive enters fault, as real drives are set to do
+SYNC_LOST_NS = 100_000_000
 SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 FOLLOWING_ERROR_CODE, NO_WINDOW = 0x8611, 2**32 - 1
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
-# 6007h, abort connection option code: the state that an enabled drive changes to. 1 (fault signal) is handled below.
+# 6007h, abort connection option code: the state that an enabled drive changes to. 1 (fault
+# signal) is handled below.
 _REACTIONS = {2: cia.State.SWITCH_ON_DISABLED, 3: cia.State.QUICK_STOP_ACTIVE}
 
 
 class Supervision:
-    """Supervision in one drive, if `supervised`: heartbeat consumers, SYNC, following error over `window` counts."""
+    """Supervision in one drive, if `supervised`: heartbeat consumers, SYNC, following
+    error over `window` counts.
+    """
 
     def __init__(self, node: SimulatedNode, window: float, *, supervised: bool) -> None:
         self._node, self._watches_sync = node, supervised
@@ -241,11 +293,17 @@ class Supervision:
     def follow(self, counts: float) -> Sent:
         """React to a following error in counts; the emergency message if it is too large."""
         window = self._node.values.get(self._window, NO_WINDOW)
-        beyond = self._node.state is cia.State.OPERATION_ENABLED and window != NO_WINDOW and abs(counts) > window
+        beyond = (
+            self._node.state is cia.State.OPERATION_ENABLED
+            and window != NO_WINDOW
+            and abs(counts) > window
+        )
         return self._fault(FOLLOWING_ERROR_CODE) if beyond else []
 
     def heartbeat(self, now_ns: int, producer: int) -> None:
-        """Note the time of a heartbeat: it starts the consumers of that producer (CiA 301, 7.2.8.3.3)."""
+        """Note the time of a heartbeat: it starts the consumers of that
+        producer (CiA 301, 7.2.8.3.3).
+        """
         for sub, entry in self._entries().items():
             if entry >> 16 == producer and entry & 0xFFFF:
                 self._heard[sub] = (entry, now_ns)
@@ -273,13 +331,24 @@ class Supervision:
     def _entries(self) -> dict[int, int]:
         values = self._node.values
         subs = range(1, values.get((cia.CONSUMER_HEARTBEAT, 0), 0) + 1)
-        return {sub: values[cia.CONSUMER_HEARTBEAT, sub] for sub in subs if (cia.CONSUMER_HEARTBEAT, sub) in values}
+        return {
+            sub: values[cia.CONSUMER_HEARTBEAT, sub]
+            for sub in subs
+            if (cia.CONSUMER_HEARTBEAT, sub) in values
+        }
 
     def _deadlines(self) -> dict[int, int]:
-        """Time at which each consumer times out; a rewritten entry starts with the next heartbeat."""
+        """Time at which each consumer times out; a rewritten entry starts
+        with the next heartbeat.
+        """
         entries = self._entries()
-        self._heard = {sub: heard for sub, heard in self._heard.items() if entries.get(sub) == heard[0]}
-        return {sub: then_ns + (entry & 0xFFFF) * 1_000_000 for sub, (entry, then_ns) in self._heard.items()}
+        self._heard = {
+            sub: heard for sub, heard in self._heard.items() if entries.get(sub) == heard[0]
+        }
+        return {
+            sub: then_ns + (entry & 0xFFFF) * 1_000_000
+            for sub, (entry, then_ns) in self._heard.items()
+        }
 
     def _react_to_lost_heartbeat(self) -> Sent:
         node, option = self._node, self._node.values.get((cia.ABORT_CONNECTION, 0), 0)

@@ -1,4 +1,6 @@
-"""What a simulated drive without a dictionary states of itself: texts, modes, units and limits of the description."""
+"""What a simulated drive without a dictionary states of itself: texts, modes, units and
+limits of the description.
+"""
 
 from fractions import Fraction
 
@@ -9,8 +11,13 @@ from ..robot import Bus, Robot
 
 
 def units_and_limits(robot: Robot, bus: Bus, i: int) -> dict[tuple[int, int], int]:
-    """Raw texts, modes, position units and limits of motor `i`; 0 where the description states none, or the motor slides."""
-    drive, per_turn = bus.drives[i], Fraction(bus.file.drive[i].counts_per_turn or 0).limit_denominator(1000)
+    """Raw texts, modes, position units and limits of motor `i`; 0 where the description states
+    none, or the motor slides.
+    """
+    drive, per_turn = (
+        bus.drives[i],
+        Fraction(bus.file.drive[i].counts_per_turn or 0).limit_denominator(1000),
+    )
     position, velocity, motor_speed = MOTION_LIMITS
     values = {(SUPPORTED_MODES, 0): 1 << Mode.CYCLIC_SYNCHRONOUS_POSITION - 1}
     texts = zip(TEXTS, (b"sim", b"none", b"none"), strict=True)  # of four bytes: in one frame
@@ -20,8 +27,13 @@ def units_and_limits(robot: Robot, bus: Bus, i: int) -> dict[tuple[int, int], in
         for index, units in zip(POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):
             values |= {(index, 1): units.numerator, (index, 2): units.denominator}
         speeds[motor_speed] = 60 * speeds[velocity] / float(per_turn)  # rpm
-    values |= {(index, 0): int(saturated(np.array(speed), "U32")) for index, speed in speeds.items()}
-    limits = [joint.si("position") if r else (0.0, 0.0) for r, joint in zip(robot.R[i], robot.joints, strict=True)]
+    values |= {
+        (index, 0): int(saturated(np.array(speed), "U32")) for index, speed in speeds.items()
+    }
+    limits = [
+        joint.si("position") if r else (0.0, 0.0)
+        for r, joint in zip(robot.R[i], robot.joints, strict=True)
+    ]
     if None not in limits:
         low, high = np.array(limits).T
         corners = np.where(robot.R[i] > 0, [low, high], [high, low])

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from ..report import Document
     from ..view import Picture
 
-GONE = {  # what older versions had: a command, an option, or an option of one command; and what to use instead
+# what older versions had: a command, an option, or an option of one command;
+# and what to use instead
+GONE = {
     "schema": "all keys of robot.toml are in identification/reference.md",
     "study --cutoffs": "use sensitivity LOG.mcap, which varies the cut-off",
     "study --starts": "use sensitivity LOG.mcap, which varies the start",
@@ -36,7 +38,9 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
         for key, names in {
             "cutoff_hz": ["fleet --cutoff-hz"],
             "decimation": ["--decimate"],
-            "low_speed_percent": [f"{command} --low-speed-percent" for command in ("fit", "friction", "fleet")],
+            "low_speed_percent": [
+                f"{command} --low-speed-percent" for command in ("fit", "friction", "fleet")
+            ],
             "max_iterations": ["--max-iterations"],
             "tolerance_percent": ["--tolerance-percent"],
             "torque_lag_s": ["fleet --torque-lag-s", "view --torque-lag-s"],
@@ -48,7 +52,9 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
     "compare --rrd": "use --report FILE.html, which has the charts",
     "demo --noise": "use simulate --effort-noise-percent",
     "friction --rrd": "use --report FILE.html, which has the charts",
-    **dict.fromkeys(["fleet --rrd", "fleet --report"], "use the table of -o OUT.csv, which marks changes"),
+    **dict.fromkeys(
+        ["fleet --rrd", "fleet --report"], "use the table of -o OUT.csv, which marks changes"
+    ),
 }
 
 
@@ -60,7 +66,9 @@ def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._Argument
 
 
 def add_simulation(parser: argparse.ArgumentParser, *names: str, **noise: float) -> None:
-    """Length, rate, seed and noise of a simulated recording; `noise` replaces defaults of the fields."""
+    """Length, rate, seed and noise of a simulated recording; `noise` replaces
+    defaults of the fields.
+    """
     group = parser.add_argument_group("simulated recording")
     add_options(group, StudyOptions, "duration_s", "sample_rate_hz", "seed", seed=1)
     add_options(group, CellOptions, *names, **noise)
@@ -70,14 +78,22 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     """The recordings, and an optional description instead of their own."""
     add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
-    text = "what the robot carried in the recording NAME, instead of what is stored there: kg and centre of mass in m, "
+    text = (
+        "what the robot carried in the recording NAME, instead of what is stored there: kg and "
+        "centre of mass in m, "
+    )
     text += "none, or unknown; once for each recording"
-    inputs.add_argument("--payload", metavar="NAME=KG[@X,Y,Z]", action="append", default=[], help=text)
+    inputs.add_argument(
+        "--payload", metavar="NAME=KG[@X,Y,Z]", action="append", default=[], help=text
+    )
 
 
 def add_method(settings: "argparse._ActionsContainer") -> None:
     """`--method`."""
-    text = "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables (default: iv if every "
+    text = (
+        "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables "
+        "(default: iv if every "
+    )
     text += "recording has its reference, else wls)"
     settings.add_argument("--method", choices=["ols", "wls", "iv"], type=str.lower, help=text)
 
@@ -93,17 +109,28 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
         name, _, payload = text.partition("=")
         names = [x for path in options.recordings for x in (path.name, path.stem)]
         if not payload or name not in names:
-            expected = f"NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of {', '.join(names[1::2])}"
+            expected = (
+                "NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of "
+                f"{', '.join(names[1::2])}"
+            )
             raise BadInputError(key="--payload", value=text, expected=expected)
         payloads[name] = payload
     paths = options.recordings
-    return [RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem))) for path in paths]
+    return [
+        RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem)))
+        for path in paths
+    ]
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
     """Where tasks run: on the cores of this machine, or on a cluster."""
-    text = "number of processes (default: all cores), or the address of a Dask scheduler, as tcp://HOST:8786"
-    parser.add_argument_group("where it runs").add_argument("--workers", type=workers, metavar="N", help=text)
+    text = (
+        "number of processes (default: all cores), or the address of a Dask scheduler, as "
+        "tcp://HOST:8786"
+    )
+    parser.add_argument_group("where it runs").add_argument(
+        "--workers", type=workers, metavar="N", help=text
+    )
 
 
 def work_of(options: argparse.Namespace, tasks: int) -> "Work":
@@ -116,7 +143,9 @@ def work_of(options: argparse.Namespace, tasks: int) -> "Work":
 
 def add_report(outputs: "argparse._ActionsContainer") -> None:
     """`--report`."""
-    add_path(outputs, "--report", "FILE", "write the report: .md has the tables, .html also the pictures")
+    add_path(
+        outputs, "--report", "FILE", "write the report: .md has the tables, .html also the pictures"
+    )
 
 
 def add_pictures(outputs: "argparse._ActionsContainer", text: str) -> None:
@@ -131,7 +160,9 @@ def write_pictures(
     draw: "Callable[[ModuleType], list[Picture]]",
     rrds: Sequence[Path] | None = None,
 ) -> None:
-    """Write the files of `add_pictures`: a report of all pictures, a Rerun file of each; `draw` is given the room `view`."""
+    """Write the files of `add_pictures`: a report of all pictures, a Rerun file of each; `draw` is
+    given the room `view`.
+    """
     report, rrd = options.report, getattr(options, "rrd", None)
     rrds = rrds or ([rrd] if rrd else [])
     if report is not None and report.suffix == ".md":
@@ -146,8 +177,11 @@ def write_pictures(
 
         pictures = draw(view)
         if report is not None:
-            whole = view.join_pictures(pictures)  # of several recordings each picture's document is that of its own
-            view.write_html(report, whole if len(pictures) == 1 else replace(whole, document=document))
+            # of several recordings each picture's document is that of its own
+            whole = view.join_pictures(pictures)
+            view.write_html(
+                report, whole if len(pictures) == 1 else replace(whole, document=document)
+            )
         for rrd, picture in zip(rrds, pictures, strict=False):
             view.write_rrd(rrd, picture)
 
@@ -157,7 +191,9 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInputError(f"cannot be created: {error.strerror}", place=str(out), expected="a folder") from error
+        raise BadInputError(
+            f"cannot be created: {error.strerror}", place=str(out), expected="a folder"
+        ) from error
 
 
 def refuse_outputs(
@@ -167,23 +203,30 @@ def refuse_outputs(
     picture: Path | None = None,
     overwrite: bool | None = None,
 ) -> None:
-    """Before any work: refuse outputs that replace an input, another output or a recording, or lie in a missing folder, and a
-    `report` that is neither Markdown nor HTML.
+    """Before any work: refuse outputs that replace an input, another output or a recording, or lie
+    in a missing folder, and a `report` that is neither Markdown nor HTML.
 
-    The folder of a `picture` is not checked, because the fit is printed even if the picture cannot be written.
+    The folder of a `picture` is not checked, because the fit is printed even if the
+    picture cannot be written.
     """
     from acquisition.files import refuse_clash
 
     if report is not None and report.suffix not in (".md", ".html"):
-        raise BadInputError(place=str(report), key="ending", value=report.suffix, expected=".md or .html")
+        raise BadInputError(
+            place=str(report), key="ending", value=report.suffix, expected=".md or .html"
+        )
     refuse_clash(inputs, *outputs, report, picture, overwrite=overwrite)
     for output in (*outputs, report):
         if output is not None and not output.absolute().parent.is_dir():
-            raise BadInputError(f"no folder {output.parent}", place=str(output), expected="an existing folder")
+            raise BadInputError(
+                f"no folder {output.parent}", place=str(output), expected="an existing folder"
+            )
 
 
 def print_results(*items: "Document | str", everything: bool = True) -> None:
-    """Print reports and lines without cutting them to the width of the terminal; reports in short, or `everything`."""
+    """Print reports and lines without cutting them to the width of the terminal; reports in
+    short, or `everything`.
+    """
     from ..report import print_whole
 
     print_whole(*items, short=not everything)

@@ -11,7 +11,12 @@ from .arguments import add_report, print_results, refuse_outputs, write_pictures
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "a", "A.json", "a fit, as `fit --json` writes it")
-    add_path(parser, "b", "B.json|URDF", "another fit; or a URDF or a robot.toml, whose links are the prior")
+    add_path(
+        parser,
+        "b",
+        "B.json|URDF",
+        "another fit; or a URDF or a robot.toml, whose links are the prior",
+    )
     add_path(parser, "--json", "FILE", "write the comparison as JSON")
     add_flag(parser, "--all", "print all parameters, not only the largest differences")
     add_report(parser)
@@ -19,7 +24,14 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
-    from ..report import ParameterSet, comparison_document, differences, frame_lines, read_fit, write_json
+    from ..report import (
+        ParameterSet,
+        comparison_document,
+        differences,
+        frame_lines,
+        read_fit,
+        write_json,
+    )
 
     refuse_outputs([options.a, options.b], options.json, report=options.report)
     same = options.a.stem == options.b.stem

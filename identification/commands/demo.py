@@ -12,7 +12,8 @@ NEXT = (
     "next, with your own robot:",
     "describe it, or copy a robot.toml of replay_data: robot-identify init arm.urdf -o robot.toml",
     "check drives and bus: robot-acquire check robot.toml",
-    "record; this moves the robot, so first --dry-run: robot-acquire record robot.toml -o log.mcap --track ref.csv",
+    "record; this moves the robot, so first --dry-run: robot-acquire record robot.toml -o "
+    "log.mcap --track ref.csv",
     "or import: robot-acquire import log.csv --robot robot.toml",
     "fit: robot-identify fit log.mcap --json fit.json --rrd fit.rrd",
 )
@@ -20,16 +21,28 @@ NEXT = (
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "--out", "DIR", "folder for results (default: session)", default=Path("session"))
-    parser.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="the simulated robot (default tx40)")
-    text = "instead record drives in A, without and with 2 kg, and compare the drive gains with the true ones"
+    add_path(
+        parser, "--out", "DIR", "folder for results (default: session)", default=Path("session")
+    )
+    parser.add_argument(
+        "--robot",
+        choices=["scara", "tx40"],
+        default="tx40",
+        help="the simulated robot (default tx40)",
+    )
+    text = (
+        "instead record drives in A, without and with 2 kg, and compare the drive gains with "
+        "the true ones"
+    )
     add_flag(parser, "--gains", text)
     add_flag(parser, "--all", "print the whole fits by least squares and iv, and all parameters")
     add_overwrite(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Record, fit by both methods, draw, and print both fits beside the true values; or drive gains alone."""
+    """Record, fit by both methods, draw, and print both fits beside the true
+    values; or drive gains alone.
+    """
     if options.gains:
         _identify_gains(options)
         return
@@ -38,10 +51,23 @@ def run(options: argparse.Namespace) -> None:
         from acquisition.robot import load_robot
 
         from ..data import load_signals
-        from ..methods import PARAMETERS, Iteration, fit_document, fit_file, identify_iv, identify_ls
+        from ..methods import (
+            PARAMETERS,
+            Iteration,
+            fit_document,
+            fit_file,
+            identify_iv,
+            identify_ls,
+        )
         from ..regression import Overrides
         from ..report import write_json
-        from ..study import base_file, description, record_simulated_session, study_truth, truth_document
+        from ..study import (
+            base_file,
+            description,
+            record_simulated_session,
+            study_truth,
+            truth_document,
+        )
         from ..view import draw_fit, write_rrd
 
         place, out = description(options.robot), options.out
@@ -67,13 +93,17 @@ def run(options: argparse.Namespace) -> None:
     if options.all:
         print_results(*reports, compared)
     else:  # the true values in place of the table of parameters
-        sections = (compared.sections[0] if s.title == PARAMETERS else s for s in reports[-1].sections)
+        sections = (
+            compared.sections[0] if s.title == PARAMETERS else s for s in reports[-1].sections
+        )
         print_results(replace(reports[-1], sections=tuple(sections)), everything=False)
     print_results(f"open the plots: rerun --bind 127.0.0.1 {out / 'demo.rrd'}", *NEXT)
 
 
 def _identify_gains(options: argparse.Namespace) -> None:
-    """Record without and with a payload, identify the drive gains, and print them beside the true ones."""
+    """Record without and with a payload, identify the drive gains, and print
+    them beside the true ones.
+    """
     out, paths = options.out, (options.out / "free.mcap", options.out / "loaded.mcap")
     with Progress("starting") as progress:
         from acquisition.files import refuse_clash

@@ -11,24 +11,46 @@ from . import arguments as shared
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = shared.add_robot(parser, "with limits of all joints")
-    add_path(inputs, "--fit", "FIT.json", "take parameters and noise from this fit (default: [parameters])")
+    add_path(
+        inputs,
+        "--fit",
+        "FIT.json",
+        "take parameters and noise from this fit (default: [parameters])",
+    )
     text = "earlier recordings of the robot, whose information is added to that of the trajectory"
     add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
-    text = "payload of a second run of the reference, to identify drive gains: kg, and its centre of mass in m"
+    text = (
+        "payload of a second run of the reference, to identify drive gains: kg, and its centre "
+        "of mass in m"
+    )
     inputs.add_argument("--payload", metavar="KG[@X,Y,Z]", help=text)
-    text = "standard deviation of the torque noise per row of the fit, in the unit of the effort, one value or one per "
+    text = (
+        "standard deviation of the torque noise per row of the fit, in the unit of the effort, "
+        "one value or one per "
+    )
     text += "joint (default: of FIT.json, else 2 %% of the rms torque)"
     inputs.add_argument("--noise", type=list_of_values, metavar="A,B", help=text)
     add_options(parser.add_argument_group("reference"), ReferenceOptions)
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --out", "REF.csv", "the reference, for `robot-acquire record --track`", required=True)
+    add_path(
+        outputs,
+        "-o --out",
+        "REF.csv",
+        "the reference, for `robot-acquire record --track`",
+        required=True,
+    )
     add_flag(outputs, "--all", "print the intervals of all parameters, not only the widest")
     shared.add_pictures(outputs, "draw the reference and the intervals as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:
     """Search the reference, write it, and print the expected intervals."""
-    shared.refuse_outputs([options.robot, options.fit, *options.after], options.out, options.rrd, report=options.report)
+    shared.refuse_outputs(
+        [options.robot, options.fit, *options.after],
+        options.out,
+        options.rrd,
+        report=options.report,
+    )
     with Progress("excitation") as progress:
         from acquisition.robot import load_robot, parse_payload
 
@@ -38,13 +60,20 @@ def run(options: argparse.Namespace) -> None:
         payload = parse_payload(options.payload, robot) if options.payload else None
         settings = from_options(ExcitationSettings, options)
         prior = prior_information(
-            robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after, payload=payload
+            robot,
+            options.robot.parent,
+            fit=options.fit,
+            noise=options.noise,
+            after=options.after,
+            payload=payload,
         )
         found = excite(robot, settings, prior, str(options.robot), progress.say)
     document = excitation_document(found)
     try:
         found.write(options.out)
 
-        shared.write_pictures(options, document, lambda view: [view.draw_excitation(found, document)])
+        shared.write_pictures(
+            options, document, lambda view: [view.draw_excitation(found, document)]
+        )
     finally:
         shared.print_results(document, everything=options.all)

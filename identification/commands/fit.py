@@ -28,17 +28,32 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_options(settings, Overrides, "gains")
     add_flag(settings, "--essential", "fit only the essential (well-determined) parameters")
     consistent = parser.add_argument_group("physically consistent parameters")
-    add_flag(consistent, "--consistent", "also compute physically possible standard parameters of all links")
-    text = "a-priori link parameters, from [parameters] or a URDF (default: the recording's description)"
+    add_flag(
+        consistent,
+        "--consistent",
+        "also compute physically possible standard parameters of all links",
+    )
+    text = (
+        "a-priori link parameters, from [parameters] or a URDF (default: the recording's "
+        "description)"
+    )
     add_path(consistent, "--prior", "ROBOT.toml|URDF", text)
-    text = "initial parameters of iv: unit inertias (regular, default), least squares, or a fit's JSON file"
+    text = (
+        "initial parameters of iv: unit inertias (regular, default), least squares, or a fit's "
+        "JSON file"
+    )
     settings.add_argument("--start", metavar="regular|ls|FIT.json", help=text)
     shared.add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--require", choices=["trust"], help="exit status 3 also if the verdict is `caution`")
+    outputs.add_argument(
+        "--require", choices=["trust"], help="exit status 3 also if the verdict is `caution`"
+    )
     add_flag(outputs, "--all", "print everything: all parameters, tests, passes, settings")
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
-    shared.add_pictures(outputs, "write trajectories and fit as a Rerun file; of several recordings FILE_LOG.rrd each")
+    shared.add_pictures(
+        outputs,
+        "write trajectories and fit as a Rerun file; of several recordings FILE_LOG.rrd each",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -48,14 +63,18 @@ def run(options: argparse.Namespace) -> int:
         raise BadInputError(text, key="--start", value=options.start, expected="--method iv")
     if options.prior is not None and not options.consistent:
         expected = "--consistent with it"
-        raise BadInputError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
+        raise BadInputError(
+            "has no effect alone", key="--prior", value=str(options.prior), expected=expected
+        )
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
     shared.refuse_outputs(inputs, options.json, report=options.report, picture=options.rrd)
     from acquisition.files import refuse_clash
 
     pictures = [options.rrd] if options.rrd else []
     if len(options.recordings) > 1 and options.rrd:
-        pictures = [options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings]
+        pictures = [
+            options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings
+        ]
         refuse_clash(inputs, *pictures)
     with Progress("reading") as progress:
         from ..data import Recordings
@@ -77,7 +96,9 @@ def run(options: argparse.Namespace) -> int:
         shared.write_pictures(
             options,
             document,
-            lambda view: [view.draw_fit(one.problem.signals, fit.on(one)) for one in fit.recordings],
+            lambda view: [
+                view.draw_fit(one.problem.signals, fit.on(one)) for one in fit.recordings
+            ],
             pictures,
         )
     finally:  # print the fit even if a file cannot be written
@@ -88,7 +109,9 @@ def run(options: argparse.Namespace) -> int:
     else:
         shared.print_results(f"report with charts: --report {options.recordings[0].stem}.html")
     if pictures:
-        shared.print_results(f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
+        shared.print_results(
+            f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}"
+        )
     if options.robot is None:
         shared.print_results(*edited_descriptions(fit, options.recordings))
     verdict, reasons = fit.trust.verdict, fit.distrust
@@ -98,7 +121,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
-    """A line for each robot.toml, beside a recording or in the working folder, that differs from the recording's own."""
+    """A line for each robot.toml, beside a recording or in the working folder, that differs
+    from the recording's own.
+    """
     lines = dict[str, None]()
     for one, path in zip(fit.recordings, recordings, strict=True):
         robot = one.problem.signals.robot
@@ -106,13 +131,18 @@ def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
             content = beside.read_bytes() if beside.is_file() else b""
             same_name = f'name = "{robot.name}"'.encode() in content.split(b"[[", 1)[0]
             if same_name and content != robot.files["robot.toml"]:
-                line = f"{beside} differs from the description in {path.name}, which was used: --robot {beside} uses it"
+                line = (
+                    f"{beside} differs from the description in {path.name}, which was used: "
+                    f"--robot {beside} uses it"
+                )
                 lines[line] = None
     return list(lines)
 
 
 def _prior(options: argparse.Namespace) -> "Robot | None":
-    """The prior of the links; read before any fit, so that a recording in A or V is refused at once."""
+    """The prior of the links; read before any fit, so that a recording in A
+    or V is refused at once.
+    """
     from ..methods import read_prior, refuse_unknown_gain
 
     robot = shared.sources(options)[0].load().robot
@@ -121,7 +151,9 @@ def _prior(options: argparse.Namespace) -> "Robot | None":
     return read_prior(options.prior, robot) if options.prior else None
 
 
-def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":
+def _identify(
+    options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]
+) -> "Fit":
     from ..methods import Iteration, identify, stored_beta
     from ..report import read_fit
 

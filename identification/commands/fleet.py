@@ -1,29 +1,54 @@
-"""`robot-identify fleet`: a fit of each recording in folders, as a table that marks what has changed."""
+"""`robot-identify fleet`: a fit of each recording in folders, as a table that
+marks what has changed.
+"""
 
 import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
 
 from ..errors import BadInputError
-from .arguments import add_method, add_work, make_folder, print_results, refuse_outputs, trust_status, work_of
+from .arguments import (
+    add_method,
+    add_work,
+    make_folder,
+    print_results,
+    refuse_outputs,
+    trust_status,
+    work_of,
+)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    add_path(inputs, "folders", "FOLDER", "folder with recordings (*.mcap), subfolders included", nargs="+")
-    add_flag(inputs, "--by-folder", "fit the recordings of each folder together: one row per folder")
+    add_path(
+        inputs,
+        "folders",
+        "FOLDER",
+        "folder with recordings (*.mcap), subfolders included",
+        nargs="+",
+    )
+    add_flag(
+        inputs, "--by-folder", "fit the recordings of each folder together: one row per folder"
+    )
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recordings' own")
     add_method(parser.add_argument_group("settings of the fit"))
     add_work(parser)
-    text = "the table to write, .parquet or .csv; the folder OUT.rows keeps its fits, which the next run does not make again"
+    text = (
+        "the table to write, .parquet or .csv; the folder OUT.rows keeps its fits, which the "
+        "next run does not make again"
+    )
     add_path(parser.add_argument_group("outputs"), "-o --out", "OUT", text, required=True)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fit every recording without a stored fit, write and print the table; 3 if none could be fitted."""
+    """Fit every recording without a stored fit, write and print the table; 3
+    if none could be fitted.
+    """
     if (out := options.out).suffix not in (".parquet", ".csv"):
-        raise BadInputError(place=str(out), key="ending", value=out.suffix, expected=".parquet or .csv")
+        raise BadInputError(
+            place=str(out), key="ending", value=out.suffix, expected=".parquet or .csv"
+        )
     refuse_outputs([options.robot], out)
     with Progress("reading") as progress:
         from ..study import fleet_document, found_recordings, run_fleet, write_table
@@ -34,5 +59,9 @@ def run(options: argparse.Namespace) -> int:
         rows = run_fleet(found, options.method, store, work_of(options, len(found)), progress.say)
     write_table(out, rows)
     print_results(fleet_document(rows), everything=False)
-    reasons = [] if any(row.parameters for row in rows) else [f"no recording could be fitted: {rows[0].reason}"]
+    reasons = (
+        []
+        if any(row.parameters for row in rows)
+        else [f"no recording could be fitted: {rows[0].reason}"]
+    )
     return trust_status(reasons)

@@ -12,9 +12,20 @@ from . import arguments as shared
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     shared.add_recordings(parser.add_argument_group("inputs"))
-    add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz", "torque_lag_s", "gains")
+    add_options(
+        parser.add_argument_group("settings of the fit"),
+        Overrides,
+        "cutoff_hz",
+        "torque_lag_s",
+        "gains",
+    )
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
+    add_path(
+        outputs,
+        "--json",
+        "FILE",
+        "write all sets of terms that were tried, and the recommended one, as JSON",
+    )
     shared.add_report(outputs)
     add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
 
@@ -22,7 +33,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Try sets of terms, print the table and the lines of robot.toml."""
     if options.write and options.robot is None:
-        raise BadInputError(key="--write", value=True, expected="--robot with it, the description to write to")
+        raise BadInputError(
+            key="--write", value=True, expected="--robot with it, the description to write to"
+        )
     shared.refuse_outputs([*options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from ..data import Recordings
@@ -30,12 +43,16 @@ def run(options: argparse.Namespace) -> None:
         from ..report import write_json
 
         overrides = from_options(Overrides, options)
-        choice = select_friction(Recordings(sources=tuple(shared.sources(options))), overrides, say=progress.say)
+        choice = select_friction(
+            Recordings(sources=tuple(shared.sources(options))), overrides, say=progress.say
+        )
     document = friction_document(choice)
     try:
         if options.json:
             write_json(options.json, friction_file(choice))
-        shared.write_pictures(options, document, lambda view: [view.draw_friction(*choice.fits(), document)])
+        shared.write_pictures(
+            options, document, lambda view: [view.draw_friction(*choice.fits(), document)]
+        )
         if options.write:
             write_friction(options.robot, choice)
     finally:  # print the result even if a file cannot be written

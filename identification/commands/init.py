@@ -13,21 +13,33 @@ from ..options import list_of_names, list_of_ratios, list_of_values
 from .arguments import refuse_outputs
 
 _URDF_OPTIONS = {
-    "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
+    "--range": (
+        "Q",
+        "position limits, ± rad or m; if the URDF has limits too, the narrower are used",
+    ),
     "--speed": ("V", "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used"),
     "--acceleration": ("A", "maximum acceleration, rad/s² or m/s²"),
     "--following-error": ("Q", "maximum following error, rad or m"),
-    "--bandwidth-hz": ("F", "bandwidth of the position loop in Hz; if several are given, the lowest is used"),
+    "--bandwidth-hz": (
+        "F",
+        "bandwidth of the position loop in Hz; if several are given, the lowest is used",
+    ),
 }
-_EFFORTS = {"--ratio": ("A", "N m", "%"), "--drive-gain": ("A", "%"), "--torque-sensor": ("N m",)}  # that go with them
+# that go with them
+_EFFORTS = {"--ratio": ("A", "N m", "%"), "--drive-gain": ("A", "%"), "--torque-sensor": ("N m",)}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "robot", "ROBOT.urdf", "the URDF", nargs="?")
-    text = "without a URDF: a letter for each joint, R revolute or P prismatic; the DH rows are to be filled in"
+    text = (
+        "without a URDF: a letter for each joint, R revolute or P prismatic; the DH rows are "
+        "to be filled in"
+    )
     parser.add_argument("--dh", metavar="RRPRRR", help=text)
-    group = parser.add_argument_group("what a URDF lacks: one value for all joints, or one per joint, as A,B,C")
+    group = parser.add_argument_group(
+        "what a URDF lacks: one value for all joints, or one per joint, as A,B,C"
+    )
     text = "joints to identify, from the base outwards (default: the longest serial chain)"
     group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
     for option, (metavar, text) in _URDF_OPTIONS.items():
@@ -38,9 +50,20 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--ratio", type=list_of_ratios, metavar="R", help=text)
     text = "with --effort A or %%: motor torque in N m (or force in N) per unit of effort"
     group.add_argument("--drive-gain", type=list_of_values, metavar="K", help=text)
-    add_flag(group, "--torque-sensor", "with --effort 'N m': of torque sensors behind the gears, without the rotors")
-    add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
-    add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
+    add_flag(
+        group,
+        "--torque-sensor",
+        "with --effort 'N m': of torque sensors behind the gears, without the rotors",
+    )
+    add_path(
+        parser,
+        "--bus",
+        "BUS.toml",
+        "the [bus] that `robot-acquire scan` wrote, instead of example drives",
+    )
+    add_path(
+        parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)"
+    )
     add_flag(parser, "--overwrite", "replace an existing description")
 
 
@@ -58,15 +81,29 @@ def run(options: argparse.Namespace) -> None:
     if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
         expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
         raise BadInputError(key="--dh", value=options.dh, expected=expected)
-    chain = chain_of_letters(options.dh) if options.dh else read_chain(options.robot, options.joints or ())
-    given = {option: getattr(options, option[2:].replace("-", "_")) for option in (*_URDF_OPTIONS, *_EFFORTS)}
+    chain = (
+        chain_of_letters(options.dh)
+        if options.dh
+        else read_chain(options.robot, options.joints or ())
+    )
+    given = {
+        option: getattr(options, option[2:].replace("-", "_"))
+        for option in (*_URDF_OPTIONS, *_EFFORTS)
+    }
     given = {option: values for option, values in given.items() if values}
     for option, units in _EFFORTS.items():
-        if option in given and (options.effort not in units or (option == "--ratio" and options.torque_sensor)):
-            expected = f"with --effort {' or '.join(map(repr, units))}, and --ratio not with --torque-sensor"
+        if option in given and (
+            options.effort not in units or (option == "--ratio" and options.torque_sensor)
+        ):
+            expected = (
+                f"with --effort {' or '.join(map(repr, units))}, and --ratio not with "
+                "--torque-sensor"
+            )
             raise BadInputError(key=option, value=given[option], expected=expected)
     sensors = given.pop("--torque-sensor", False)
-    chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors)
+    chain = replace(
+        chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors
+    )
     folder = Path.cwd() if out is None else out.absolute().parent
     bus = "" if options.bus is None else options.bus.read_text(encoding="utf-8", errors="replace")
     if options.bus is not None and (drives := bus.count("[[bus.drive]]")) != len(chain.joints):
@@ -84,7 +121,10 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
     if chain.torque_sensors:
-        lines += ["rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor"]
+        lines += [
+            "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
+            "includes its rotor"
+        ]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))

@@ -19,9 +19,12 @@ PROGRAM = Program(
         "init": "make a robot.toml from a URDF; missing values are marked",
         "export": "export a fit as URDF, MJCF or robot.toml for simulation",
         "base": "base parameters of a robot, with their expressions",
-        "excite": "an exciting trajectory that makes the parameters as identifiable as possible within the limits",
+        "excite": "an exciting trajectory that makes the parameters as identifiable as possible "
+        "within the limits",
         "simulate": "make a recording of a simulated robot with known parameters",
-        "sensitivity": "how least squares and iv of a recording depend on filter, decimation, position noise and start",
+        "sensitivity": "how least squares and iv of a recording depend on filter, decimation, "
+        "position "
+        "noise and start",
         "study": "Monte-Carlo study on a simulated robot: how far to trust least squares and iv",
         "demo": "record simulated drives, fit, and compare with the true parameters",
     },

@@ -1,4 +1,6 @@
-"""`robot-identify sensitivity`: how LS and IV depend on filter, decimation, position noise, start and gain update."""
+"""`robot-identify sensitivity`: how LS and IV depend on filter, decimation, position noise,
+start and gain update.
+"""
 
 import argparse
 from hashlib import sha256
@@ -6,7 +8,15 @@ from hashlib import sha256
 from acquisition.commands import Progress, add_flag, add_path
 
 from ..options import list_of_values
-from .arguments import add_report, add_work, print_results, refuse_outputs, sources, work_of, write_pictures
+from .arguments import (
+    add_report,
+    add_work,
+    print_results,
+    refuse_outputs,
+    sources,
+    work_of,
+    write_pictures,
+)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +42,8 @@ def run(options: argparse.Namespace) -> None:
     try:
         (path,) = options.recordings
         digests = {path.name: sha256(path.read_bytes()).hexdigest()}
-        write_pictures(options, document, lambda view: [view.draw_sensitivity(digests, fits, document)])
+        write_pictures(
+            options, document, lambda view: [view.draw_sensitivity(digests, fits, document)]
+        )
     finally:  # print the result even if a file cannot be written
         print_results(document, everything=options.all)

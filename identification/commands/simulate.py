@@ -11,7 +11,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_robot(parser, "with [parameters]")
     add_simulation(parser)
-    parser.add_argument("--payload", metavar="KG[@X,Y,Z]", help="what the robot carries: mass, and centre of mass in m")
+    parser.add_argument(
+        "--payload",
+        metavar="KG[@X,Y,Z]",
+        help="what the robot carries: mass, and centre of mass in m",
+    )
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --out", "LOG.mcap", "the recording to write", required=True)
     add_overwrite(outputs)
@@ -25,7 +29,12 @@ def run(options: argparse.Namespace) -> None:
 
         from ..study import Noise, Study, simulate_recording
 
-        robot, study = load_robot(options.robot), from_options(Study, options, noise=from_options(Noise, options))
+        robot, study = (
+            load_robot(options.robot),
+            from_options(Study, options, noise=from_options(Noise, options)),
+        )
         payload = parse_payload(options.payload, robot) if options.payload else None
         simulate_recording(robot, options.out, study, payload)
-    print_results(f"{options.out}: simulated, {study.duration_s:g} s at {study.sample_rate_hz:g} Hz")
+    print_results(
+        f"{options.out}: simulated, {study.duration_s:g} s at {study.sample_rate_hz:g} Hz"
+    )

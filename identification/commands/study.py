@@ -27,7 +27,16 @@ def run(options: argparse.Namespace) -> None:
     from acquisition.robot import load_robot
 
     from ..report import write_json
-    from ..study import Noise, Run, Study, border_line, run_study, study_document, study_file, study_truth
+    from ..study import (
+        Noise,
+        Run,
+        Study,
+        border_line,
+        run_study,
+        study_document,
+        study_file,
+        study_truth,
+    )
 
     shared.refuse_outputs([options.robot], options.json, report=options.report)
     robot = load_robot(options.robot)
@@ -45,7 +54,9 @@ def run(options: argparse.Namespace) -> None:
     try:
         if options.json:
             write_json(options.json, study_file(study, runs, base, true))
-        shared.write_pictures(options, document, lambda view: [view.draw_study(robot.name, runs, document)])
+        shared.write_pictures(
+            options, document, lambda view: [view.draw_study(robot.name, runs, document)]
+        )
     finally:  # print the result of a long study even if a file cannot be written
         took = f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"
         shared.print_results(document, *border_line(robot), took)

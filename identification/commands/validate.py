@@ -20,11 +20,19 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
     shared.add_recordings(inputs)
     text = "The settings in FIT.json stand in for the defaults below."
-    add_options(parser.add_argument_group("settings of the fit", text), Overrides, "cutoff_hz", "torque_lag_s")
+    add_options(
+        parser.add_argument_group("settings of the fit", text),
+        Overrides,
+        "cutoff_hz",
+        "torque_lag_s",
+    )
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
     shared.add_report(outputs)
-    text = "exit status 3 if the torque error of all rows is larger (with --consistent: of the consistent set)"
+    text = (
+        "exit status 3 if the torque error of all rows is larger (with --consistent: of the "
+        "consistent set)"
+    )
     outputs.add_argument("--max-error-percent", type=above_zero, metavar="P", help=text)
     add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")
 
@@ -35,7 +43,9 @@ def run(options: argparse.Namespace) -> int:
         others = " ".join(map(str, (options.fit, *options.recordings[:-1])))
         expected = f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`"
         raise BadInputError("is no fit", place=str(options.fit), expected=expected)
-    shared.refuse_outputs([options.fit, *options.recordings, options.robot], options.json, report=options.report)
+    shared.refuse_outputs(
+        [options.fit, *options.recordings, options.robot], options.json, report=options.report
+    )
     with Progress("reading") as progress:
         from .. import methods
         from ..report import read_fit, write_json
@@ -45,8 +55,12 @@ def run(options: argparse.Namespace) -> int:
         consistent = methods.consistent_fit(stored, place) if options.consistent else None
         for path, source in zip(options.recordings, shared.sources(options), strict=True):
             chosen = options.robot is not None
-            signals, lines = methods.signals_as_fitted(source.load(), path, stored, place, chosen=chosen)
-            overrides, of_lag = methods.stored_settings(stored, signals, from_options(Overrides, options))
+            signals, lines = methods.signals_as_fitted(
+                source.load(), path, stored, place, chosen=chosen
+            )
+            overrides, of_lag = methods.stored_settings(
+                stored, signals, from_options(Overrides, options)
+            )
             recordings.append((signals, overrides))
             notes += lines + of_lag
         progress.say("predicting")
@@ -60,7 +74,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
     digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
-    shared.write_pictures(options, document, lambda view: [view.draw_validation(validated, document, digests)])
+    shared.write_pictures(
+        options, document, lambda view: [view.draw_validation(validated, document, digests)]
+    )
     shared.print_results(document, everything=False)
     error, limit = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
     if limit is None or (error is not None and error <= limit):

@@ -21,10 +21,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         outputs,
         "-o --out",
         "VIEW.rrd",
-        "file to write, with .html a page with spectra (default: LOG.rrd, or a viewer with --follow)",
+        "file to write, with .html a page with spectra (default: LOG.rrd, or a viewer with "
+        "--follow)",
     )
     live = parser.add_argument_group("while another terminal records")
-    add_flag(live, "--follow", "show the recording while it is written; only a picture, it does not stop the robot")
+    add_flag(
+        live,
+        "--follow",
+        "show the recording while it is written; only a picture, it does not stop the robot",
+    )
     add_path(live, "--fit", "FIT.json", "with --follow: also the residual torque of this fit")
 
 
@@ -32,15 +37,22 @@ def run(options: argparse.Namespace) -> None:
     """Write the Rerun file or the page, and print how to open it."""
     if options.out and len(options.recordings) > 1:
         text = f"one file for {len(options.recordings)} recordings"
-        raise BadInputError(text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each")
+        raise BadInputError(
+            text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each"
+        )
     is_page = options.out is not None and options.out.suffix == ".html"
     if options.follow and is_page:
         raise BadInputError(key="--out", value=str(options.out), expected="FILE.rrd with --follow")
     if options.follow:
         return _follow(options)
     if options.fit:
-        raise BadInputError("has no effect", key="--fit", value=str(options.fit), expected="--follow with it")
-    outs = [options.out or Path(str(path).removesuffix(path.suffix) + ".rrd") for path in options.recordings]
+        raise BadInputError(
+            "has no effect", key="--fit", value=str(options.fit), expected="--follow with it"
+        )
+    outs = [
+        options.out or Path(str(path).removesuffix(path.suffix) + ".rrd")
+        for path in options.recordings
+    ]
     refuse_outputs([*options.recordings, options.robot], *outs)
     with Progress("reading") as progress:
         from ..view import draw_recording, write_html, write_rrd
@@ -48,7 +60,9 @@ def run(options: argparse.Namespace) -> None:
         for out, source in zip(outs, sources(options), strict=True):
             signals = source.load()
             progress.say("drawing")
-            (write_html if is_page else write_rrd)(out, draw_recording(signals, from_options(Overrides, options)))
+            (write_html if is_page else write_rrd)(
+                out, draw_recording(signals, from_options(Overrides, options))
+            )
     names = " ".join(map(str, outs))
     plots = f"open the plots: rerun --bind 127.0.0.1 {names}"
     print_results(f"open the report: {names} in a browser" if is_page else plots)
@@ -64,6 +78,9 @@ def _follow(options: argparse.Namespace) -> None:
     refuse_outputs([*options.recordings, options.fit], options.out)
     (path,) = options.recordings
     follow_recording(
-        path, options.fit, options.out, lambda text: print(f"warning: {text}", file=sys.stderr, flush=True)
+        path,
+        options.fit,
+        options.out,
+        lambda text: print(f"warning: {text}", file=sys.stderr, flush=True),
     )
     print_results(f"{path}: the recording has ended and is whole")

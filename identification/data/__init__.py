@@ -1,4 +1,6 @@
-"""Recordings as signals on a uniform grid, and where tasks on them run: this process, processes, a Dask cluster."""
+"""Recordings as signals on a uniform grid, and where tasks on them run: this process,
+processes, a Dask cluster.
+"""
 
 from .recordings import ON_GRID, RecordingFile, Recordings, check_one_robot, load_signals
 from .row_steps import PositionSteps, position_steps

@@ -1,4 +1,6 @@
-"""Recordings → `Signals` (no other module here reads them); check that recordings are of one robot."""
+"""Recordings → `Signals` (no other module here reads them); check that
+recordings are of one robot.
+"""
 
 import hashlib
 from collections.abc import Iterator, Sequence
@@ -30,7 +32,16 @@ from .work import Work
 
 ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
 MAX_GAP = 3.0  # periods between two samples, ± half a period
-JOINT_KEYS = ("name", "type", "dh", "zero_deg", "zero_m", "stribeck_speed_deg_s", "stribeck_speed_m_s", "rotor_inertia")
+JOINT_KEYS = (
+    "name",
+    "type",
+    "dh",
+    "zero_deg",
+    "zero_m",
+    "stribeck_speed_deg_s",
+    "stribeck_speed_m_s",
+    "rotor_inertia",
+)
 MOTOR_KEYS = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
 
 
@@ -40,15 +51,18 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     Parameters
     ----------
     path : an MCAP file with joint samples.
-    robot : replaces the description stored in the recording; it may correct ratios and gains, not units.
+    robot : replaces the description stored in the recording; it may correct
+        ratios and gains, not units.
 
     Returns
     -------
-    The samples in SI units at the joints, on a uniform grid; interpolated if they are more than 0.05 periods off it.
+    The samples in SI units at the joints, on a uniform grid; interpolated if they are more
+    than 0.05 periods off it.
 
     Raises
     ------
-    BadInputError : the file cannot be read, is cut off, has gaps or no joint samples, or `robot` has other units.
+    BadInputError : the file cannot be read, is cut off, has gaps or no joint samples, or
+        `robot` has other units.
     """
     path = Path(path)
     recording = read_recording(path)
@@ -57,7 +71,10 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         raise BadInputError("is cut off", place=str(path), expected=expected)
     samples = recording.samples
     if samples is None or len(samples) == 0:
-        expected = "some; `robot-acquire import`, with a corrected --robot, makes them from frames that are not lost"
+        expected = (
+            "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
+            "that are not lost"
+        )
         raise BadInputError(recording.no_samples, place=str(path), expected=expected)
     stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
@@ -65,13 +82,18 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
     columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
     law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()
-    if robot is not None and law is not None:  # it belongs to the drives of this recording, not to the description
+    # it belongs to the drives of this recording, not to the description
+    if robot is not None and law is not None:
         if robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz):
-            assumed = [f"{path.name}: the given [controller] is not used: the drives of a dry run have their own"]
+            assumed = [
+                f"{path.name}: the given [controller] is not used: the drives of a dry run have "
+                "their own"
+            ]
         robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
     if robot is not None and robot.n == was.n:
         _refuse_other_units(was, robot, path)
-        # Samples are at the joint: convert to the motors as recorded, and back to joints by `robot`.
+        # Samples are at the joint: convert to the motors as recorded, and back
+        # to joints by `robot`.
         for name, to_motor, to_joint in (
             ("position", was.motor_position, robot.joint_position),
             ("reference", was.motor_position, robot.joint_position),
@@ -109,25 +131,40 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
 
 def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
-    """Another description may correct ratios and gains, but cannot change volts to amperes or rad to m."""
+    """Another description may correct ratios and gains, but cannot change volts
+    to amperes or rad to m.
+    """
     for kind, old, new in (
-        ("motor", [(m.name, m.recorded_unit) for m in was.motors], [m.recorded_unit for m in robot.motors]),
-        ("joint", [(j.name, j.position_unit) for j in was.joints], [j.position_unit for j in robot.joints]),
+        (
+            "motor",
+            [(m.name, m.recorded_unit) for m in was.motors],
+            [m.recorded_unit for m in robot.motors],
+        ),
+        (
+            "joint",
+            [(j.name, j.position_unit) for j in was.joints],
+            [j.position_unit for j in robot.joints],
+        ),
     ):
         for (name, before), now in zip(old, new, strict=True):
             if before != now:
                 key = f"unit of {kind} {name} in robot {robot.name}"
-                raise BadInputError(place=str(path), key=key, value=now, expected=f"{before}, as recorded")
+                raise BadInputError(
+                    place=str(path), key=key, value=now, expected=f"{before}, as recorded"
+                )
 
 
 def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:
-    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and the largest offset of a stamp in periods.
+    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and the largest offset
+    of a stamp in periods.
 
-    Uniform stamps are the grid. If samples are missing, the grid has the nominal rate, if that agrees
-    with theirs within 10 %. Refuses gaps over three periods and time that does not increase.
+    Uniform stamps are the grid. If samples are missing, the grid has the nominal rate, if that
+    agrees with theirs within 10 %. Refuses gaps over three periods and time that does not increase.
     """
     if len(stamps) < 2:
-        raise BadInputError(place=str(path), key="samples", value=len(stamps), expected="a trajectory")
+        raise BadInputError(
+            place=str(path), key="samples", value=len(stamps), expected="a trajectory"
+        )
     steps = np.diff(stamps)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > (MAX_GAP + 0.5) * max(period, 1.0)))
@@ -146,7 +183,11 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     at = since / period
     nearest = np.arange(len(stamps)) if whole else np.rint(at)
     off = at - nearest
-    off_grid = float(np.abs(off - (off.min() + off.max()) / 2).max()) if whole else float(np.abs(off).max())
+    off_grid = (
+        float(np.abs(off - (off.min() + off.max()) / 2).max())
+        if whole
+        else float(np.abs(off).max())
+    )
     if whole and off_grid <= ON_GRID:
         return since, round(1e9 / period, 6), off_grid
     grid = np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
@@ -168,7 +209,11 @@ def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array
     names = dict.fromkeys(name for health in recording.health for name in health.counters)
     counters = {}
     for name in names:
-        rows = [(1e-9 * (h.stamp_ns - first_ns), h.counters[name]) for h in recording.health if name in h.counters]
+        rows = [
+            (1e-9 * (h.stamp_ns - first_ns), h.counters[name])
+            for h in recording.health
+            if name in h.counters
+        ]
         t_s, counts = np.array(rows).T
         counters[name] = (t_s, counts)
     return counters
@@ -191,8 +236,10 @@ class RecordingFile:
 
     Attributes:
         path: of the file.
-        description: files, by name, of a description that replaces the recording's own; None for its own.
-        payload: as of `--payload`, `none` or `unknown`, in place of the recording's own; None for its own.
+        description: files, by name, of a description that replaces the recording's
+            own; None for its own.
+        payload: as of `--payload`, `none` or `unknown`, in place of the recording's
+            own; None for its own.
     """
 
     path: str
@@ -200,14 +247,20 @@ class RecordingFile:
     payload: str | None = None
 
     @classmethod
-    def at(cls, path: Path, robot: Robot | None = None, payload: str | None = None) -> "RecordingFile":
+    def at(
+        cls, path: Path, robot: Robot | None = None, payload: str | None = None
+    ) -> "RecordingFile":
         """The recording at `path`, with the description `robot` and the `payload` if given."""
         description = None if robot is None else tuple(robot.files.items())
         return cls(path=str(path.absolute()), description=description, payload=payload)
 
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""
-        robot = None if self.description is None else robot_from_files(dict(self.description), self.path)
+        robot = (
+            None
+            if self.description is None
+            else robot_from_files(dict(self.description), self.path)
+        )
         signals = load_signals(self.path, robot)
         if self.payload is None:
             return signals
@@ -219,7 +272,10 @@ class RecordingFile:
     @property
     def key(self) -> str:
         """The key of the signals in a cache."""
-        return f"{self.path} {hashlib.sha256(repr(self.description).encode()).hexdigest()} {self.payload}"
+        return (
+            f"{self.path} {hashlib.sha256(repr(self.description).encode()).hexdigest()} "
+            f"{self.payload}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -240,10 +296,14 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
         seen[other.sha256] = other.recording
         if other.robot.n != first.robot.n:
             expected = f"{first.robot.n}, as in {first.recording}"
-            raise BadInputError(place=other.recording, key="joints", value=other.robot.n, expected=expected)
+            raise BadInputError(
+                place=other.recording, key="joints", value=other.robot.n, expected=expected
+            )
         for key, value, wanted in _compare(other.robot, first.robot):
             if value != wanted:
-                expected = f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
+                expected = (
+                    f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
+                )
                 raise BadInputError(place=other.recording, key=key, value=value, expected=expected)
 
 

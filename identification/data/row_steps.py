@@ -1,4 +1,6 @@
-"""Missing and repeated rows, found from position steps: times of a table without stamps do not show them."""
+"""Missing and repeated rows, found from position steps: times of a table without
+stamps do not show them.
+"""
 
 from dataclasses import dataclass
 
@@ -6,13 +8,16 @@ import numpy as np
 
 from ..arrays import Array
 
-MIN_DEVIATIONS = 10.0  # of steps about their neighbours: smaller ones are not told from double or zero steps
+# of steps about their neighbours: smaller ones are not told from double or zero steps
+MIN_DEVIATIONS = 10.0
 MAX_ERROR = 0.15  # of a step: largest distance from a multiple
-MAX_DIFFERENCE = 0.25  # of a step: of three of four neighbours from their median (of two next to a missing row)
+# of a step: of three of four neighbours from their median (of two next to a missing row)
+MAX_DIFFERENCE = 0.25
 QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded positions, in quanta
 MAX_MULTIPLE = 4  # of its neighbours: a longer step does not count as lost rows
 ROUNDING = 1e-9  # of the largest position: smaller steps count as none
-_BLOCK_ROWS, _ROWS_AT_ONCE = 256, 100_000  # rows for an estimate of noise and quantum; rows in memory
+# rows for an estimate of noise and quantum; rows in memory
+_BLOCK_ROWS, _ROWS_AT_ONCE = 256, 100_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,9 +26,10 @@ class PositionSteps:
 
     Attributes:
         moving: steps far above noise and quanta; all joints together.
-        lost: missing rows, where a step is a multiple of its neighbours; repeated: rows without a step; held: rows without a
-            step, compensated by the next step.
-        coarse: (n, 3) steps of each joint above its noise; of those within a few quanta, the double steps and the zero steps.
+        lost: missing rows, where a step is a multiple of its neighbours; repeated: rows without a
+            step; held: rows without a step, compensated by the next step.
+        coarse: (n, 3) steps of each joint above its noise; of those within a few quanta, the double
+            steps and the zero steps.
     """
 
     moving: int
@@ -53,9 +59,12 @@ def _count(q: Array) -> tuple[Array, Array]:
     low, high = (of(around[:2], around[2:]) for of in (np.minimum, np.maximum))
     x, m = steps[2 : 2 + rows], 0.5 * (np.maximum(*low) + np.minimum(*high))  # the median of four
     rounding = ROUNDING * np.abs(q).max(axis=0)
-    change = np.abs(np.diff(steps[2 : 3 + rows], axis=0))  # at least a quantum if positions are rounded
+    # at least a quantum if positions are rounded
+    change = np.abs(np.diff(steps[2 : 3 + rows], axis=0))
     scatter, quantum = (
-        np.repeat(_medians(np.where(moves, values, np.inf).reshape(blocks, -1, n)), rows // blocks, axis=0)
+        np.repeat(
+            _medians(np.where(moves, values, np.inf).reshape(blocks, -1, n)), rows // blocks, axis=0
+        )
         for values, moves in ((np.abs(x - m), np.abs(m) > rounding), (change, change > rounding))
     )
     noise = np.maximum(1.4826 * scatter, rounding)
@@ -63,21 +72,30 @@ def _count(q: Array) -> tuple[Array, Array]:
     weight = np.divide(1.0, deviation, out=np.zeros_like(m), where=deviation > 0)
     # All joints together: a row that is missing is missing for all of them.
     size = np.linalg.norm(m * weight, axis=1)
-    none, once, twice = (np.linalg.norm((around - k * m) * weight, axis=2) < MAX_DIFFERENCE * size for k in (0, 1, 2))
+    none, once, twice = (
+        np.linalg.norm((around - k * m) * weight, axis=2) < MAX_DIFFERENCE * size for k in (0, 1, 2)
+    )
     alike = (once.sum(axis=0) >= 3) | ((once.sum(axis=0) == 2) & (none | once | twice).all(axis=0))
     moving = (size > MIN_DEVIATIONS) & alike
     ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(rows), where=moving)
     multiple = np.rint(ratio)
-    is_multiple = (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE)
+    is_multiple = (
+        (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE)
+    )
     extra = np.where(is_multiple, multiple - 1, 0)
     odd = extra != 0
-    group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]  # of neighbours that compensate each other
+    # of neighbours that compensate each other
+    group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]
     net = np.bincount(group, extra[odd])
     without = np.bincount(group, extra[odd] < 0)
     held = np.minimum(without, without + net)
     coarse = (np.abs(m) > MIN_DEVIATIONS * noise) & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)
-    by_joint = [np.abs(m) > MIN_DEVIATIONS * noise, np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR]
+    by_joint = [
+        np.abs(m) > MIN_DEVIATIONS * noise,
+        np.abs(parts - 2) < MAX_ERROR,
+        np.abs(parts) < MAX_ERROR,
+    ]
     counts = moving.sum(), net[net > 0].sum(), -net[net < 0].sum(), held.sum()
     return np.array(counts).astype(int), np.stack([part.sum(axis=0) for part in by_joint], axis=1)
 

@@ -24,7 +24,9 @@ COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row
 
 @dataclass(frozen=True, kw_only=True)
 class SignalEvent:
-    """An event of the recording, `t_s` seconds from the first sample: a phase of the session, a warning, a mark."""
+    """An event of the recording, `t_s` seconds from the first sample: a phase of the
+    session, a warning, a mark.
+    """
 
     t_s: float
     kind: str
@@ -42,18 +44,24 @@ class Signals:
         effort: (N, n) joint torques in N m, forces in N; in A or V if the drive gain is unknown.
         track: (start, stop) sample range of the tracking phase, or None.
         recording, sha256: file name of the recording, and its digest.
-        health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
-        effort_timing: `command` of an instant, held after it; `mean` over the control period around it, as this package
-            simulates; `measured` at the instant, as in ROS joint states; or `unknown`.
-        provenance: origin of the efforts, in words; `effort_object`: the part of it that distinguishes efforts.
+        health: the recorder's counters by name: t_s (k,) from the first
+            sample, and the counts (k,).
+        effort_timing: `command` of an instant, held after it; `mean` over the control
+            period around it, as this package simulates; `measured` at the instant, as in
+            ROS joint states; or `unknown`.
+        provenance: origin of the efforts, in words; `effort_object`: the part of it that
+            distinguishes efforts.
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) known external torques on the joints, N m or N, or None.
-        feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of the recorded effort, or None.
+        feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of
+            the recorded effort, or None.
         payload: what the robot carried, None for nothing.
         began: when the recording began, None if unknown.
-        off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID` samples are interpolated.
+        off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID`
+            samples are interpolated.
         assumed: what the description does not state and a fit assumes, as warnings.
-        motion_hz: of the rules if the description states no bandwidth: above it positions are only noise; else None.
+        motion_hz: of the rules if the description states no bandwidth: above it positions are
+            only noise; else None.
     """
 
     t_s: Array
@@ -86,27 +94,37 @@ class Signals:
             shape = (N,) if name == "t_s" else (N, n)
             if part is not None and part.shape != shape:
                 key, expected = f"{name}.shape", f"{shape}, as q has"
-                raise BadInputError(place=self.recording, key=key, value=part.shape, expected=expected)
+                raise BadInputError(
+                    place=self.recording, key=key, value=part.shape, expected=expected
+                )
         if n != self.robot.n:
             expected = f"{self.robot.n}, as the robot has"
-            raise BadInputError(place=self.recording, key="joints recorded", value=n, expected=expected)
+            raise BadInputError(
+                place=self.recording, key="joints recorded", value=n, expected=expected
+            )
         if self.known_torque is not None and not self.robot.gain_known:
             units = " and ".join(sorted(set(self.robot.effort_units)))
             problem = f"cannot be added to efforts in {units}"
             expected = f"the drive gains of robot {self.robot.name}"
-            raise BadInputError(problem, place=self.recording, key="known_torque", expected=expected)
+            raise BadInputError(
+                problem, place=self.recording, key="known_torque", expected=expected
+            )
         for name, array in parts.items():
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
                     key, value = f"{name}[{row}]", array[row].tolist()
-                    raise BadInputError(place=self.recording, key=key, value=value, expected="finite numbers")
+                    raise BadInputError(
+                        place=self.recording, key=key, value=value, expected="finite numbers"
+                    )
                 array.flags.writeable = False
                 release_pages(array)
 
     @property
     def lag_group(self) -> tuple[str, str, float]:
-        """What is equal in recordings whose torques have one lag: effort object, effort timing and rate."""
+        """What is equal in recordings whose torques have one lag: effort object,
+        effort timing and rate.
+        """
         return self.effort_object, self.effort_timing, self.sample_rate_hz
 
     @property
@@ -121,7 +139,10 @@ class Signals:
 
     def __repr__(self) -> str:
         reference = ", with reference" if self.q_ref is not None else ""
-        content = f"{len(self.t_s)} samples of {self.robot.n} joints at {self.sample_rate_hz:g} Hz{reference}"
+        content = (
+            f"{len(self.t_s)} samples of {self.robot.n} joints at {self.sample_rate_hz:g} "
+            f"Hz{reference}"
+        )
         return f"Signals({self.recording}: {self.robot.name}, {content})"
 
 
@@ -141,7 +162,8 @@ def signals_from_arrays(
     q_ref: ArrayLike | None = None,
     **columns: Unpack[OptionalColumns],
 ) -> Signals:
-    """Signals from arrays (N, n), which are copied; arguments and errors as of `identification.fit`.
+    """Signals from arrays (N, n), which are copied; arguments and errors as
+    of `identification.fit`.
 
     `events` has a warning if a velocity differs by over 10 % from the derivative of q.
     """
@@ -149,13 +171,22 @@ def signals_from_arrays(
         if name not in OPTIONAL:
             raise BadInputError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
     if not 0 < sample_rate_hz < math.inf:
-        raise BadInputError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
+        raise BadInputError(
+            place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0"
+        )
     if sample_rate_hz < 1:
         problem = f"a period? the rate is {1 / sample_rate_hz:g} Hz"
-        raise BadInputError(problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more")
-    arrays: dict[str, Any] = {"q": _copy("q", q, robot.n), "effort": _copy("effort", effort, robot.n)}
+        raise BadInputError(
+            problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more"
+        )
+    arrays: dict[str, Any] = {
+        "q": _copy("q", q, robot.n),
+        "effort": _copy("effort", effort, robot.n),
+    }
     given: dict[str, Any] = {"q_ref": q_ref, **columns}
-    arrays |= {x: _copy(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}
+    arrays |= {
+        x: _copy(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None
+    }
     digest = hashlib.sha256()
     for name, array in arrays.items():
         digest.update((name if name in OPTIONAL else "").encode() + array.tobytes())
@@ -169,8 +200,12 @@ def signals_from_arrays(
     )
     if signals.velocity is None:
         return signals
-    doubts = check_recorded_velocities(robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME)
-    events = tuple(SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=text) for text in doubts)
+    doubts = check_recorded_velocities(
+        robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME
+    )
+    events = tuple(
+        SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=text) for text in doubts
+    )
     return replace(signals, events=events)
 
 
@@ -178,7 +213,11 @@ def _copy(name: str, array: ArrayLike, n: int) -> Array:
     try:
         copied = np.array(array, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise BadInputError(str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})") from error
+        raise BadInputError(
+            str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})"
+        ) from error
     if copied.ndim != 2 or copied.shape[1] != n or len(copied) < 2:
-        raise BadInputError(place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first")
+        raise BadInputError(
+            place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first"
+        )
     return copied

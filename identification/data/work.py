@@ -1,4 +1,6 @@
-"""Tasks on workers by joblib; results come in the order of the tasks, so that sums over them are the same to the last bit."""
+"""Tasks on workers by joblib; results come in the order of the tasks, so that sums over them are
+the same to the last bit.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -8,12 +10,16 @@ from ..errors import BadInputError
 
 
 class Work(NamedTuple):
-    """Runs functions of modules on `workers`: so many processes, of 1 this one, or those of a Dask scheduler's address."""
+    """Runs functions of modules on `workers`: so many processes, of 1 this one, or those of a
+    Dask scheduler's address.
+    """
 
     workers: int | str = 1
 
     def run(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
-        """The result for each tuple of positional arguments; an error of a task is raised in place of its result."""
+        """The result for each tuple of positional arguments; an error of a task is raised
+        in place of its result.
+        """
         if (on := self.workers) == 1:
             return (yield from (function(*task) for task in tasks))
         from asyncio import CancelledError
@@ -21,12 +27,22 @@ class Work(NamedTuple):
 
         from joblib import Parallel, delayed
 
-        how = _cluster(on) if isinstance(on, str) else {"backend": "loky", "n_jobs": on, "inner_max_num_threads": 1}
-        parallel = Parallel(**how, return_as="generator", pre_dispatch="all", batch_size=1, max_nbytes=None)
-        try:  # with `partial` Dask keeps tasks whole: it would store large arguments with one worker, and lose them with it
+        how = (
+            _cluster(on)
+            if isinstance(on, str)
+            else {"backend": "loky", "n_jobs": on, "inner_max_num_threads": 1}
+        )
+        parallel = Parallel(
+            **how, return_as="generator", pre_dispatch="all", batch_size=1, max_nbytes=None
+        )
+        # with `partial` Dask keeps tasks whole: it would store large arguments with one worker,
+        # and lose them with it
+        try:
             yield from parallel(delayed(partial(function, *task))() for task in tasks)
         except (BrokenExecutor, CancelledError) as error:
-            raise BadInputError(str(error).split(".")[0], expected="more memory, or a smaller --workers") from error
+            raise BadInputError(
+                str(error).split(".")[0], expected="more memory, or a smaller --workers"
+            ) from error
 
 
 def _cluster(address: str) -> dict[str, Any]:
@@ -39,12 +55,16 @@ def _cluster(address: str) -> dict[str, Any]:
         (client := get_client(address, timeout=10)).wait_for_workers(1, timeout=10)
         client.run(__import__, __package__)  # an error if a worker has no such package
     except (ImportError, OSError, ValueError) as error:
-        raise BadInputError(str(error), place=address, expected="Dask, on workers with this package") from error
+        raise BadInputError(
+            str(error), place=address, expected="Dask, on workers with this package"
+        ) from error
 
     class Backend(DaskDistributedBackend):  # type: ignore[misc]  # joblib's waits forever after errors of workers
         def submit(self, func: Any, callback: Callable[[Any], object]) -> Any:
             job = super().submit(func, callback)
-            job.add_done_callback(lambda done: done.exception() and callback(BrokenExecutor(done.exception())))
+            job.add_done_callback(
+                lambda done: done.exception() and callback(BrokenExecutor(done.exception()))
+            )
             return job
 
         def effective_n_jobs(self, n_jobs: int) -> int:

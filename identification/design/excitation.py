@@ -1,4 +1,6 @@
-"""Exciting references that make base parameters as identifiable as possible within limits, and their report."""
+"""Exciting references that make base parameters as identifiable as possible within
+limits, and their report.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,7 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.files import find_mesh, write_columns
-from acquisition.robot import HARMONICS, FourierReference, Payload, Robot, refuse_out_of_range, resolve
+from acquisition.robot import (
+    HARMONICS,
+    FourierReference,
+    Payload,
+    Robot,
+    refuse_out_of_range,
+    resolve,
+)
 
 from ..arrays import Array
 from ..errors import BadInputError
@@ -34,9 +43,17 @@ from .information import (
     torque_noise,
 )
 from .limits import KINDS, Limits, Series, limits_of, motion_of
-from .search import CHECKS_PER_SAMPLE, MARGIN_M, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
+from .search import (
+    CHECKS_PER_SAMPLE,
+    MARGIN_M,
+    SAMPLES_PER_PERIOD,
+    SearchProblem,
+    best_of_searches,
+    random_within,
+)
 
-PLAIN_REFERENCES = 20  # random references, seeds from 0 on; the criterion is relative to their geometric mean
+# random references, seeds from 0 on; the criterion is relative to their geometric mean
+PLAIN_REFERENCES = 20
 SAMPLE_POSES = 200  # to find links that are always near each other
 MAX_BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: the loop does not follow faster ones
 CREEP_SHARE = 0.05  # of a joint's speed limit
@@ -54,12 +71,16 @@ class Excitation:
 
     Attributes:
         reference: one period.
-        sigma, plain: (b,) expected standard deviations of the parameters; geometric mean of the same with plain references.
+        sigma, plain: (b,) expected standard deviations of the parameters; geometric mean of the
+            same with plain references.
         noise, noise_from: (n,) deviation of the torque in a row of the fit; its origin in words.
         limits, used: the limits, and (L,) the largest share used of each; 1 is the whole limit.
-        nearest: the smallest distance in m, and its pair of links, or link and ground; None without shapes.
-        beta, beta_from: parameters for the torque, and their origin; None where torque was not checked.
-        payload: carried in a second recording; `gains` (n,): half-widths of the drive gains from both, in percent.
+        nearest: the smallest distance in m, and its pair of links, or link and
+            ground; None without shapes.
+        beta, beta_from: parameters for the torque, and their origin; None where
+            torque was not checked.
+        payload: carried in a second recording; `gains` (n,): half-widths of the drive gains
+            from both, in percent.
         warnings: lines.
     """
 
@@ -91,13 +112,21 @@ class Excitation:
         return NORMAL_QUANTILE * self.plain
 
     def curves(self) -> tuple[Array, Array, Array, Array | None]:
-        """Times (N,) in s, positions, speeds and, where it is known, torque, each (N, n), of one period."""
+        """Times (N,) in s, positions, speeds and, where it is known, torque, each
+        (N, n), of one period.
+        """
         t_s = np.linspace(0.0, self.settings.period_s, CURVE_SAMPLES * self.settings.harmonics + 1)
         motion = self.reference.at(t_s)
-        return t_s, *motion[:2], None if self.limits.model is None else self.limits.model.torque(*motion)
+        return (
+            t_s,
+            *motion[:2],
+            None if self.limits.model is None else self.limits.model.torque(*motion),
+        )
 
     def table(self) -> tuple[Array, Array]:
-        """Times (N,) in s and positions (N, n) of all periods, close enough for splines between them."""
+        """Times (N,) in s and positions (N, n) of all periods, close enough
+        for splines between them.
+        """
         s = self.settings
         steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
         t_s = np.arange(steps * s.periods + 1, dtype=np.float64) * (s.period_s / steps)
@@ -117,15 +146,18 @@ def excite(
     place: str,
     say: Callable[[str], None] = lambda text: None,
 ) -> Excitation:
-    """An exciting reference that makes the base parameters as identifiable as possible within the limits.
+    """An exciting reference that makes the base parameters as identifiable as
+    possible within the limits.
 
-    Raises `BadInputError` where the limits leave no reference, the drives would not follow it or cannot represent it.
+    Raises `BadInputError` where the limits leave no reference, the drives would not follow it
+    or cannot represent it.
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)
     every = base_parameters(model)
     loads = loads_of(model, every, knowledge, place)
-    # The columns of load friction depend on the parameters: limits count its torque, the criterion leaves it out.
+    # The columns of load friction depend on the parameters: limits count its torque, the
+    # criterion leaves it out.
     mus = load_parameters(every)
     base = every.without(mus)
     known = [every.names.index(name) for name in base.names]
@@ -150,14 +182,20 @@ def excite(
     )
     sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
     checked = obstacles if obstacles.names else None
-    problem = SearchProblem(series=series, information=information, limits=limits, plain=sigma_plain, obstacles=checked)
+    problem = SearchProblem(
+        series=series, information=information, limits=limits, plain=sigma_plain, obstacles=checked
+    )
     x, sigma = best_of_searches(problem, settings.seed, place, say)
     reference = series.reference(x)
     fine = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples))
     gains = np.zeros(0)
     if knowledge.payload is not None:
         at_samples = motion_of(x, series.basis(samples))
-        gains = 100 * NORMAL_QUANTILE * information.gain_deviations(at_samples, loads, knowledge.payload)
+        gains = (
+            100
+            * NORMAL_QUANTILE
+            * information.gain_deviations(at_samples, loads, knowledge.payload)
+        )
     excitation = Excitation(
         robot=robot,
         base=base,
@@ -193,7 +231,9 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
         ways += f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
         problem = f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth"
         problem += f" of {bandwidth_hz:g} Hz"
-        raise BadInputError(problem, place=place, key="harmonics", value=settings.harmonics, expected=ways)
+        raise BadInputError(
+            problem, place=place, key="harmonics", value=settings.harmonics, expected=ways
+        )
 
 
 def _refuse_rest(limits: Limits, place: str) -> None:
@@ -206,30 +246,49 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
         name = limits.names[most].removeprefix("effort of ")
-        problem = f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges"
-        expected = f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}"
+        problem = (
+            f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the "
+            "ranges"
+        )
+        expected = (
+            f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}"
+        )
         raise BadInputError(problem, place=place, expected=expected)
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple[str, ...]:
-    """Which torques and distances were not checked; load friction `mus`, which the criterion leaves out."""
+    """Which torques and distances were not checked; load friction `mus`, which
+    the criterion leaves out.
+    """
     warnings = list[str]()
     if obstacles.missing:
-        missing = f"{len(obstacles.missing)} meshes of the URDF are not found, such as {obstacles.missing[0]}"
-        warnings.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
+        missing = (
+            f"{len(obstacles.missing)} meshes of the URDF are not found, such as "
+            f"{obstacles.missing[0]}"
+        )
+        warnings.append(
+            f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules"
+        )
     if obstacles.near:
         near = "; ".join(obstacles.near)
         warnings.append(f"distances not checked of pairs always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
         warnings.append("torque not checked: no parameters, neither a fit nor [parameters]")
     elif not limits.robot.gain_known:
-        warnings.append("limits in N m or N not checked: efforts are in A or V, drive gains unknown")
+        warnings.append(
+            "limits in N m or N not checked: efforts are in A or V, drive gains unknown"
+        )
     by_joint = zip(limits.robot.joints, limits.effort.directions.T, strict=True)
     free = ", ".join(joint.name for joint, column in by_joint if not column.any())
     if limits.model is not None and free:
-        warnings.append(f"torque of joint {free} is not limited: no effort_nm or effort_n, no saturation of its motor")
+        warnings.append(
+            f"torque of joint {free} is not limited: no effort_nm or effort_n, no saturation of "
+            "its motor"
+        )
     if mus:
-        warnings.append(f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits")
+        warnings.append(
+            f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits"
+        )
     return tuple(warnings)
 
 
@@ -253,17 +312,23 @@ def excitation_document(excitation: Excitation) -> Document:
     expected = Table(columns=(*columns("parameter", numbers=headings), *columns("unit")), rows=rows)
     noise, count = ", ".join(f"{x:.3g}" for x in e.noise), min(HARMONICS, s.harmonics)
     lines: tuple[str, ...] = (
-        f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference (median), at least "
+        f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference "
+        "(median), at least "
         f"{smaller.min():.2f} times",
-        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {count} harmonics and the same "
+        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {count} harmonics "
+        "and the same "
         "share of all limits",
-        f"torque noise per row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
+        f"torque noise per row of the fit: {noise} "
+        f"({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
         f"torque from {e.beta_from}" if known else "torque unknown",
     )
     if e.payload is not None:
         pairs = zip(e.robot.motors, e.gains, strict=True)
         gains = ", ".join(f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in pairs)
-        lines += (f"drive gains by a run without and a run with {e.payload}: {gains}; expected by this noise",)
+        lines += (
+            f"drive gains by a run without and a run with {e.payload}: {gains}; expected by this "
+            "noise",
+        )
     intervals = Section(title="expected intervals", table=expected, lines=lines)
     n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
     efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))

@@ -11,21 +11,32 @@ from ..export import replace_in_tables
 from ..report import Document, Number, Section, Table, columns
 from .selection import CANDIDATES, TermChoice, TermSet, at_all_joints, described_terms
 
-SET_KEYS = ("added_terms", "fitted_error_percent", "held_out_error_percent", "held_out_percents", "score")
+SET_KEYS = (
+    "added_terms",
+    "fitted_error_percent",
+    "held_out_error_percent",
+    "held_out_percents",
+    "score",
+)
 
 
 def friction_file(choice: TermChoice) -> dict[str, Any]:
     """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
 
-    `recording` and `sha256` are those of the first of several `recordings`; `held_out` names the parts of `held_out_percents`.
-    An error that does not exist is null.
+    `recording` and `sha256` are those of the first of several `recordings`; `held_out` names the
+    parts of `held_out_percents`. An error that does not exist is null.
     """
     each = [{"recording": one.recording, "sha256": one.sha256} for one in choice.recordings]
     sets = [
-        {"terms": described_terms(choice.robot, trial.terms)} | {key: getattr(trial, key) for key in SET_KEYS}
+        {"terms": described_terms(choice.robot, trial.terms)}
+        | {key: getattr(trial, key) for key in SET_KEYS}
         for trial in choice.trials
     ]
-    about = {**each[0], **({"recordings": each} if len(each) > 1 else {}), "robot": choice.robot.name}
+    about = {
+        **each[0],
+        **({"recordings": each} if len(each) > 1 else {}),
+        "robot": choice.robot.name,
+    }
     found = {"held_out": choice.held_out, "sets": sets, "recommended": choice.described}
     return {**about, **found, "left_out": choice.left_out}
 
@@ -33,10 +44,14 @@ def friction_file(choice: TermChoice) -> dict[str, Any]:
 def friction_document(choice: TermChoice) -> Document:
     """The sets that were tried, best first, and the lines of robot.toml for the recommended one."""
     usual, chosen = choice.usual, choice.recommended
-    errors = f"held-out error of moving rows {usual.held_out_error_percent:.2f} % with the usual terms"
+    errors = (
+        f"held-out error of moving rows {usual.held_out_error_percent:.2f} % with the usual terms"
+    )
     if chosen is not usual:
         errors += f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
-    heads = columns("added terms", numbers=("terms", "fitted %", "held out %", "score /\nusual")) + columns("")
+    heads = columns(
+        "added terms", numbers=("terms", "fitted %", "held out %", "score /\nusual")
+    ) + columns("")
     rows = tuple(
         (
             set_text(choice.robot, trial.terms),
@@ -48,21 +63,30 @@ def friction_document(choice: TermChoice) -> Document:
         )
         for trial in choice.trials
     )
-    names = [one.recording for one in choice.recordings if one.recording in choice.held_out]  # in the order given
+    # in the order given
+    names = [one.recording for one in choice.recordings if one.recording in choice.held_out]
     held = f"held out: {', '.join(names) or 'fifths of the recording'}"
     held += ", each predicted by the fit of the others; score: squared weighted residual"
-    lines = tuple(f"friction = {json.dumps(terms)} # {name}" for name, terms in choice.described.items())
+    lines = tuple(
+        f"friction = {json.dumps(terms)} # {name}" for name, terms in choice.described.items()
+    )
     table = Table(columns=heads, rows=rows)
-    sets = Section(title="sets of friction terms", table=table, lines=(held,), warnings=choice.left_out)
+    sets = Section(
+        title="sets of friction terms", table=table, lines=(held,), warnings=choice.left_out
+    )
     recommended = Section(title="recommended, for robot.toml", lines=lines)
     return Document(title=f"{choice.robot.name}: {errors}", sections=(sets, recommended))
 
 
 def set_text(robot: Robot, terms: TermSet) -> str:
-    """A set in words, such as `root; load: joint_3`; without a joint's name, all joints have the term."""
+    """A set in words, such as `root; load: joint_3`; without a joint's name,
+    all joints have the term.
+    """
     parts = []
     for term in CANDIDATES:
-        having = [joint.name for joint, more in zip(robot.joints, terms, strict=True) if term in more]
+        having = [
+            joint.name for joint, more in zip(robot.joints, terms, strict=True) if term in more
+        ]
         if having:
             everywhere = len(having) == sum(map(len, at_all_joints(robot, [term])))
             parts.append(term if everywhere else f"{term}: {', '.join(having)}")
@@ -70,11 +94,20 @@ def set_text(robot: Robot, terms: TermSet) -> str:
 
 
 def write_friction(path: Path, choice: TermChoice) -> None:
-    """Put the recommended terms into the description at `path`, that of the choice; lines without use become comments."""
+    """Put the recommended terms into the description at `path`, that of the choice; lines
+    without use become comments.
+    """
     values = dict[str, dict[str, Any]]()
     for joint, terms in zip(choice.robot.joints, choice.described.values(), strict=True):
-        unused = ["viscous", "coulomb", "offset", *([] if "stribeck" in terms else [joint.key("stribeck_speed")])]
+        unused = [
+            "viscous",
+            "coulomb",
+            "offset",
+            *([] if "stribeck" in terms else [joint.key("stribeck_speed")]),
+        ]
         values[joint.name] = {"friction": list(terms)} | dict.fromkeys(unused)
-    written = replace_in_tables(choice.robot.files["robot.toml"].decode(), "joint", values, str(path))
+    written = replace_in_tables(
+        choice.robot.files["robot.toml"].decode(), "joint", values, str(path)
+    )
     with atomic_write(path) as partial:
         partial.write_text(written, encoding="utf-8")

@@ -1,7 +1,8 @@
 """Prior information about a robot, and the information of a motion about its base parameters.
 
-The information of a motion is M = sum of W'W / s², s the torque noise of each joint; the deviations of the parameters are
-sigma = sqrt(diag(inv(M))). The A-optimal criterion is log(mean((sigma / sigma of a plain reference)²)).
+The information of a motion is M = sum of W'W / s², s the torque noise of each joint; the deviations
+of the parameters are sigma = sqrt(diag(inv(M))). The A-optimal criterion is log(mean((sigma / sigma
+of a plain reference)²)).
 """
 
 from collections.abc import Sequence
@@ -38,7 +39,8 @@ class PriorInformation:
         beta_from: their origin, in words.
         noise: (n,) stated deviation of the torque, or None.
         noise_share: (n,) deviation in a fit's rows over the rms torque; None without a fit.
-        payload: that a second recording of the motion will carry, to identify drive gains; None: none.
+        payload: that a second recording of the motion will carry, to identify
+            drive gains; None: none.
         recordings: earlier ones, whose information is added.
         folder: of the description, searched first for meshes of its URDF.
         warnings: about the fit.
@@ -66,11 +68,15 @@ def prior_information(
     """Information from files and options: a fit's parameters, else those of the description."""
     if noise is not None and len(noise) not in (1, robot.n):
         expected = f"one number, or one for each of {robot.n} joints"
-        raise BadInputError(key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected)
+        raise BadInputError(
+            key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected
+        )
     model = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(model)
     known = PriorInformation(
-        beta=dynamics.described_parameters(model, base) if fit is None and robot.parameters else None,
+        beta=dynamics.described_parameters(model, base)
+        if fit is None and robot.parameters
+        else None,
         beta_from="[parameters]",
         noise=None if noise is None else np.ones(robot.n) * noise,
         payload=payload,
@@ -81,7 +87,9 @@ def prior_information(
         return known
     stored = read_fit(fit)
     share, errors = None, stored.joints
-    if len(errors) == robot.n and all(e.autocorrelation is not None and e.percent is not None for e in errors):
+    if len(errors) == robot.n and all(
+        e.autocorrelation is not None and e.percent is not None for e in errors
+    ):
         # r rows of correlation rho equal r (1 - rho)/(1 + rho) independent ones.
         rho = np.clip([e.autocorrelation or 0.0 for e in errors], 0.0, 0.95)
         share = 0.01 * np.array([e.percent for e in errors]) * np.sqrt((1 + rho) / (1 - rho))
@@ -95,14 +103,21 @@ def prior_information(
 
 
 def loads_of(
-    model: dynamics.InverseModel, base: dynamics.BaseParameters, knowledge: PriorInformation, place: str
+    model: dynamics.InverseModel,
+    base: dynamics.BaseParameters,
+    knowledge: PriorInformation,
+    place: str,
 ) -> tuple[dynamics.DirectModel, ...]:
-    """The robot with its parameters, then the same with the payload, which needs them; empty without parameters."""
+    """The robot with its parameters, then the same with the payload, which needs them;
+    empty without parameters.
+    """
     payload = knowledge.payload
     if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
         problem = "its torque is unknown without parameters and drive gains"
         expected = "--fit or [parameters], and drive_gain"
-        raise BadInputError(problem, place=place, key="--payload", value=payload.text, expected=expected)
+        raise BadInputError(
+            problem, place=place, key="--payload", value=payload.text, expected=expected
+        )
     if knowledge.beta is None:
         return ()
     chi = base.standard_parameters(knowledge.beta)
@@ -111,12 +126,16 @@ def loads_of(
 
 
 def torque_noise(
-    robot: Robot, model: dynamics.DirectModel | None, knowledge: PriorInformation, motions: Sequence[Motion]
+    robot: Robot,
+    model: dynamics.DirectModel | None,
+    knowledge: PriorInformation,
+    motions: Sequence[Motion],
 ) -> tuple[Array, str]:
     """Deviation (n,) of each joint's torque in a row of the fit, and its origin in words.
 
-    The stated one; else the error of a fit in percent of the torque along `motions`, larger where rows are correlated; else
-    a share of that torque; else 1 for each joint, if no parameters are known.
+    The stated one; else the error of a fit in percent of the torque along `motions`,
+    larger where rows are correlated; else a share of that torque; else 1 for each joint,
+    if no parameters are known.
     """
     if knowledge.noise is not None:
         return knowledge.noise, "as stated"
@@ -126,7 +145,10 @@ def torque_noise(
     rms = np.sqrt(np.mean(tau**2, axis=0))
     rms = np.maximum(rms, 1e-6 * rms.max(initial=1e-9))
     if knowledge.noise_share is None:
-        return NOISE_SHARE * rms, f"{100 * NOISE_SHARE:g} % of the rms torque of the plain references"
+        return (
+            NOISE_SHARE * rms,
+            f"{100 * NOISE_SHARE:g} % of the rms torque of the plain references",
+        )
     return np.maximum(knowledge.noise_share, 1e-6) * rms, "the torque error of the fit"
 
 
@@ -138,8 +160,12 @@ def rows_per_s(robot: Robot) -> float:
     return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
-def earlier_information(base: dynamics.BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot; `base` without load friction."""
+def earlier_information(
+    base: dynamics.BaseParameters, noise: Array, recordings: Sequence[Signals]
+) -> Array:
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot; `base`
+    without load friction.
+    """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
         problem = make_problem(signals, Overrides())
@@ -147,7 +173,9 @@ def earlier_information(base: dynamics.BaseParameters, noise: Array, recordings:
         known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
             expected = "a recording of the described robot, with the same base parameters"
-            raise BadInputError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
+            raise BadInputError(
+                place=signals.recording, key="robot", value=signals.robot.name, expected=expected
+            )
         W, _ = rows_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
         M += W.T @ W
     return M
@@ -162,8 +190,8 @@ class Information:
         noise: (n,) deviation of each joint's torque in a row of the fit, in the unit of its effort.
         rows: of the fit in the whole recording, whatever the number of samples of a motion.
         earlier: (b, b) information of earlier recordings, which is added.
-        creep: (n,) speeds of the smooth sign u / sqrt(u² + creep²) of friction in the criterion: a jump has no gradient, and
-            a fit leaves out rows of low speed.
+        creep: (n,) speeds of the smooth sign u / sqrt(u² + creep²) of friction in the criterion: a
+            jump has no gradient, and a fit leaves out rows of low speed.
     """
 
     model: dynamics.InverseModel
@@ -178,7 +206,9 @@ class Information:
         return np.asarray(np.sqrt(np.diag(_inverse(self._information(self._regressor(motion))))))
 
     def criterion(self, motion: Motion, plain: Array) -> tuple[float, Motion]:
-        """The criterion relative to the deviations `plain` (b,), and its gradients (N, n) by q, dq and ddq."""
+        """The criterion relative to the deviations `plain` (b,), and its gradients
+        (N, n) by q, dq and ddq.
+        """
         W = self._regressor(motion)
         slopes = []
         for c, term in self._sliding:
@@ -194,11 +224,14 @@ class Information:
             by_dq += (slope * (G[:, :, c] @ term.direction))[:, None] * term.direction
         return float(np.log(total / len(D))), (by_q, by_dq, by_ddq)
 
-    def gain_deviations(self, motion: Motion, loads: Sequence[dynamics.DirectModel], payload: Payload) -> Array:
-        """(n,) relative deviations of all drive gains, from runs of the motion without and with the payload.
+    def gain_deviations(
+        self, motion: Motion, loads: Sequence[dynamics.DirectModel], payload: Payload
+    ) -> Array:
+        """(n,) relative deviations of all drive gains, from runs of the motion
+        without and with the payload.
 
-        X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L of what is not stated of the
-        payload. Earlier recordings do not count.
+        X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L
+        of what is not stated of the payload. Earlier recordings do not count.
         """
         moments, half_m = {"MX", "MY", "MZ"}, payload.center_half_width_m
         stated = {"M"} | (moments if payload.center_of_mass_m is not None and not half_m else set())
@@ -206,10 +239,16 @@ class Information:
         columns = [x for x in pairs if x[1] not in stated]
         free = self.base.K[:, [column for column, _ in columns]]
         W = (self._regressor(motion) / self.noise[:, None]).reshape(-1, self.base.b)
-        others, R = np.block([[W, np.zeros((len(W), free.shape[1]))], [W, W @ free]]), self.model.robot.R
+        others, R = (
+            np.block([[W, np.zeros((len(W), free.shape[1]))], [W, W @ free]]),
+            self.model.robot.R,
+        )
         of_motors = [np.linalg.solve(R.T, model.torque(*motion).T).T for model in loads]
-        E = np.concatenate([(x[:, None] * R.T / self.noise[:, None]).reshape(-1, len(R)) for x in of_motors])
-        if payload.center_of_mass_m is not None and half_m and payload.mass_kg:  # a row for each stated moment
+        E = np.concatenate(
+            [(x[:, None] * R.T / self.noise[:, None]).reshape(-1, len(R)) for x in of_motors]
+        )
+        # a row for each stated moment
+        if payload.center_of_mass_m is not None and half_m and payload.mass_kg:
             at = [self.base.b + k for k, (_, name) in enumerate(columns) if name in moments]
             known = np.eye(others.shape[1])[at] * NORMAL_QUANTILE / (half_m * payload.mass_kg)
             others = np.concatenate([others, known * np.sqrt(len(motion[0]) / self.rows)])
@@ -218,7 +257,9 @@ class Information:
         left = E - others @ np.linalg.lstsq(others, E, rcond=RANK_SHARE)[0]
         _, s, V = np.linalg.svd(left, full_matrices=False)
         s = np.maximum(s, RANK_SHARE * np.linalg.norm(E))
-        return np.asarray(np.linalg.norm(V / s[:, None], axis=0) * np.sqrt(len(motion[0]) / self.rows))
+        return np.asarray(
+            np.linalg.norm(V / s[:, None], axis=0) * np.sqrt(len(motion[0]) / self.rows)
+        )
 
     def _regressor(self, motion: Motion) -> Array:
         """W (N, n, b)."""
@@ -235,7 +276,11 @@ class Information:
     def _sliding(self) -> list[tuple[int, dynamics.JointTerm]]:
         """Columns and terms of friction with the sign of a speed."""
         terms = [(c, self.model.sources[column]) for c, column in enumerate(self.base.columns)]
-        return [(c, t) for c, t in terms if isinstance(t, dynamics.JointTerm) and t.kind in dynamics.SLIDING]
+        return [
+            (c, t)
+            for c, t in terms
+            if isinstance(t, dynamics.JointTerm) and t.kind in dynamics.SLIDING
+        ]
 
 
 def _inverse(M: Array) -> Array:
@@ -247,4 +292,6 @@ def _inverse(M: Array) -> Array:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
     except (np.linalg.LinAlgError, ValueError) as error:
         expected = "wider limits, or fewer friction terms"
-        raise BadInputError("no reference within the limits excites all parameters", expected=expected) from error
+        raise BadInputError(
+            "no reference within the limits excites all parameters", expected=expected
+        ) from error

@@ -1,4 +1,6 @@
-"""Motions as Fourier series from rest to rest, and their limits: position, speed, acceleration, effort."""
+"""Motions as Fourier series from rest to rest, and their limits: position,
+speed, acceleration, effort.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,8 +25,8 @@ Motion = tuple[Array, Array, Array]
 class Series:
     """Periodic Fourier series whose speed and acceleration are zero at the ends of the period.
 
-    A joint's series has K = 2 H - 1 coefficients: its position at the ends, and those in a basis of the null space of both
-    conditions. A motion of n joints is x (n, K).
+    A joint's series has K = 2 H - 1 coefficients: its position at the ends, and those in a basis of
+    the null space of both conditions. A motion of n joints is x (n, K).
     """
 
     period_s: float
@@ -32,10 +34,14 @@ class Series:
 
     @cached_property
     def _null_spaces(self) -> tuple[Array, Array]:
-        """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero acceleration at the ends."""
+        """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero
+        acceleration at the ends.
+        """
         k = np.arange(1, self.harmonics + 1, dtype=float)
-        # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the acceleration sum(k s).
-        bases = (np.linalg.qr(v[:, None], mode="complete")[0][:, 1:] for v in (np.ones_like(k), k))  # orthogonal to v
+        # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the
+        # acceleration sum(k s).
+        # orthogonal to v
+        bases = (np.linalg.qr(v[:, None], mode="complete")[0][:, 1:] for v in (np.ones_like(k), k))
         sine, cosine = (basis / k[:, None] for basis in bases)
         return sine, cosine
 
@@ -49,10 +55,15 @@ class Series:
     def coefficients(self, reference: FourierReference) -> Array:
         """x (n, K) of a reference that is such a series."""
         sine, cosine = (np.linalg.pinv(basis) for basis in self._null_spaces)
-        return np.concatenate([reference.center[:, None], reference.sine @ sine.T, reference.cosine @ cosine.T], axis=1)
+        return np.concatenate(
+            [reference.center[:, None], reference.sine @ sine.T, reference.cosine @ cosine.T],
+            axis=1,
+        )
 
     def basis(self, samples: int) -> Motion:
-        """Matrices (N, K) of position, speed and acceleration at N instants from the start of a period: q_j = A x_j."""
+        """Matrices (N, K) of position, speed and acceleration at N instants from the start of
+        a period: q_j = A x_j.
+        """
         t_s = np.arange(samples, dtype=np.float64) * (self.period_s / samples)
         position, speed, acceleration = self.reference(np.eye(2 * self.harmonics - 1)).at(t_s)
         return position, speed, acceleration
@@ -68,14 +79,17 @@ def motion_of(x: Array, basis: Motion) -> Motion:
 class Limits:
     """Limits of a robot's motion; a share of 1 or -1 is all that may be used of a limit.
 
-    Friction with the sign of a speed (load friction too) counts at full size against the motion: valid for both signs of a
-    speed, without jumps.
+    Friction with the sign of a speed (load friction too) counts at full size against the motion:
+    valid for both signs of a speed, without jumps.
 
     Attributes:
         middle: (n,) of the joints' ranges.
-        maximum: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
-        models: with the parameters for the torque, one for each load that the robot carries; empty if unknown.
-        coulomb: (m,) most that signed friction takes of each effort: Coulomb, Stribeck, root of speed.
+        maximum: (3, n) half the range, the speed, the acceleration, each times the
+            share that may be used.
+        models: with the parameters for the torque, one for each load that the robot
+            carries; empty if unknown.
+        coulomb: (m,) most that signed friction takes of each effort: Coulomb,
+            Stribeck, root of speed.
         share: that may be used of all limits.
     """
 
@@ -104,10 +118,15 @@ class Limits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(L,) the limited quantities: position, speed and acceleration of each joint, efforts by load."""
+        """(L,) the limited quantities: position, speed and acceleration of each
+        joint, efforts by load.
+        """
         names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
         loads = ("", " with the payload")[: len(self.models)]
-        return (*names, *(f"effort of {name}{load}" for load in loads for name in self.effort.names))
+        return (
+            *names,
+            *(f"effort of {name}{load}" for load in loads for name in self.effort.names),
+        )
 
     def largest(self, motion: Motion) -> tuple[float, str]:
         """The largest share used of a limit, and its name."""
@@ -122,7 +141,9 @@ class Limits:
         return np.concatenate([self.share * used[: 3 * n], efforts.ravel()])
 
     def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
-        """The shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q, dq and ddq."""
+        """The shares (N, L), and derivatives (3, N, m, n) of the m shares of
+        efforts by q, dq and ddq.
+        """
         scaled = self.effort.directions / self.allowed[:, None]
         slopes = [np.zeros((3, len(motion[0]), 0, self.robot.n))]
         for model in self.models:
@@ -145,7 +166,9 @@ class Limits:
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:
-        """Derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients, of its basis and their slopes."""
+        """Derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients, of its
+        basis and their slopes.
+        """
         n, K = self.robot.n, basis[0].shape[1]
         efforts = at[:, 3 * n :]
         J = np.zeros((*at.shape, n, K))
@@ -163,17 +186,20 @@ def _sides(shares: Array) -> Array:
 
 
 def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: str) -> Limits:
-    """The limits of a robot, of which a reference may use a `share` in (0, 1]; `place` names the description in errors.
+    """The limits of a robot, of which a reference may use a `share` in (0, 1]; `place` names the
+    description in errors.
 
-    The torque is limited by each of the `models`, with the same friction. Raises `BadInputError` where a joint states no
-    limit, or friction alone needs more than a joint's or motor's effort.
+    The torque is limited by each of the `models`, with the same friction. Raises `BadInputError`
+    where a joint states no limit, or friction alone needs more than a joint's or motor's effort.
     """
     for i, joint in enumerate(robot.joints):
         for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):
             if joint.si(kind) is None:
                 unit = "deg" if joint.type == "revolute" else "m"
                 key = f"joint[{i}].{kind}_{unit}{tail}"
-                raise BadInputError(f"joint {joint.name} states none", place=place, key=key, expected="a limit")
+                raise BadInputError(
+                    f"joint {joint.name} states none", place=place, key=key, expected="a limit"
+                )
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot)
     coulomb = np.zeros(len(limits.limits))
@@ -181,10 +207,14 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
         fastest = np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])
         sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + model.largest_shape(fastest)
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
-    for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
+    for name, unit, friction, limit in zip(
+        limits.names, limits.units, coulomb, limits.limits, strict=True
+    ):
         if friction >= share * limit:
             expected = f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}"
-            raise BadInputError(f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected)
+            raise BadInputError(
+                f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected
+            )
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     maximum = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(

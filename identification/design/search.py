@@ -1,4 +1,5 @@
-"""The search for the best reference: sequential quadratic programming on the coefficients of the series (SLSQP).
+"""The search for the best reference: sequential quadratic programming on the coefficients
+of the series (SLSQP).
 
 Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28 (1988), in scipy.
 """
@@ -22,7 +23,8 @@ from .limits import Limits, Motion, Series, motion_of
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 SAMPLES_PER_WINDOW = 3  # samples, of which a search constrains the largest share
 CHECKS_PER_SAMPLE = 10  # times as many samples check the motion between those of the search
-# A sum of harmonics is above its largest sample by (pi / samples of a period of the highest)² / 2 at most (Bernstein).
+# A sum of harmonics is above its largest sample by (pi / samples of a period of the highest)² / 2
+# at most (Bernstein).
 MAX_SHARE = 1 - (math.pi / (CHECKS_PER_SAMPLE * SAMPLES_PER_PERIOD)) ** 2 / 2
 STARTS = 3  # from random references of other seeds
 FIRST_SEED = 20  # of these: smaller ones are those of plain references
@@ -31,7 +33,8 @@ START_SHARE = 0.9  # of the limits, in which a search starts
 MARGIN_M = 0.02  # smallest distance of links from each other and from the ground
 START_POSES = 200  # of which a search starts at the one with most distance
 MAX_ITERATIONS = 50  # of a search
-POLISHING_ITERATIONS = 10  # more iterations, with limits tightened by what is exceeded between samples
+# more iterations, with limits tightened by what is exceeded between samples
+POLISHING_ITERATIONS = 10
 MIN_TIGHTENED_SHARE = 0.5  # smaller shares are not checked between the samples
 TOLERANCE = 1e-6  # of the criterion, and of shares above 1
 BISECTIONS = 10
@@ -41,8 +44,8 @@ BISECTIONS = 10
 class SearchProblem:
     """Minimise the criterion of a series, relative to the deviations `plain` (b,), within limits.
 
-    Pairs of `obstacles` keep the margin, None without any: a search starts where they are far apart, and what it finds is
-    moved towards its start until they keep it.
+    Pairs of `obstacles` keep the margin, None without any: a search starts where they are far
+    apart, and what it finds is moved towards its start until they keep it.
     """
 
     series: Series
@@ -57,20 +60,30 @@ class SearchProblem:
         return SAMPLES_PER_PERIOD * self.series.harmonics
 
 
-def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
-    """Coefficients (n, K) of the best of several searches, and deviations (b,); limits hold between samples too.
+def best_of_searches(
+    problem: SearchProblem, seed: int, place: str, say: Callable[[str], None]
+) -> tuple[Array, Array]:
+    """Coefficients (n, K) of the best of several searches, and deviations (b,); limits
+    hold between samples too.
 
-    The best has the smallest criterion; searches in which no deviation exceeds `MAX_DEVIATION_RATIO` times the plain one come
-    first. `say` gets a line of text at each iteration. Raises `BadInputError`: if no search keeps the limits.
+    The best has the smallest criterion; searches in which no deviation exceeds
+    `MAX_DEVIATION_RATIO` times the plain one come first. `say` gets a line of text at each
+    iteration. Raises `BadInputError`: if no search keeps the limits.
     """
     best: tuple[tuple[bool, float], Array, Array] | None = None
     worst = ""
-    basis, finer = (problem.series.basis(times * problem.samples) for times in (1, CHECKS_PER_SAMPLE))
+    basis, finer = (
+        problem.series.basis(times * problem.samples) for times in (1, CHECKS_PER_SAMPLE)
+    )
     for i in range(STARTS):
         text = f"search {i + 1} of {STARTS}"
         say(text)
         try:
-            x = best_series(problem, _random_start(problem, STARTS * seed + i), partial(_say_criterion, say, text))
+            x = best_series(
+                problem,
+                _random_start(problem, STARTS * seed + i),
+                partial(_say_criterion, say, text),
+            )
             most, name = problem.limits.largest(motion_of(x, finer))
             if most > 1 + TOLERANCE:
                 worst = f"{name} is exceeded by {100 * (most - 1):.3g} %"
@@ -90,11 +103,19 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
 
 
 def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
-    """A random reference that uses the same share of all limits, torque too; without distances of links."""
+    """A random reference that uses the same share of all limits, torque too;
+    without distances of links.
+    """
     reference = fourier_reference(
-        limits.robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
+        limits.robot,
+        period_s=series.period_s,
+        seed=seed,
+        harmonics=series.harmonics,
+        share=limits.share,
     )
-    x, _ = shrink(series.coefficients(reference), series.basis(SAMPLES_PER_PERIOD * series.harmonics), limits)
+    x, _ = shrink(
+        series.coefficients(reference), series.basis(SAMPLES_PER_PERIOD * series.harmonics), limits
+    )
     return series.reference(x)
 
 
@@ -110,7 +131,9 @@ def _random_start(problem: SearchProblem, seed: int) -> Array:
 
 
 def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
-    """The random pose (n,) of possible rest near the middle of the usable ranges, whose links are farthest apart."""
+    """The random pose (n,) of possible rest near the middle of the usable ranges, whose
+    links are farthest apart.
+    """
     offsets = np.random.default_rng(seed).uniform(-0.5, 0.5, (START_POSES, limits.robot.n))
     poses, still = limits.middle + offsets * limits.maximum[0], np.zeros(offsets.shape)
     possible = np.abs(limits.shares((poses, still, still))).max(axis=1) <= 1
@@ -127,13 +150,19 @@ def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> N
 
 
 def best_series(problem: SearchProblem, start: Array, say: Callable[[float], None]) -> Array:
-    """Coefficients x (n, K) of the smallest criterion; limits hold between the samples too, as far as possible.
+    """Coefficients x (n, K) of the smallest criterion; limits hold between the samples
+    too, as far as possible.
 
-    The search ignores distances: its result is moved towards `start`, which is within all limits, until it is too. `say` gets
-    the criterion after each iteration.
+    The search ignores distances: its result is moved towards `start`, which is within all limits,
+    until it is too. `say` gets the criterion after each iteration.
     """
-    search, between = _Search(problem, say), problem.series.basis(CHECKS_PER_SAMPLE * problem.samples)
-    kept = partial(shrink, basis=between, limits=problem.limits, share=MAX_SHARE, obstacles=problem.obstacles)
+    search, between = (
+        _Search(problem, say),
+        problem.series.basis(CHECKS_PER_SAMPLE * problem.samples),
+    )
+    kept = partial(
+        shrink, basis=between, limits=problem.limits, share=MAX_SHARE, obstacles=problem.obstacles
+    )
     x = search.minimise(start, MAX_ITERATIONS)
     search.tighten(x)
     safe, _ = kept(x, towards=start)
@@ -141,7 +170,9 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
 
 
 class _Search:
-    """The criterion and the limits as functions of the coefficients z (n K,), scaled so that all have similar effects."""
+    """The criterion and the limits as functions of the coefficients z (n K,), scaled so that
+    all have similar effects.
+    """
 
     def __init__(self, problem: SearchProblem, say: Callable[[float], None]) -> None:
         self._problem, self._say, self._basis = problem, say, problem.series.basis(problem.samples)
@@ -149,7 +180,8 @@ class _Search:
         # A coefficient of 1 takes its joint to the first limit.
         peaks = np.array([np.abs(A).max(axis=0) for A in self._basis])
         self._unit = 1 / (peaks[:, None] / problem.limits.maximum[..., None]).max(axis=0)
-        self._tight = np.ones(len(problem.limits.names))  # (L,) factors of the shares at the samples
+        # (L,) factors of the shares at the samples
+        self._tight = np.ones(len(problem.limits.names))
         self._last: tuple[Array, Array, Array, NDArray[np.intp]] | None = None
 
     def minimise(self, x: Array, iterations: int) -> Array:
@@ -168,17 +200,29 @@ class _Search:
         return np.asarray(done.x.reshape(self._unit.shape) * self._unit)
 
     def tighten(self, x: Array) -> None:
-        """Scale shares at the samples from now on by how much those of x (n, K) rise between them."""
+        """Scale shares at the samples from now on by how much those of x
+        (n, K) rise between them.
+        """
         finer = self._problem.series.basis(CHECKS_PER_SAMPLE * self._problem.samples)
-        coarse, fine = (np.abs(self._problem.limits.shares(motion_of(x, b))).max(axis=0) for b in (self._basis, finer))
-        self._tight = np.maximum(fine, MIN_TIGHTENED_SHARE) / np.maximum(coarse, MIN_TIGHTENED_SHARE)
+        coarse, fine = (
+            np.abs(self._problem.limits.shares(motion_of(x, b))).max(axis=0)
+            for b in (self._basis, finer)
+        )
+        self._tight = np.maximum(fine, MIN_TIGHTENED_SHARE) / np.maximum(
+            coarse, MIN_TIGHTENED_SHARE
+        )
 
     def _motion_at(self, z: Array) -> Motion:
         return motion_of(z.reshape(self._unit.shape) * self._unit, self._basis)
 
     def _objective(self, z: Array) -> tuple[float, Array]:
-        self._value, gradients = self._problem.information.criterion(self._motion_at(z), self._problem.plain)
-        by_x = sum((g.T @ A for g, A in zip(gradients, self._basis, strict=True)), start=np.zeros(self._unit.shape))
+        self._value, gradients = self._problem.information.criterion(
+            self._motion_at(z), self._problem.plain
+        )
+        by_x = sum(
+            (g.T @ A for g, A in zip(gradients, self._basis, strict=True)),
+            start=np.zeros(self._unit.shape),
+        )
         return self._value, (by_x * self._unit).ravel()
 
     def _shares_at(self, z: Array) -> tuple[Array, Array, NDArray[np.intp]]:
@@ -187,12 +231,15 @@ class _Search:
             shares, slopes = self._problem.limits.shares_and_slopes(self._motion_at(z))
             windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
             peaks = windows.argmax(axis=1) + SAMPLES_PER_WINDOW * np.arange(len(windows))[:, None]
-            self._last = z.copy(), shares, slopes, peaks  # where each limit is used most in each window
+            # where each limit is used most in each window
+            self._last = z.copy(), shares, slopes, peaks
         return self._last[1:]
 
     def _slack(self, z: Array) -> Array:
         shares, _, peaks = self._shares_at(z)
-        return np.asarray(1 - (self._tight * np.abs(np.take_along_axis(shares, peaks, axis=0))).ravel())
+        return np.asarray(
+            1 - (self._tight * np.abs(np.take_along_axis(shares, peaks, axis=0))).ravel()
+        )
 
     def _slack_slopes(self, z: Array) -> Array:
         shares, slopes, peaks = self._shares_at(z)
@@ -209,10 +256,12 @@ def shrink(
     share: float = 1.0,
     obstacles: Obstacles | None = None,
 ) -> tuple[Array, float]:
-    """A series moved towards another until it is within a share of all limits at the samples of the basis.
+    """A series moved towards another until it is within a share of all limits at
+    the samples of the basis.
 
-    By default `towards` is rest at its end position. Shapes of `obstacles` keep the margin. Returns coefficients (n, K) and the
-    largest share used of a limit: above `share` if the other exceeds it too.
+    By default `towards` is rest at its end position. Shapes of `obstacles` keep the
+    margin. Returns coefficients (n, K) and the largest share used of a limit: above
+    `share` if the other exceeds it too.
     """
     still = x.copy()
     still[:, 1:] = 0.0
@@ -222,7 +271,9 @@ def shrink(
     def largest_share(scale: float) -> float:
         motion = motion_of(still + scale * (x - still), basis)
         used = limits.largest(motion)[0]
-        near = used <= share and obstacles is not None and obstacles.nearest(motion[0])[0] < MARGIN_M
+        near = (
+            used <= share and obstacles is not None and obstacles.nearest(motion[0])[0] < MARGIN_M
+        )
         return math.inf if near else used
 
     low, high = 0.0, 1.0

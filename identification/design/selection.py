@@ -1,8 +1,9 @@
-"""Choice of friction terms by cross-validation: over parts of a recording, or of a pair, or over recordings.
+"""Choice of friction terms by cross-validation: over parts of a recording, or of a
+pair, or over recordings.
 
-Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well as the best, as
-identification/results.md says. The score of a part is the sum of squared residuals of its weighted rows, each divided by
-its joint's s_j of the fit with the usual terms.
+Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well
+as the best, as identification/results.md says. The score of a part is the sum of squared residuals
+of its weighted rows, each divided by its joint's s_j of the fit with the usual terms.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -27,27 +28,38 @@ FIFTHS = 5  # parts of a single recording
 FALSE_TERM_RATE = 0.02  # share of recordings that show a term by chance, without having any
 MIN_PARTS = 2  # fewer have no standard error of their mean
 BASELINE: tuple[FrictionTerm, ...] = ("viscous", "coulomb", "offset")
-CANDIDATES: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck")  # as a description lists them
+# as a description lists them
+CANDIDATES: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck")
 TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, the terms added to the usual ones
 
 
 def with_terms(robot: Robot, terms: TermSet) -> Robot:
-    """The robot with a set's terms beside the usual ones; friction by direction becomes common friction and an offset."""
+    """The robot with a set's terms beside the usual ones; friction by direction becomes common
+    friction and an offset.
+    """
     joints = []
     for joint, more in zip(robot.joints, terms, strict=True):
         usual = [term for term in BASELINE if joint.one_sided or term in joint.terms]
         friction = (*usual, *(term for term in CANDIDATES if term in more))
-        joints.append(msgspec.structs.replace(joint, friction=friction, viscous=None, coulomb=None, offset=None))
+        joints.append(
+            msgspec.structs.replace(
+                joint, friction=friction, viscous=None, coulomb=None, offset=None
+            )
+        )
     return replace(robot, joints=tuple(joints))
 
 
 def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
-    """By joint, the terms of a set and the usual ones, as a description lists them under `friction`."""
+    """By joint, the terms of a set and the usual ones, as a description lists
+    them under `friction`.
+    """
     return {joint.name: joint.terms for joint in with_terms(robot, terms).joints}
 
 
 def at_all_joints(robot: Robot, kinds: Collection[FrictionTerm]) -> TermSet:
-    """These terms at all joints that can have them: Stribeck friction only if its speed is stated."""
+    """These terms at all joints that can have them: Stribeck friction only
+    if its speed is stated.
+    """
     given = (joint.si("stribeck_speed") is not None for joint in robot.joints)
     return tuple(frozenset(kind for kind in kinds if kind != "stribeck" or has) for has in given)
 
@@ -58,8 +70,10 @@ class Trial:
 
     Attributes:
         significant_terms: the terms that have a parameter whose interval excludes 0.
-        fitted_error_percent: relative torque error of moving rows, fitted to all rows; None without torque.
-        held_out_percents: (k,) the same of each part, predicted by the fit of the others; NaN if no joint moves.
+        fitted_error_percent: relative torque error of moving rows, fitted to all
+            rows; None without torque.
+        held_out_percents: (k,) the same of each part, predicted by the fit of the others;
+            NaN if no joint moves.
         scores: (k,) of the parts.
     """
 
@@ -92,8 +106,10 @@ class TermChoice:
     Attributes:
         recordings: in the order given; `overrides`: of their fits.
         held_out: names of the parts held out: recordings, or fifths of one.
-        usual: the trial without added terms; `recommended`: the smallest that predicts nearly as well as the best.
-        left_out: unidentifiable terms, and recordings that the others cannot predict, one line each.
+        usual: the trial without added terms; `recommended`: the smallest that predicts
+            nearly as well as the best.
+        left_out: unidentifiable terms, and recordings that the others cannot
+            predict, one line each.
     """
 
     recordings: tuple[Signals, ...]
@@ -117,36 +133,59 @@ class TermChoice:
     def fits(self) -> list[methods.Fit]:
         """Least squares of the recordings with the usual terms, and with the recommended ones."""
         both = self.usual, self.recommended
-        return [methods.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides) for trial in both]
+        return [
+            methods.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides)
+            for trial in both
+        ]
 
 
 @estimation.one_thread
 def select_friction(
-    signals: Signals | Recordings, overrides: Overrides | None = None, *, say: Callable[[str], None] = lambda text: None
+    signals: Signals | Recordings,
+    overrides: Overrides | None = None,
+    *,
+    say: Callable[[str], None] = lambda text: None,
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
-    Raises `BadInputError`: if recordings are too long or too short, excite too little, are not of one robot, or if
-    fewer than two parts can be predicted by the others.
+    Raises `BadInputError`: if recordings are too long or too short, excite too little, are not of
+    one robot, or if fewer than two parts can be predicted by the others.
     """
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
-    recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
+    recordings = tuple(
+        source if isinstance(source, Signals) else source.load() for source in sources
+    )
     given = overrides or Overrides()
     if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
-        gain = methods.identify(Recordings(sources=recordings), given, say=say).problem.signals.robot.gain
+        gain = methods.identify(
+            Recordings(sources=recordings), given, say=say
+        ).problem.signals.robot.gain
         recordings = tuple(_with_gain(one, gain) for one in recordings)
         given = replace(given, gains=None)
     robot = recordings[0].robot
-    low = robot.identification.low_speed.iv if given.low_speed_percent is None else given.low_speed_percent
-    given = replace(given, low_speed_percent=low_speed_by_method(low))  # least squares with the weights of instruments
-    whole = methods.read_equations(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
+    low = (
+        robot.identification.low_speed.iv
+        if given.low_speed_percent is None
+        else given.low_speed_percent
+    )
+    # least squares with the weights of instruments
+    given = replace(given, low_speed_percent=low_speed_by_method(low))
+    whole = methods.read_equations(
+        _with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say
+    )
     whole = methods.with_best_ramps(methods.correct_known_lags(whole), instruments=False)
     trials = Trials(whole)
-    for kinds in (chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)):
+    for kinds in (
+        chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)
+    ):
         say(f"set {len(trials.done) + 1}: {', '.join(kinds)}")
         trials.of(trials.of(at_all_joints(robot, kinds)).significant_terms)
-    recommended = smallest_near_best([one for one in trials.done.values() if one.significant_terms == one.terms])
-    left_out = [text for (j, term), text in trials.left_out.items() if term not in recommended.terms[j]]
+    recommended = smallest_near_best(
+        [one for one in trials.done.values() if one.significant_terms == one.terms]
+    )
+    left_out = [
+        text for (j, term), text in trials.left_out.items() if term not in recommended.terms[j]
+    ]
     return TermChoice(
         recordings=recordings,
         overrides=whole.overrides,
@@ -160,7 +199,9 @@ def select_friction(
 
 def _with_gain(signals: Signals, gain: Array) -> Signals:
     robot = replace(signals.robot, identified_gain=gain)
-    return replace(signals, robot=robot, effort=robot.joint_effort(signals.robot.motor_effort(signals.effort)))
+    return replace(
+        signals, robot=robot, effort=robot.joint_effort(signals.robot.motor_effort(signals.effort))
+    )
 
 
 def smallest_near_best(trials: Sequence[Trial]) -> Trial:
@@ -172,19 +213,24 @@ def smallest_near_best(trials: Sequence[Trial]) -> Trial:
 
 
 def _with_terms(recordings: Sequence[Signals], terms: TermSet) -> Recordings:
-    return Recordings(sources=tuple(replace(one, robot=with_terms(one.robot, terms)) for one in recordings))
+    return Recordings(
+        sources=tuple(replace(one, robot=with_terms(one.robot, terms)) for one in recordings)
+    )
 
 
 class Trials:
     """Trials of sets of terms on recordings; each set is tried once.
 
     Attributes:
-        whole: their system with all tried terms; `added`: joint and term of the base parameters of these, by name.
-        parts: instants that are held out: fifths of time of a single recording, and of recordings that differ in payload, which
-            only all of them determine; else each of several; `names`: of the parts.
+        whole: their system with all tried terms; `added`: joint and term of the base
+            parameters of these, by name.
+        parts: instants that are held out: fifths of time of a single recording, and of recordings
+            that differ in payload, which only all of them determine; else each of several;
+            `names`: of the parts.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
-        done: the trials; `left_out`: joints and terms that some of them leave out, each with the reason.
+        done: the trials; `left_out`: joints and terms that some of them leave
+            out, each with the reason.
     """
 
     def __init__(self, whole: methods.Equations) -> None:
@@ -198,13 +244,19 @@ class Trials:
             raise BadInputError("too long", place=", ".join(self.names), expected=expected)
         self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
         if not self.by_recording:
-            edges = [np.linspace(of.start, of.stop, FIFTHS + 1).round().astype(int) for of in recordings]
-            fifths = zip(*([np.arange(*ends) for ends in pairwise(of)] for of in edges), strict=True)
+            edges = [
+                np.linspace(of.start, of.stop, FIFTHS + 1).round().astype(int) for of in recordings
+            ]
+            fifths = zip(
+                *([np.arange(*ends) for ends in pairwise(of)] for of in edges), strict=True
+            )
             self.parts = tuple(map(np.concatenate, fifths))
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS
         self.added = {
             name: (source.joint, term)
-            for name, source in zip(base.names, (model.sources[c] for c in base.columns), strict=True)
+            for name, source in zip(
+                base.names, (model.sources[c] for c in base.columns), strict=True
+            )
             for term in CANDIDATES
             if isinstance(source, JointTerm) and source.kind == term
         }
@@ -219,17 +271,24 @@ class Trials:
         }
         if (left := len(self.names) - len(self.unpredicted)) < MIN_PARTS:
             text = "; ".join(self.unpredicted.values())
-            expected = f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints"
+            expected = (
+                f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints"
+            )
             raise BadInputError(text, key="parts held out", value=left, expected=expected)
 
     def of(self, terms: TermSet) -> Trial:
-        """The trial of a set, without terms that are unidentifiable and load friction that does not settle."""
+        """The trial of a set, without terms that are unidentifiable and load
+        friction that does not settle.
+        """
         if terms in self.done:
             return self.done[terms]
         settled, estimate = self._fit(terms)
         rows = settled.about(estimate.values_of(settled.names))
         found = estimation.intervals_of(rows.system, estimate)
-        moving, betas = estimation.are_moving(rows.speed), [beta for beta, _ in self._predictions(rows)]
+        moving, betas = (
+            estimation.are_moving(rows.speed),
+            [beta for beta, _ in self._predictions(rows)],
+        )
         by_others = settled.predicted(
             *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
             by_recording=self.by_recording,
@@ -245,10 +304,15 @@ class Trials:
             if name not in self.unpredicted
         ]
         scores, percents = np.array(held, dtype=float).T
-        least = estimation.t_quantile(1 - FALSE_TERM_RATE / 2 / max(1, len(self.added)), found.freedom) * found.sigma
+        least = (
+            estimation.t_quantile(1 - FALSE_TERM_RATE / 2 / max(1, len(self.added)), found.freedom)
+            * found.sigma
+        )
         # The interval of load friction must lie above 0: no friction decreases with load.
         values = zip(estimate.names, estimate.beta, least, strict=True)
-        beyond = [name for name, x, limit in values if (x if name.startswith("mu") else abs(x)) > limit]
+        beyond = [
+            name for name, x, limit in values if (x if name.startswith("mu") else abs(x)) > limit
+        ]
         trial = Trial(
             terms=self._terms(estimate.names),
             significant_terms=self._terms(beyond),
@@ -261,18 +325,30 @@ class Trials:
     def _terms(self, names: Sequence[str]) -> TermSet:
         """The tried terms that have these parameters."""
         added = [self.added[name] for name in names if name in self.added]
-        return tuple(frozenset(term for i, term in added if i == j) for j in range(len(self.weights)))
+        return tuple(
+            frozenset(term for i, term in added if i == j) for j in range(len(self.weights))
+        )
 
     def _fit(self, terms: TermSet) -> tuple[methods.Equations, estimation.Estimate]:
         others = {name: "" for name, (j, term) in self.added.items() if term not in terms[j]}
-        settled, estimate = methods.least_squares(self.whole.without(others) if others else self.whole)
+        settled, estimate = methods.least_squares(
+            self.whole.without(others) if others else self.whole
+        )
         self.left_out |= {self.added[name]: text for name, text in settled.left_out.items() if text}
         return settled, estimate
 
     def _predictions(self, settled: Rows) -> list[tuple[Array, list[str]]]:
-        """By part the parameters (b,) by the others, and the names of those that they do not determine."""
+        """By part the parameters (b,) by the others, and the names of those that
+        they do not determine.
+        """
         system = settled.system
-        rows = np.column_stack(system.weighted(self.weights)).reshape(len(self.weights), -1, len(system.names) + 1)
-        each = [estimation.r_factor(rows[:, part].reshape(-1, rows.shape[2])) for part in self.parts]
+        rows = np.column_stack(system.weighted(self.weights)).reshape(
+            len(self.weights), -1, len(system.names) + 1
+        )
+        each = [
+            estimation.r_factor(rows[:, part].reshape(-1, rows.shape[2])) for part in self.parts
+        ]
         found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], system.names, self._own)
-        return [(np.zeros(len(system.names)) if beta is None else beta, lost) for beta, lost in found]
+        return [
+            (np.zeros(len(system.names)) if beta is None else beta, lost) for beta, lost in found
+        ]

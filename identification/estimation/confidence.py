@@ -1,7 +1,9 @@
-"""Confidence intervals that hold for correlated residuals, equation (F): equal-weighted cosines and Student's t.
+"""Confidence intervals that hold for correlated residuals, equation (F): equal-weighted
+cosines and Student's t.
 
-Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, Journal of Business & Economic Statistics 36
-(2018). Only the low-frequency part of the residual matters for an estimate; the cosines of the lowest frequencies measure it.
+Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, Journal of Business &
+Economic Statistics 36 (2018). Only the low-frequency part of the residual matters for an estimate;
+the cosines of the lowest frequencies measure it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,9 +20,11 @@ from .system import Spans, System, spans_of
 
 LEVEL = 0.95
 MIN_COSINES = 4
-MAX_COSINES = 16  # with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
+# with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
+MAX_COSINES = 16
 MIN_VARIANCE_SHARE = 0.1  # of a very short recording
-TIME_BLOCKS = 8 * MAX_COSINES  # for the share that cosines find: eight per half period of the fastest one
+# for the share that cosines find: eight per half period of the fastest one
+TIME_BLOCKS = 8 * MAX_COSINES
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,8 +35,8 @@ class Intervals:
         low, high: (b,) their ends.
         sigma: (b,) deviations by equal-weighted cosines.
         freedom: degrees of freedom of Student's t; half an interval is `reach` deviations.
-        covariance: (b, b) D R D, D the deviations `sigma`, R the formula's correlations. The cosines' own matrix has no more
-            than `freedom` independent directions.
+        covariance: (b, b) D R D, D the deviations `sigma`, R the formula's correlations. The
+            cosines' own matrix has no more than `freedom` independent directions.
     """
 
     low: Array
@@ -54,9 +58,11 @@ class Intervals:
 
 
 def intervals(estimate: Estimate, rho: Array, n: int, parts: Sequence[int] = ()) -> Intervals:
-    """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by joint, zero in unused rows.
+    """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by
+    joint, zero in unused rows.
 
-    `parts` are the numbers of instants of several recordings, in the order of the rows; none for one recording.
+    `parts` are the numbers of instants of several recordings, in the order of the rows;
+    none for one recording.
     """
     spans = tuple(Spans(instants=T, count=T) for T in parts or (len(rho) // n,))
     return _intervals(estimate, rho.reshape(n, -1), spans)
@@ -75,10 +81,14 @@ def _intervals(estimate: Estimate, rho: Array, spans: Sequence[Spans]) -> Interv
     return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
 
 
-def combined(system: System, estimate: Estimate, stated: Mapping[str, tuple[float, float]]) -> Estimate:
-    """An estimate combined by variances with stated values of some of its parameters and half-widths of their 95 % intervals:
+def combined(
+    system: System, estimate: Estimate, stated: Mapping[str, tuple[float, float]]
+) -> Estimate:
+    """An estimate combined by variances with stated values of some of its parameters and
+    half-widths of their 95 % intervals:
 
-        x + G (a - A x),    G = C Aᵀ (A C Aᵀ + S)⁻¹,    C by equal-weighted cosines, S of what is stated
+        x + G (a - A x),    G = C Aᵀ (A C Aᵀ + S)⁻¹,
+        C by equal-weighted cosines, S of what is stated
 
     Unchanged where the rows contradict the statement (`differs`).
     """
@@ -87,7 +97,10 @@ def combined(system: System, estimate: Estimate, stated: Mapping[str, tuple[floa
         return estimate
     found, names = intervals_of(system, estimate), estimate.names
     value, half = np.array([stated[names[i]] for i in at]).T
-    off, both = value - estimate.beta[at], found.covariance[np.ix_(at, at)] + np.diag((half / found.reach) ** 2)
+    off, both = (
+        value - estimate.beta[at],
+        found.covariance[np.ix_(at, at)] + np.diag((half / found.reach) ** 2),
+    )
     if differs(off, both, found.freedom):
         return estimate
     G = np.linalg.solve(both, found.covariance[at]).T
@@ -113,17 +126,26 @@ def by_rows_alone(estimate: Estimate, W: Array, Y: Array) -> Estimate:
 
 
 def differs(off: Array, covariance: Array, freedom: int) -> bool:
-    """Whether a difference (s,) of this covariance (s, s) is beyond its 95 % region, by Hotelling's F."""
-    return f_tail(float(off @ np.linalg.solve(covariance, off)) / len(off), len(off), freedom) < 1 - LEVEL
+    """Whether a difference (s,) of this covariance (s, s) is beyond its 95 %
+    region, by Hotelling's F.
+    """
+    return (
+        f_tail(float(off @ np.linalg.solve(covariance, off)) / len(off), len(off), freedom)
+        < 1 - LEVEL
+    )
 
 
-# Of a recording: the scores (T, b) of instants or spans of time, whose sum is its share of beta - beta_true; Q'Q (K, b, b) of
-# blocks of time; the number of cosines.
+# Of a recording: the scores (T, b) of instants or spans of time, whose sum is its share of beta -
+# beta_true; Q'Q (K, b, b) of blocks of time; the number of cosines.
 Scores = tuple[Array, Array, int]
 
 
-def scores_of_recordings(Q: Array, bread: Array, rho: Array, spans: Sequence[Spans]) -> list[Scores]:
-    """Scores of recordings with these spans, from orthonormal Q (r, b), `bread` and residuals rho (n, r/n)."""
+def scores_of_recordings(
+    Q: Array, bread: Array, rho: Array, spans: Sequence[Spans]
+) -> list[Scores]:
+    """Scores of recordings with these spans, from orthonormal Q (r, b), `bread` and
+    residuals rho (n, r/n).
+    """
     (n, r), b = rho.shape, Q.shape[1]
     scores = (Q * rho.reshape(-1, 1)).reshape(n, r, b).sum(axis=0) @ bread.T
     by_row, found = Q.reshape(n, r, b).transpose(1, 0, 2), list[Scores]()
@@ -131,13 +153,16 @@ def scores_of_recordings(Q: Array, bread: Array, rho: Array, spans: Sequence[Spa
         by_span = by_row[part].reshape(own.count, own.rows, n, b)
         blocks = np.array_split(by_span, min(own.count, TIME_BLOCKS))
         grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
-        found.append((scores[part].reshape(own.count, own.rows, b).sum(axis=1), grams, cosines(own.instants)))
+        found.append(
+            (scores[part].reshape(own.count, own.rows, b).sum(axis=1), grams, cosines(own.instants))
+        )
     return found
 
 
 def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:
-    """Standard deviations (b,) of an estimate with this `bread`, corrected for what it removes from the residuals, and their
-    degrees of freedom. Recordings are independent, so variances and degrees add up.
+    """Standard deviations (b,) of an estimate with this `bread`, corrected for what it
+    removes from the residuals, and their degrees of freedom. Recordings are independent, so
+    variances and degrees add up.
     """
     each = []
     for scores, grams, B in recordings:
@@ -162,10 +187,11 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
 
 
 def deviations_of_sums(z: Array, rho: Array, Q: Array, n: int, spans: Sequence[Spans]) -> Array:
-    """Standard deviations (k,) of the sums z'e of k columns z (r, k), of recordings with these spans of rows of n joints.
+    """Standard deviations (k,) of the sums z'e of k columns z (r, k), of recordings with these
+    spans of rows of n joints.
 
-    rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The deviations are corrected for
-    what the two remove, as in `estimate_deviations`.
+    rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The
+    deviations are corrected for what the two remove, as in `estimate_deviations`.
     """
     own = z - Q @ (Q.T @ z)  # the direction that a column adds to Q
     own, each = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), []
@@ -183,7 +209,9 @@ def deviations_of_sums(z: Array, rho: Array, Q: Array, n: int, spans: Sequence[S
 
 
 def deviations(scores: Array, B: int) -> Array:
-    """Standard deviations (b,) of the sums of scores (T, b) in order of time, by the B cosines of lowest frequency."""
+    """Standard deviations (b,) of the sums of scores (T, b) in order of time, by the B
+    cosines of lowest frequency.
+    """
     L = _family(B, len(scores)) @ scores
     return np.asarray(np.sqrt((L**2).mean(axis=0)))
 
@@ -191,16 +219,21 @@ def deviations(scores: Array, B: int) -> Array:
 def _share(squares: Array, along: Array, B: int) -> Array:
     """Share (m,) of the variance of the sums z'e, e white, that the cosines find in the residuals.
 
-    By K blocks of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. For an estimate z is Q bread'.
-    The estimate removes d directions from the noise: rho = (I - Q Q')e. A cosine's L = a'rho, a being the cosine times z, has
-    the variance |a|² - |Q'a|². Regressors as slow as the cosines lose more of it than d of r rows: on the TX40 up to a third
-    of the deviation, where d/r is a fortieth.
+    By K blocks of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. For an
+    estimate z is Q bread'. The estimate removes d directions from the noise: rho = (I - Q Q')e. A
+    cosine's L = a'rho, a being the cosine times z, has the variance |a|² - |Q'a|². Regressors as
+    slow as the cosines lose more of it than d of r rows: on the TX40 up to a third of the
+    deviation, where d/r is a fortieth.
     """
     cosine = _family(B, len(squares))
     lost = np.tensordot(cosine, along, axes=1) ** 2  # (B, m, d)
     found, whole = (cosine**2 @ squares - lost.sum(axis=-1)).mean(axis=0), squares.sum(axis=0)
     present = whole > 0  # a recording may not excite a parameter
-    return np.asarray(np.maximum(np.divide(found, whole, out=np.ones_like(found), where=present), MIN_VARIANCE_SHARE))
+    return np.asarray(
+        np.maximum(
+            np.divide(found, whole, out=np.ones_like(found), where=present), MIN_VARIANCE_SHARE
+        )
+    )
 
 
 def _family(B: int, T: int) -> Array:
@@ -210,5 +243,7 @@ def _family(B: int, T: int) -> Array:
 
 
 def cosines(T: int) -> int:
-    """Number of cosines for T instants: enough to measure the spread, few enough to stay at low frequencies."""
+    """Number of cosines for T instants: enough to measure the spread, few enough to
+    stay at low frequencies.
+    """
     return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, MAX_COSINES))

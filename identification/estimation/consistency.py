@@ -1,12 +1,15 @@
-"""The physically consistent parameters nearest to an estimate: one smooth convex problem, without the recording.
+"""The physically consistent parameters nearest to an estimate: one smooth convex problem,
+without the recording.
 
-    min over chi:  1/2 (K chi - beta)' C⁻¹ (K chi - beta) + gamma sum_j [tr(P0_j⁻¹ P_j) - log det P_j]
+    min over chi:  1/2 (K chi - beta)' C⁻¹ (K chi - beta)
+                   + gamma sum_j [tr(P0_j⁻¹ P_j) - log det P_j]
                    - gamma_x (sum_i log x_i + sum_k log det X_k)
 
-P_j(chi) is the 4 × 4 pseudo-inertia of link j, positive definite for every body of positive density (Wensing, Kim, Slotine,
-Linear matrix inequalities for physically consistent inertial parameter identification, IEEE RA-L 3 (2018)); x_i are
-combinations of the other parameters that must be positive, X_k matrices of them, such as viscous friction of joints that
-share motors. Beta, its covariance C and the regrouping matrix K replace the rows. Solved by damped Newton steps; the Newton
+P_j(chi) is the 4 × 4 pseudo-inertia of link j, positive definite for every body of positive density
+(Wensing, Kim, Slotine, Linear matrix inequalities for physically consistent inertial parameter
+identification, IEEE RA-L 3 (2018)); x_i are combinations of the other parameters that must be
+positive, X_k matrices of them, such as viscous friction of joints that share motors. Beta, its
+covariance C and the regrouping matrix K replace the rows. Solved by damped Newton steps; the Newton
 decrement certifies the optimum.
 """
 
@@ -19,7 +22,9 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import NoFitError
 
-GAMMA = 1.0  # weight of the links' prior; with a generic prior, 0.1 or less is worse than none on short recordings
+# weight of the links' prior; with a generic prior, 0.1 or less is worse than
+# none on short recordings
+GAMMA = 1.0
 GAMMA_X = 1e-6  # times gamma: only a barrier; full weight would bias friction and rotors
 MATRIX_WEIGHT = 100.0  # times GAMMA_X, of the log det of a matrix: less is lost in rounding
 MAX_DECREMENT = 1e-6  # Newton decrement: half its square is about the distance to the optimum
@@ -78,11 +83,13 @@ def consistent_parameters(
     gamma: float = GAMMA,
     gamma_x: float = GAMMA_X,
 ) -> Consistent:
-    """The parameters that meet the conditions `physical`, nearest to an estimate beta (b,) = K chi (K regroups).
+    """The parameters that meet the conditions `physical`, nearest to an estimate beta
+    (b,) = K chi (K regroups).
 
-    Its covariance is C = D R D (b, b): the formula's correlations, the intervals' deviations. `gamma` is the weight of the
-    links' prior, `gamma_x` that of the barrier of the combinations over it. Raises `NoFitError` where the optimum is not
-    reached, as with an estimate that is not finite.
+    Its covariance is C = D R D (b, b): the formula's correlations, the intervals' deviations.
+    `gamma` is the weight of the links' prior, `gamma_x` that of the barrier of the
+    combinations over it. Raises `NoFitError` where the optimum is not reached, as with an
+    estimate that is not finite.
     """
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
@@ -115,13 +122,20 @@ def consistent_parameters(
 
 
 def parameter_certainty(
-    found: Consistent, covariance: Array, K: Array, physical: PhysicalParameters, *, gamma: float = GAMMA
+    found: Consistent,
+    covariance: Array,
+    K: Array,
+    physical: PhysicalParameters,
+    *,
+    gamma: float = GAMMA,
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Deviations, and variances relative to the prior, of the standard parameters (p,) and of the base parameters (b,).
+    """Deviations, and variances relative to the prior, of the standard parameters (p,) and of
+    the base parameters (b,).
 
-    Deviations by Laplace: the inverse Hessian at the optimum without the barrier of friction and rotors. Those of base
-    parameters include the square of their move from the estimate. The relative variance is that over the prior's alone, from 0
-    to 1; 0 where there is no prior, as for offsets and friction.
+    Deviations by Laplace: the inverse Hessian at the optimum without the barrier of friction and
+    rotors. Those of base parameters include the square of their move from the estimate. The
+    relative variance is that over the prior's alone, from 0 to 1; 0 where there is no prior, as
+    for offsets and friction.
     """
     b, p = K.shape
     links = replace(physical, combinations=np.zeros((0, p)), matrices=())
@@ -136,28 +150,45 @@ def parameter_certainty(
 
 
 def _variances(J: Array, rows: Array) -> Array:
-    """Diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; very large where J is singular."""
+    """Diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; very
+    large where J is singular.
+    """
     d = np.linalg.norm(J, axis=0)
     values, V = np.linalg.svd(J / d, full_matrices=False)[1:]
-    return np.asarray(((rows / d @ V.T / np.maximum(values, MIN_SINGULAR_VALUE * values[0])) ** 2).sum(axis=1))
+    return np.asarray(
+        ((rows / d @ V.T / np.maximum(values, MIN_SINGULAR_VALUE * values[0])) ** 2).sum(axis=1)
+    )
 
 
 class _Objective:
-    """The function to minimise, finite where every P_j and X_k is positive definite and every x_i positive."""
+    """The function to minimise, finite where every P_j and X_k is positive definite
+    and every x_i positive.
+    """
 
     def __init__(
-        self, beta: Array, root: Array, K: Array, physical: PhysicalParameters, gamma: float, gamma_x: float
+        self,
+        beta: Array,
+        root: Array,
+        K: Array,
+        physical: PhysicalParameters,
+        gamma: float,
+        gamma_x: float,
     ) -> None:
         """`root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹ r."""
         self.root, self._target, self._A = root, root @ beta, root @ K
         self._x, self._gamma_x = physical.combinations, gamma_x
-        # Matrices that are linear in some columns (L, c) of chi: these, what each multiplies (c, s, s), weight of log det.
+        # Matrices that are linear in some columns (L, c) of chi: these, what each multiplies (c, s,
+        # s), weight of log det.
         self._cones = [(physical.links, BASIS, gamma)]
         for matrix in physical.matrices:
             columns = np.flatnonzero(matrix.any(axis=(0, 1)))
-            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX_WEIGHT * gamma_x))
+            self._cones.append(
+                (columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX_WEIGHT * gamma_x)
+            )
         self._pull = np.zeros(K.shape[1])  # of tr(P0⁻¹ P) by the parameters
-        self._pull[physical.links] = gamma * np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)
+        self._pull[physical.links] = gamma * np.einsum(
+            "lab,iba->li", np.linalg.inv(physical.prior), BASIS
+        )
 
     def value(self, chi: Array) -> float:
         """Infinite outside."""
@@ -166,11 +197,15 @@ class _Objective:
             return np.inf
         rho = self._A @ chi - self._target
         sizes = [np.log(np.diagonal(L, axis1=1, axis2=2)).sum() for L in roots]
-        log_det = sum(2 * weight * size for (_, _, weight), size in zip(self._cones, sizes, strict=True))
+        log_det = sum(
+            2 * weight * size for (_, _, weight), size in zip(self._cones, sizes, strict=True)
+        )
         return float(0.5 * rho @ rho + self._pull @ chi - log_det - self._gamma_x * np.log(x).sum())
 
     def derivatives(self, chi: Array) -> tuple[Array, Array]:
-        """Gradient (p,), and J (r, p) of the Hessian J'J, whose own condition is that of J squared."""
+        """Gradient (p,), and J (r, p) of the Hessian J'J, whose own
+        condition is that of J squared.
+        """
         g = self._A.T @ (self._A @ chi - self._target) + self._pull
         roots = self._roots(chi)
         assert roots is not None
@@ -203,16 +238,22 @@ class _Objective:
         return float(-1.0 / lowest) if lowest < 0 else np.inf
 
     def _roots(self, chi: Array) -> list[Array] | None:
-        """Cholesky factors (L, s, s) of the P_j and X_k, None where one is not positive definite."""
+        """Cholesky factors (L, s, s) of the P_j and X_k, None where one is
+        not positive definite.
+        """
         try:
-            matrices = (np.tensordot(chi[columns], basis, axes=1) for columns, basis, _ in self._cones)
+            matrices = (
+                np.tensordot(chi[columns], basis, axes=1) for columns, basis, _ in self._cones
+            )
             return [np.asarray(np.linalg.cholesky(P)) for P in matrices]
         except np.linalg.LinAlgError:
             return None
 
 
 def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float, int]:
-    """Minima for decreasing covariances, each started from the one before: the last, its decrement, all steps."""
+    """Minima for decreasing covariances, each started from the one before: the last,
+    its decrement, all steps.
+    """
     chi, decrement, steps = _minimum(problem(MAX_SOFTENING), chi)
     softer, factor = MAX_SOFTENING, MAX_FACTOR
     while decrement <= MAX_DECREMENT and softer > 1.0:
@@ -242,7 +283,9 @@ def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:
 
 
 def _length(objective: _Objective, chi: Array, step: Array, decrement: float) -> float:
-    """Share of a Newton step that stays inside and decreases the function enough; 0 where rounding leaves none."""
+    """Share of a Newton step that stays inside and decreases the function enough; 0
+    where rounding leaves none.
+    """
     value, length = objective.value(chi), min(1.0, MAX_BOUNDARY_SHARE * objective.reach(chi, step))
     rounding = 1e-13 * abs(value)
     while length > 1e-10:
@@ -265,7 +308,9 @@ def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
 
 
 def _inverse_root(beta: Array, covariance: Array) -> Array:
-    """A root (b, b) of C⁻¹, through the correlations; deviations are bounded below for the barrier's sake."""
+    """A root (b, b) of C⁻¹, through the correlations; deviations are bounded below
+    for the barrier's sake.
+    """
     sigma = np.sqrt(np.diag(covariance))
     own = np.where(sigma > 0, sigma, 1.0)
     R = covariance / own[:, None] / own
@@ -275,16 +320,22 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
     try:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / sigma)
     except np.linalg.LinAlgError as error:
-        raise NoFitError("no consistent parameters found: the covariance is not positive definite") from error
+        raise NoFitError(
+            "no consistent parameters found: the covariance is not positive definite"
+        ) from error
 
 
 def pseudo_inertia(parameters: Array) -> Array:
-    """Pseudo-inertias P (..., 4, 4) of links' XX XY XZ YY YZ ZZ MX MY MZ M (..., 10): [[tr(I)/2 1 - I, h], [h', M]]."""
+    """Pseudo-inertias P (..., 4, 4) of links' XX XY XZ YY YZ ZZ MX MY MZ M (..., 10):
+    [[tr(I)/2 1 - I, h], [h', M]].
+    """
     return np.asarray(np.tensordot(parameters, BASIS, axes=1))
 
 
 def link_parameters(P: Array) -> Array:
-    """XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4): the inverse of `pseudo_inertia`."""
+    """XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4): the
+    inverse of `pseudo_inertia`.
+    """
     second = P[..., :3, :3]
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
     rows, columns = np.triu_indices(3)

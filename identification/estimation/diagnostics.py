@@ -18,11 +18,14 @@ MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
 
 
-def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueResidual, ...]:
-    """Torque errors of each of the joints `names` and, last and under the name `all`, of all joints together.
+def torque_errors(
+    tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]
+) -> tuple[TorqueResidual, ...]:
+    """Torque errors of each of the joints `names` and, last and under the name `all`,
+    of all joints together.
 
-    Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not known); by the joint speeds
-    (rows, n), rad/s or m/s, rows move or stand.
+    Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not
+    known); by the joint speeds (rows, n), rad/s or m/s, rows move or stand.
     """
     moving, rho = are_moving(speed), tau - predicted
     each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
@@ -42,19 +45,26 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
 
 
 def are_moving(speed: Array) -> NDArray[np.bool_]:
-    """Where joints move: faster than 2 % of their peak speed. `speed` and the result are (rows, n)."""
+    """Where joints move: faster than 2 % of their peak speed.
+
+    `speed` and the result are (rows, n).
+    """
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
 def autocorrelation(rho: Array, lag: int = 1) -> float | None:
-    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of `lag` rows; None where they are zero."""
+    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of `lag` rows;
+    None where they are zero.
+    """
     r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
     return float(r @ following / size) if size > 0 else None
 
 
 def relative_error_percent(tau: Array, rho: Array) -> float | None:
-    """100 |rho| / |tau| of residual and torque in the same unit and shape; None where the torque is zero."""
+    """100 |rho| / |tau| of residual and torque in the same unit and shape; None
+    where the torque is zero.
+    """
     norm = np.linalg.norm(tau)
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
@@ -73,7 +83,9 @@ class InstrumentTests:
 
 
 def instrument_tests(Q: Array, W: Array, rows: float) -> InstrumentTests:
-    """Tests of instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted and has `rows` used rows."""
+    """Tests of instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted
+    and has `rows` used rows.
+    """
     b = W.shape[1]
     Qw = orthonormal(W / np.linalg.norm(W, axis=0))
     strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
@@ -86,9 +98,10 @@ def whitened(
 ) -> tuple[System, Array]:
     """W, Y and Z (r, b) filtered along time, joint by joint.
 
-    Joint j's filter is 1 - a_1 B ... - a_p B^p with B the row before, by Yule and Walker from the used rows of its residual
-    rho (r,). A row is used if it and the `order` rows before it are. `parts` are the numbers of instants of several
-    recordings, each filtered alone; None for one recording.
+    Joint j's filter is 1 - a_1 B ... - a_p B^p with B the row before, by Yule and Walker
+    from the used rows of its residual rho (r,). A row is used if it and the `order` rows
+    before it are. `parts` are the numbers of instants of several recordings, each filtered
+    alone; None for one recording.
     """
     n, b = len(system.rows), len(system.names)
     stack = np.c_[system.W, Z, system.Y].reshape(n, -1, b + Z.shape[1] + 1)
@@ -103,11 +116,15 @@ def whitened(
         for k in range(1, order + 1):
             counts[j, order:] *= used[j, order - k : T - k]
     flat = filtered.reshape(n * T, -1)
-    return replace(system, W=flat[:, :b], Y=flat[:, -1]).with_rows(counts.reshape(-1)), flat[:, b:-1]
+    return replace(system, W=flat[:, :b], Y=flat[:, -1]).with_rows(counts.reshape(-1)), flat[
+        :, b:-1
+    ]
 
 
 def autoregression(x: Array, order: int) -> Array:
-    """Coefficients (order,) that predict x (T,) from what came before, by Yule and Walker; zeros where x is zero."""
+    """Coefficients (order,) that predict x (T,) from what came before, by Yule and Walker;
+    zeros where x is zero.
+    """
     r = np.array([x[k:] @ x[: len(x) - k] for k in range(order + 1)])
     if not r[0] > 0:
         return np.zeros(order)
@@ -116,7 +133,9 @@ def autoregression(x: Array, order: int) -> Array:
 
 
 def f_tail(F: float, dropped: float, freedom: float) -> float:
-    """Probability that a value of the F distribution with `dropped` and `freedom` degrees of freedom exceeds F."""
+    """Probability that a value of the F distribution with `dropped` and `freedom`
+    degrees of freedom exceeds F.
+    """
     # F may be below 0 by rounding
     return _incomplete_beta(freedom / 2, dropped / 2, freedom / (freedom + dropped * max(F, 0.0)))
 
@@ -127,17 +146,27 @@ def t_quantile(p: float, freedom: float) -> float:
 
 
 def chi_squared_quantile(tail: float, freedom: int) -> float:
-    """Value exceeded with the probability `tail` in the chi-squared distribution with `freedom` degrees of freedom."""
+    """Value exceeded with the probability `tail` in the chi-squared distribution with
+    `freedom` degrees of freedom.
+    """
     return _root(lambda x: _chi_squared_tail(x, freedom) - tail)
 
 
-def f_tests(F: float, dropped: int, rows: float, b: int, correlation: float) -> tuple[float, float, float, float]:
-    """F and its p-value for `dropped` of b parameters, and both corrected for the residual's correlation c at a lag of one row:
-    by the share (1 - c)/(1 + c) of independent rows, all for a negative c.
+def f_tests(
+    F: float, dropped: int, rows: float, b: int, correlation: float
+) -> tuple[float, float, float, float]:
+    """F and its p-value for `dropped` of b parameters, and both corrected for the
+    residual's correlation c at a lag of one row: by the share (1 - c)/(1 + c) of
+    independent rows, all for a negative c.
     """
     c = max(0.0, correlation)
     share = (1.0 - c) / (1.0 + c)
-    return F, f_tail(F, dropped, rows - b), F * share, f_tail(F * share, dropped, max(1.0, rows * share - b))
+    return (
+        F,
+        f_tail(F, dropped, rows - b),
+        F * share,
+        f_tail(F * share, dropped, max(1.0, rows * share - b)),
+    )
 
 
 def _chi_squared_tail(x: float, freedom: int) -> float:
@@ -145,17 +174,24 @@ def _chi_squared_tail(x: float, freedom: int) -> float:
     odd, half = freedom % 2, 0.5 * x
     tail = math.erfc(math.sqrt(half)) if odd else 0.0
     powers = (k + 0.5 * odd for k in range(freedom // 2))
-    terms = (math.exp(k * math.log(half) - half - math.lgamma(k + 1)) if half else float(k == 0) for k in powers)
+    terms = (
+        math.exp(k * math.log(half) - half - math.lgamma(k + 1)) if half else float(k == 0)
+        for k in powers
+    )
     return tail + sum(terms)
 
 
 def _incomplete_beta(a: float, b: float, x: float) -> float:
-    """The regularised incomplete beta function I_x(a, b), by its continued fraction (Abramowitz and Stegun 26.5.8, Lentz)."""
+    """The regularised incomplete beta function I_x(a, b), by its continued fraction (Abramowitz and
+    Stegun 26.5.8, Lentz).
+    """
     if x <= 0.0 or x >= 1.0:
         return float(x >= 1.0)
     if x > (a + 1.0) / (a + b + 2.0):  # the other tail converges faster
         return 1.0 - _incomplete_beta(b, a, 1.0 - x)
-    front = math.exp(math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x))
+    front = math.exp(
+        math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x)
+    )
     C, D = 1.0, 1.0 / (1.0 - (a + b) * x / (a + 1.0))
     fraction = D
     for m in range(1, _MAX_TERMS):

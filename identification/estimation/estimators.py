@@ -1,8 +1,10 @@
-"""Least squares and instrumental variables on any W, Y, Z by QR; reduction to the essential parameters.
+"""Least squares and instrumental variables on any W, Y, Z by QR; reduction to
+the essential parameters.
 
 Letters as in Janot2014 and Gautier1997: rho = Y - W beta, s² = |rho|²/(r - 1),
-C = s² (WᵀW)⁻¹, sigma_i = sqrt(C_ii), %sigma_i = 100 sigma_i/|beta_i|. The divisor r - 1, not r - b, is that of the authors'
-scripts and published deviations; it makes sigma smaller by b/2r (0.06 % on the EMPS, 1.3 % on the TX40).
+C = s² (WᵀW)⁻¹, sigma_i = sqrt(C_ii), %sigma_i = 100 sigma_i/|beta_i|. The divisor r - 1, not r - b,
+is that of the authors' scripts and published deviations; it makes sigma smaller by b/2r (0.06 % on
+the EMPS, 1.3 % on the TX40).
 """
 
 from collections.abc import Callable
@@ -43,10 +45,14 @@ class Estimate:
         covariance: (b, b) by the formula, which assumes white residuals.
         weights: (n,) 1/s_j of the rows of joint j; ones without weighting.
         residual_norm: |Y - W beta| of the weighted rows.
-        condition_number: of W in the used rows; `condition_number_scaled`: of the weighted W with columns of norm one.
-        rows: r, the number of decimated samples over all joints, the sum of the squares of their weights.
-        Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal columns that span W, or Z.
-        stated: (b, s) moves by one deviation of each of the s stated values that it is combined with (`confidence.combined`).
+        condition_number: of W in the used rows; `condition_number_scaled`: of the weighted W
+            with columns of norm one.
+        rows: r, the number of decimated samples over all joints, the sum of the
+            squares of their weights.
+        Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal
+            columns that span W, or Z.
+        stated: (b, s) moves by one deviation of each of the s stated values that it is combined
+            with (`confidence.combined`).
     """
 
     names: tuple[str, ...]
@@ -97,8 +103,9 @@ class Estimate:
 class Reduction:
     """A reduced model, and the F test of the parameters left out (Gautier2013).
 
-    `F` and `p_value` assume white residuals; `F_effective` and `p_effective` are corrected for the residual's correlation. All
-    are NaN where nothing was left out. `kept` are indices in the full model.
+    `F` and `p_value` assume white residuals; `F_effective` and `p_effective` are corrected
+    for the residual's correlation. All are NaN where nothing was left out. `kept` are
+    indices in the full model.
     """
 
     estimate: Estimate
@@ -110,12 +117,16 @@ class Reduction:
 
 
 def ordinary_least_squares(system: System) -> Estimate:
-    """beta minimises |Y - W beta| over the used rows, without weights. Raises as `weighted_least_squares`."""
+    """beta minimises |Y - W beta| over the used rows, without weights.
+
+    Raises as `weighted_least_squares`.
+    """
     return _estimated(system, np.ones(len(system.rows)))
 
 
 def weighted_least_squares(system: System) -> Estimate:
-    """Equation (B): least squares with the rows of joint j divided by s_j, the residual deviation of its own least squares.
+    """Equation (B): least squares with the rows of joint j divided by s_j, the residual deviation
+    of its own least squares.
 
     Raises `NoFitError` where there are no more used rows than parameters, or W is rank deficient.
     """
@@ -141,11 +152,15 @@ def joint_weights(system: System) -> Array:
     return np.asarray(1.0 / np.where(s > 0, s, 1.0))
 
 
-def essential_parameters(system: System, full: Estimate, *, correlation: float, ratio: float = 30.0) -> Reduction:
-    """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio · min %sigma (Gautier2013).
+def essential_parameters(
+    system: System, full: Estimate, *, correlation: float, ratio: float = 30.0
+) -> Reduction:
+    """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio ·
+    min %sigma (Gautier2013).
 
-    Dropping also ends where the F test, corrected for the residual's `correlation` at a lag of one row, rejects a drop at 1 %.
-    Weights are those of `full`, the estimate of all base parameters from the system.
+    Dropping also ends where the F test, corrected for the residual's `correlation` at a lag of
+    one row, rejects a drop at 1 %. Weights are those of `full`, the estimate of all base
+    parameters from the system.
     """
     # Columns are dropped from the R factor: each pass costs b³, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
@@ -164,7 +179,11 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
         fewer = np.delete(kept, percent.argmax())
         beta, bread, norm, _ = solved(fewer)
         if full.residual_norm > 0:
-            F = (norm**2 - full.residual_norm**2) / (b - len(fewer)) / (full.residual_norm**2 / (r - b))
+            F = (
+                (norm**2 - full.residual_norm**2)
+                / (b - len(fewer))
+                / (full.residual_norm**2 / (r - b))
+            )
             outcome = f_tests(F, b - len(fewer), r, b, correlation)
             if outcome[3] < F_TEST_LEVEL:
                 break
@@ -172,15 +191,23 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
         kept = fewer
     reduced = _estimated(system.with_columns(kept), full.weights)
     F, p, F_effective, p_effective = tested
-    return Reduction(estimate=reduced, kept=kept, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
+    return Reduction(
+        estimate=reduced,
+        kept=kept,
+        F=F,
+        p_value=p,
+        F_effective=F_effective,
+        p_effective=p_effective,
+    )
 
 
 def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:
-    """Equation (D): beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with W, Y and the instruments Z (r, b) times `weights` (n,):
-    1/s_j for the rows of joint j.
+    """Equation (D): beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with W, Y and the instruments Z (r,
+    b) times `weights` (n,): 1/s_j for the rows of joint j.
 
-    Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹ ZᵀZ (WᵀZ)⁻¹, in which
-    R drops out. Raises `NoFitError` where QᵀW is singular, or as `weighted_least_squares` does.
+    Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹
+    ZᵀZ (WᵀZ)⁻¹, in which R drops out. Raises `NoFitError` where QᵀW is singular, or as
+    `weighted_least_squares` does.
     """
     return _estimated(system, weights, Z)
 
@@ -189,7 +216,9 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
     """Least squares, or with instruments Z (r, b), not weighted, instrumental variables."""
     r, b = float(system.rows.sum()), len(system.names)
     if r <= b:
-        raise NoFitError(key="decimated rows", value=round(r), expected=f"more than the {b} parameters")
+        raise NoFitError(
+            key="decimated rows", value=round(r), expected=f"more than the {b} parameters"
+        )
     W, Y = system.weighted(weights)
     spanning = W if Z is None else Z * (weights[system.joint_of_row] * system.used)[:, None]
     singular = refuse_rank_deficiency(spanning, system.names)
@@ -215,7 +244,9 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
 
 
 def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
-    """beta (b,) of (QᵀW) beta = QᵀY; bread of beta - beta_true = bread Qᵀ rho; |Y - W beta|; cond(QᵀW), columns scaled."""
+    """beta (b,) of (QᵀW) beta = QᵀY; bread of beta - beta_true = bread Qᵀ rho; |Y - W beta|;
+    cond(QᵀW), columns scaled.
+    """
     d = _norms(W)
     A = Q.T @ (W / d)  # upper triangular where Q spans W
     q, R = np.linalg.qr(A)

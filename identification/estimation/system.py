@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import NoFitError
 
-SPANS = 120  # of a long recording: halves and fifths of its time end where spans do; 7.5 per half period of the fastest cosine
+# of a long recording: halves and fifths of its time end where spans do; 7.5 per half period
+# of the fastest cosine
+SPANS = 120
 _BLOCK_ROWS = 1024  # of a block that is factored at a time
 _MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
@@ -19,9 +21,11 @@ RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
 @dataclass(frozen=True, kw_only=True)
 class Spans:
-    """The rows of a recording: `count` spans of equal time, each with `rows` rows of each joint, in all of `instants`.
+    """The rows of a recording: `count` spans of equal time, each with `rows` rows of each
+    joint, in all of `instants`.
 
-    Held rows are spans of one instant and one row; those of a long recording are QR factors of a span's rows.
+    Held rows are spans of one instant and one row; those of a long recording are QR
+    factors of a span's rows.
     """
 
     instants: int
@@ -30,11 +34,15 @@ class Spans:
 
     @property
     def edges(self) -> NDArray[np.intp]:
-        """(count + 1,) the first instant of each span, and the end of the last: instant t is in span t count // instants."""
+        """(count + 1,) the first instant of each span, and the end of the last: instant t is in
+        span t count // instants.
+        """
         return np.asarray(-(-np.arange(self.count + 1) * self.instants // self.count))
 
     def between(self, part: slice, start: int = 0) -> "Spans":
-        """The spans of a part of the time, which ends where spans do; the recording starts at instant `start`."""
+        """The spans of a part of the time, which ends where spans do; the recording
+        starts at instant `start`.
+        """
         first, last = np.clip((part.start - start, part.stop - start), 0, self.instants)
         count = int(np.subtract(*np.searchsorted(self.edges, (last, first))))
         return replace(self, instants=int(last - first), count=count)
@@ -49,9 +57,12 @@ class System:
         Y: (r,) torques.
         joint_of_row: (r,) joint index of each row, ascending.
         names: (b,) parameters.
-        share: (r,) weight of each row, at most 1, with which W and Y are multiplied; 0 for rows that do not count.
-        rows: (n,) samples per joint, the sum of the squares of their weights; more than rows of W where these are QR factors.
-        spans: by recording how its rows follow in time, the same for each joint; empty where they do not.
+        share: (r,) weight of each row, at most 1, with which W and Y are multiplied; 0 for
+            rows that do not count.
+        rows: (n,) samples per joint, the sum of the squares of their weights; more than rows of W
+            where these are QR factors.
+        spans: by recording how its rows follow in time, the same for each joint;
+            empty where they do not.
     """
 
     W: Array
@@ -64,14 +75,23 @@ class System:
 
     def __post_init__(self) -> None:
         r, b = self.W.shape
-        if {self.Y.shape, self.joint_of_row.shape, self.share.shape} != {(r,)} or len(self.names) != b:
-            raise ValueError(f"shapes do not agree: W {self.W.shape}, Y {self.Y.shape}, {len(self.names)} parameters")
+        if {self.Y.shape, self.joint_of_row.shape, self.share.shape} != {(r,)} or len(
+            self.names
+        ) != b:
+            raise ValueError(
+                f"shapes do not agree: W {self.W.shape}, Y {self.Y.shape}, {len(self.names)} "
+                "parameters"
+            )
 
     @classmethod
-    def whole(cls, W: Array, Y: Array, joint_of_row: NDArray[np.intp], names: tuple[str, ...]) -> "System":
+    def whole(
+        cls, W: Array, Y: Array, joint_of_row: NDArray[np.intp], names: tuple[str, ...]
+    ) -> "System":
         """A system all of whose rows are samples that count."""
         rows = np.bincount(joint_of_row).astype(float)
-        return cls(W=W, Y=Y, joint_of_row=joint_of_row, names=names, share=np.ones(len(Y)), rows=rows)
+        return cls(
+            W=W, Y=Y, joint_of_row=joint_of_row, names=names, share=np.ones(len(Y)), rows=rows
+        )
 
     @property
     def used(self) -> Array:
@@ -81,7 +101,9 @@ class System:
     def with_rows(self, used: Array) -> "System":
         """The same system with fewer rows: of those that count the `used` ones (r,), 1 and 0."""
         share = self.share * used
-        rows: Array = np.bincount(self.joint_of_row, weights=share**2, minlength=len(self.rows)).astype(float)
+        rows: Array = np.bincount(
+            self.joint_of_row, weights=share**2, minlength=len(self.rows)
+        ).astype(float)
         return replace(self, share=share, rows=rows)
 
     def with_columns(self, columns: NDArray[np.intp]) -> "System":
@@ -105,8 +127,8 @@ def spans_of(parts: Sequence[int]) -> list[slice]:
 class SpanFactors:
     """R factors of the used rows, such as [Z W Y], of each joint in each span of a long recording.
 
-    A factor has the same column products AᵀB as its rows, hence the same least squares and instrumental variables, and avoids
-    the loss of digits of squared sums.
+    A factor has the same column products AᵀB as its rows, hence the same least squares and
+    instrumental variables, and avoids the loss of digits of squared sums.
     """
 
     def __init__(self, instants: int, n: int, spans: int = SPANS) -> None:
@@ -115,7 +137,9 @@ class SpanFactors:
         self._R: list[list[Array | None]] = [[None] * n for _ in range(min(spans, instants))]
 
     def add(self, first: int, columns: Array, share: Array) -> None:
-        """Add the instants from `first` on: columns (n, columns, T), and `share` (T, n), 0 for rows that do not count."""
+        """Add the instants from `first` on: columns (n, columns, T), and `share` (T, n), 0 for
+        rows that do not count.
+        """
         span = np.arange(first, first + len(share)) * len(self._R) // self._instants
         for k in np.unique(span):
             for j, own in enumerate(columns):
@@ -124,7 +148,8 @@ class SpanFactors:
         self._rows += (share**2).sum(axis=0)
 
     def rows(self) -> tuple[Array, dict[str, Any]]:
-        """The rows (r, columns) of all joints and spans, and how they follow: the further attributes of a `System`. Once only.
+        """The rows (r, columns) of all joints and spans, and how they follow: the further
+        attributes of a `System`. Once only.
 
         Spans with fewer rows end with zeros.
         """
@@ -145,7 +170,9 @@ class SpanFactors:
 
 
 def stacked_columns(each: Sequence[Array], n: int) -> Array:
-    """Columns (r, k) of several recordings, whose rows (r_i, k) are by joint of n, stacked joint by joint."""
+    """Columns (r, k) of several recordings, whose rows (r_i, k) are by joint of n,
+    stacked joint by joint.
+    """
     if len(each) == 1:
         return each[0]
     blocks = [x.reshape(n, len(x) // n, x.shape[1]) for x in each]
@@ -153,14 +180,18 @@ def stacked_columns(each: Sequence[Array], n: int) -> Array:
 
 
 def stacked(systems: Sequence[System]) -> System:
-    """The system of several recordings of the same parameters, rows stacked joint by joint, in the order given."""
+    """The system of several recordings of the same parameters, rows stacked joint by
+    joint, in the order given.
+    """
     if len(systems) == 1:
         return systems[0]
     rows = [[s.joint_of_row == j for s in systems] for j in range(len(systems[0].rows))]
 
     def by_joint(name: str) -> Array:
         values = [getattr(s, name) for s in systems]
-        return np.concatenate([x[own] for indices in rows for x, own in zip(values, indices, strict=True)])
+        return np.concatenate(
+            [x[own] for indices in rows for x, own in zip(values, indices, strict=True)]
+        )
 
     return replace(
         systems[0],
@@ -174,9 +205,14 @@ def stacked(systems: Sequence[System]) -> System:
 
 
 def condensed(system: System) -> System:
-    """Per joint the QR factor of the used rows of [W Y]: at most b + 1 rows with the same least squares."""
+    """Per joint the QR factor of the used rows of [W Y]: at most b + 1 rows with
+    the same least squares.
+    """
     rows = np.c_[system.W, system.Y]
-    R = [_factor(rows[(system.joint_of_row == j) & (system.share > 0)]) for j in range(len(system.rows))]
+    R = [
+        _factor(rows[(system.joint_of_row == j) & (system.share > 0)])
+        for j in range(len(system.rows))
+    ]
     stack, joints = np.concatenate(R), np.repeat(np.arange(len(R)), [len(x) for x in R])
     W, Y = np.ascontiguousarray(stack[:, :-1]), np.ascontiguousarray(stack[:, -1])
     return replace(system, W=W, Y=Y, joint_of_row=joints, share=np.ones(len(stack)), spans=())
@@ -192,8 +228,8 @@ def _factor(rows: Array) -> Array:
 
 
 def r_factor(A: Array) -> Array:
-    """R (c, c) of A (r, c) = Q R, by blocks that fit into the cache (TSQR: Demmel, Grigori, Hoemmen, Langou, SIAM J. Sci.
-    Comput. 34 (2012)): three times as fast for long A.
+    """R (c, c) of A (r, c) = Q R, by blocks that fit into the cache (TSQR: Demmel, Grigori,
+    Hoemmen, Langou, SIAM J. Sci. Comput. 34 (2012)): three times as fast for long A.
     """
     r, c = A.shape
     blocks = r // _BLOCK_ROWS
@@ -215,11 +251,15 @@ def orthonormal(A: Array) -> Array:
 
 
 def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
-    """Singular values of the column-scaled W; an error names the parameters that are not excited or not distinguishable."""
+    """Singular values of the column-scaled W; an error names the parameters that are not excited
+    or not distinguishable.
+    """
     unexcited, collinear, singular = _undetermined(W, names)
     if unexcited:
         shown = ", ".join(unexcited)
-        raise NoFitError("no torque depends on them", key="parameters not excited", value=unexcited, shown=shown)
+        raise NoFitError(
+            "no torque depends on them", key="parameters not excited", value=unexcited, shown=shown
+        )
     if collinear:
         rank = int((singular >= RANK_TOLERANCE * singular[0]).sum())
         raise NoFitError(
@@ -230,13 +270,17 @@ def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
 
 
 def undetermined_parameters(W: Array, names: tuple[str, ...]) -> list[str]:
-    """Names of the parameters that the rows W (r, b) do not determine: not excited or not distinguishable."""
+    """Names of the parameters that the rows W (r, b) do not determine: not excited
+    or not distinguishable.
+    """
     unexcited, collinear, _ = _undetermined(W, names)
     return [name for name in names if name in (*unexcited, *collinear)]
 
 
 def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str], Array]:
-    """Parameters not excited, parameters not distinguishable, and the singular values of the column-scaled W."""
+    """Parameters not excited, parameters not distinguishable, and the singular values
+    of the column-scaled W.
+    """
     norms = np.linalg.norm(W, axis=0)
     excited = norms > 1e-12 * norms.max()
     _, singular, Vt = np.linalg.svd(r_factor(W[:, excited] / norms[excited]))
@@ -244,4 +288,8 @@ def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str
     involved = np.abs(Vt[lost]).max(axis=0, initial=0.0) > 0.05
     known = [name for name, s in zip(names, excited, strict=True) if s]
     unexcited = [name for name, s in zip(names, excited, strict=True) if not s]
-    return unexcited, [name for name, i in zip(known, involved, strict=True) if i], np.asarray(singular)
+    return (
+        unexcited,
+        [name for name, i in zip(known, involved, strict=True) if i],
+        np.asarray(singular),
+    )

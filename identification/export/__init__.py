@@ -1,7 +1,16 @@
-"""Export a fit as URDF, MJCF and robot.toml, and report what each cannot represent; make a description from a URDF."""
+"""Export a fit as URDF, MJCF and robot.toml, and report what each cannot represent; make a
+description from a URDF.
+"""
 
 from .chain import Chain, read_chain
-from .description import FILL_IN, chain_of_letters, describe, describe_rows, read_robot, robot_of_chain
+from .description import (
+    FILL_IN,
+    chain_of_letters,
+    describe,
+    describe_rows,
+    read_robot,
+    robot_of_chain,
+)
 from .exported_model import split_parameters
 from .exporting import export_model, write_models
 from .formats import make_urdf

@@ -1,4 +1,6 @@
-"""Read the joints of a URDF to identify: the longest serial chain, or the joints named; the others stay locked at zero."""
+"""Read the joints of a URDF to identify: the longest serial chain, or the joints named; the
+others stay locked at zero.
+"""
 
 import math
 import re
@@ -27,15 +29,19 @@ _NUMBERS = {
     "friction": ("dynamics", "friction"),
 }
 _PER_JOINT = ("speed", "acceleration", "following-error", "ratio", "drive-gain")
-_OPTION_FIELDS = {"--range": "position"} | {f"--{name}": name.replace("-", "_") for name in _PER_JOINT}
+_OPTION_FIELDS = {"--range": "position"} | {
+    f"--{name}": name.replace("-", "_") for name in _PER_JOINT
+}
 _OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfJoint:
-    """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing damping and friction are 0.
+    """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing
+    damping and friction are 0.
 
-    Acceleration, following error, ratio and drive gain (motor N m or N per unit of effort) come from options.
+    Acceleration, following error, ratio and drive gain (motor N m or N per unit of
+    effort) come from options.
     """
 
     name: str
@@ -66,9 +72,11 @@ class Chain:
         joints: joints to identify, numbered from the base outwards.
         locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
         rigid: for each joint of the chain, the links that move with it as one body.
-        notes: links whose inertia is impossible for a rigid body, though its numbers are not negative.
+        notes: links whose inertia is impossible for a rigid body, though its
+            numbers are not negative.
         bandwidth_hz: of the position loops; not part of a URDF.
-        effort_unit: of the recorded efforts, empty: N m or N at the joints; torque_sensors: whether these are their source.
+        effort_unit: of the recorded efforts, empty: N m or N at the joints; torque_sensors: whether
+            these are their source.
     """
 
     place: str
@@ -85,18 +93,27 @@ class Chain:
     def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
         """Apply options in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
 
-        `--range` is ± about zero. The URDF's range and speed still apply; of several `--bandwidth-hz` the lowest is used.
-        Raises `BadInputError`: a wrong number of values, a range outside the URDF's.
+        `--range` is ± about zero. The URDF's range and speed still apply; of several
+        `--bandwidth-hz` the lowest is used. Raises `BadInputError`: a wrong number of values, a
+        range outside the URDF's.
         """
         joints, n = list(self.joints), len(self.joints)
         for option, values in options.items():
             if len(values) not in (1, n):
                 expected = f"one, or {n} for {', '.join(joint.name for joint in joints)}"
                 shown = f"{len(values)} values"
-                raise BadInputError(place=self.place, key=option, value=values, shown=shown, expected=expected)
-            if len(values) < n and len({joint.type for joint in joints}) > 1 and option in _OPTION_FIELDS:
+                raise BadInputError(
+                    place=self.place, key=option, value=values, shown=shown, expected=expected
+                )
+            if (
+                len(values) < n
+                and len({joint.type for joint in joints}) > 1
+                and option in _OPTION_FIELDS
+            ):
                 expected = f"{n} values: some joints are in rad, others in m"
-                raise BadInputError(place=self.place, key=option, value=values[0], expected=expected)
+                raise BadInputError(
+                    place=self.place, key=option, value=values[0], expected=expected
+                )
             for j, joint in enumerate(joints if option in _OPTION_FIELDS else ()):
                 value: Any = values[j % len(values)]
                 if option == "--range":
@@ -104,7 +121,11 @@ class Chain:
                 elif option == "--speed":
                     value = min(joint.speed or value, value)
                 joints[j] = replace(joint, **{_OPTION_FIELDS[option]: value})
-        return replace(self, joints=tuple(joints), bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None))
+        return replace(
+            self,
+            joints=tuple(joints),
+            bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None),
+        )
 
 
 def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
@@ -112,7 +133,9 @@ def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, 
     narrowed = max(low, -side), min(high, side)
     if not narrowed[0] < narrowed[1]:
         expected = f"a range that overlaps the URDF's, {low:g} to {high:g} {joint.unit}"
-        raise BadInputError(place=f"{place}: joint {joint.name!r}", key="--range", value=side, expected=expected)
+        raise BadInputError(
+            place=f"{place}: joint {joint.name!r}", key="--range", value=side, expected=expected
+        )
     return narrowed
 
 
@@ -124,9 +147,9 @@ def is_urdf(path: Path) -> bool:
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF with its limits, damping and friction.
 
-    `names` are the joints to identify, from the base outwards; by default the longest serial chain without fingers. Raises
-    `BadInputError`: not a URDF, not one tree, floating or planar joints, two chains of equal length, invalid numbers,
-    reversed limits, negative masses or inertias.
+    `names` are the joints to identify, from the base outwards; by default the longest serial chain
+    without fingers. Raises `BadInputError`: not a URDF, not one tree, floating or planar joints,
+    two chains of equal length, invalid numbers, reversed limits, negative masses or inertias.
     """
     try:
         text = path.read_bytes()
@@ -149,10 +172,17 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
         carried = [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]
         if carried:  # a link moves with the last joint of the chain below it
             rigid[carried[-1]].append(link)
-    others = [name for name, joint in tree.joints.items() if name not in chain and joint.get("type") != "fixed"]
+    others = [
+        name
+        for name, joint in tree.joints.items()
+        if name not in chain and joint.get("type") != "fixed"
+    ]
     return Chain(
         place=str(path),
-        name="".join(c if c.isascii() and (c.isalnum() or c in "_.- ") else "_" for c in tree.name)[:64] or "robot",
+        name="".join(c if c.isascii() and (c.isalnum() or c in "_.- ") else "_" for c in tree.name)[
+            :64
+        ]
+        or "robot",
         text=text,
         joints=tuple(_read_joint(tree, name) for name in chain),
         locked=tuple(_describe_locked(tree, name) for name in others),
@@ -162,7 +192,9 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
 
 
 class _Tree:
-    """A URDF that is one tree: its links and joints by name, and `above`, the joint that carries each link."""
+    """A URDF that is one tree: its links and joints by name, and `above`, the joint
+    that carries each link.
+    """
 
     def __init__(self, text: bytes, place: str) -> None:
         try:
@@ -171,7 +203,9 @@ class _Tree:
             raise BadInputError(f"is not XML: {error}", place=place, expected="a URDF") from error
         if robot.tag != "robot":
             shown, expected = f"<{robot.tag}>", "<robot>, of a URDF"
-            raise BadInputError(place=place, key="its root", value=robot.tag, shown=shown, expected=expected)
+            raise BadInputError(
+                place=place, key="its root", value=robot.tag, shown=shown, expected=expected
+            )
         if any("xacro" in str(element.tag) for element in robot.iter()):
             expected = "a URDF: xacro FILE > robot.urdf makes it"
             raise BadInputError("has xacro elements", place=place, expected=expected)
@@ -183,19 +217,32 @@ class _Tree:
             self.above[_end(joint, "child")] = name
         roots = [link for link in self.links if link not in self.above]
         if len(roots) != 1:
-            problem = f"{len(roots)} root links: {listed(roots)}" if roots else "no root link: its joints form a loop"
-            raise BadInputError(problem, place=place, expected="one base link, which is no joint's child")
-        if loop := [link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)]:
+            problem = (
+                f"{len(roots)} root links: {listed(roots)}"
+                if roots
+                else "no root link: its joints form a loop"
+            )
+            raise BadInputError(
+                problem, place=place, expected="one base link, which is no joint's child"
+            )
+        if loop := [
+            link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)
+        ]:
             problem = f"links {listed(loop)} are in a loop of joints"
             raise BadInputError(problem, place=place, expected="a tree below one base link")
 
     def _check_joint(self, name: str, joint: ET.Element) -> None:
         at, kind = f"{self.place}: joint {name!r}", joint.get("type")
         if kind not in _TYPES:
-            raise BadInputError(place=at, key="type", value=kind, expected=f"one of {', '.join(_TYPES)}")
+            raise BadInputError(
+                place=at, key="type", value=kind, expected=f"one of {', '.join(_TYPES)}"
+            )
         for tag in ("parent", "child"):
             if _end(joint, tag) not in self.links:
-                value, expected = _end(joint, tag) or None, f"one of the links {listed([*self.links])}"
+                value, expected = (
+                    _end(joint, tag) or None,
+                    f"one of the links {listed([*self.links])}",
+                )
                 raise BadInputError(place=at, key=tag, value=value, expected=expected)
         child = _end(joint, "child")
         if child in self.above:
@@ -203,7 +250,9 @@ class _Tree:
             raise BadInputError(place=at, key="child", value=child, expected=expected)
 
     def path(self, joint: str | None) -> list[str]:
-        """The joints from the root to `joint`, including it; more than the URDF has if they form a loop."""
+        """The joints from the root to `joint`, including it; more than the URDF
+        has if they form a loop.
+        """
         path: list[str] = []
         while joint is not None and len(path) <= len(self.joints):
             path.append(joint)
@@ -213,7 +262,11 @@ class _Tree:
     @property
     def movable(self) -> list[str]:
         """Revolute, continuous and prismatic joints that mimic no other joint."""
-        return [name for name, j in self.joints.items() if j.get("type") in _MOVABLE and j.find("mimic") is None]
+        return [
+            name
+            for name, j in self.joints.items()
+            if j.get("type") in _MOVABLE and j.find("mimic") is None
+        ]
 
 
 def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
@@ -221,7 +274,10 @@ def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
     for i, element in enumerate(robot.findall(tag)):
         name = element.get("name")
         if not name or name in elements:
-            where, expected = f"{place}: {tag} {i + 1}", "a name not used before" if name else "a name"
+            where, expected = (
+                f"{place}: {tag} {i + 1}",
+                "a name not used before" if name else "a name",
+            )
             raise BadInputError(place=where, key="name", value=name or None, expected=expected)
         elements[name] = element
     if not elements:
@@ -254,18 +310,26 @@ def _find_longest(tree: _Tree) -> list[str]:
     if not free:
         expected = f"joints of the types {', '.join(_MOVABLE)}"
         raise BadInputError("no joint moves", place=tree.place, expected=expected)
-    chains = {name: [joint for joint in tree.path(name) if joint in free] for name in tree.movable if name in free}
+    chains = {
+        name: [joint for joint in tree.path(name) if joint in free]
+        for name in tree.movable
+        if name in free
+    }
     most = max(map(len, chains.values()))
     last = [name for name, chain in chains.items() if len(chain) == most]
     if len(last) > 1:
         problem = f"{len(last)} chains of {most} joints each, which end at {listed(last)}"
-        raise BadInputError(problem, place=tree.place, expected="--joints with the joints of one chain")
+        raise BadInputError(
+            problem, place=tree.place, expected="--joints with the joints of one chain"
+        )
     return chains[last[0]]
 
 
 def _describe_locked(tree: _Tree, name: str) -> str:
     joint = tree.joints[name]
-    mimicked = f", mimics {_text(joint, 'mimic', 'joint')}" if joint.find("mimic") is not None else ""
+    mimicked = (
+        f", mimics {_text(joint, 'mimic', 'joint')}" if joint.find("mimic") is not None else ""
+    )
     return f"{name}: {joint.get('type')}{mimicked}"
 
 
@@ -281,11 +345,15 @@ def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
 
     kind, low, high = joint.get("type"), number("limit", "lower"), number("limit", "upper")
     if kind != "continuous" and low > high:
-        raise BadInputError(place=at, key="limit lower", value=low, expected=f"less than upper = {high:g}")
+        raise BadInputError(
+            place=at, key="limit lower", value=low, expected=f"less than upper = {high:g}"
+        )
     numbers = {key: number(*where) for key, where in _NUMBERS.items()}
     for key, value in numbers.items():
         if value < 0:
-            raise BadInputError(place=at, key=" ".join(_NUMBERS[key]), value=value, expected="a number from 0")
+            raise BadInputError(
+                place=at, key=" ".join(_NUMBERS[key]), value=value, expected="a number from 0"
+            )
     return UrdfJoint(
         name=name,
         type="prismatic" if kind == "prismatic" else "revolute",
@@ -300,7 +368,9 @@ def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
 
 
 def _check_inertials(tree: _Tree, links: Sequence[str]) -> tuple[str, ...]:
-    """Notes on principal moments that violate the triangle inequality: impossible, but they can be simulated."""
+    """Notes on principal moments that violate the triangle inequality: impossible, but
+    they can be simulated.
+    """
     notes = []
     for link in links:
         inertial, at = tree.links[link].find("inertial"), f"{tree.place}: link {link!r}"
@@ -310,12 +380,19 @@ def _check_inertials(tree: _Tree, links: Sequence[str]) -> tuple[str, ...]:
         if m < 0:
             raise BadInputError(place=at, key="mass", value=m, expected="a number from 0, kg")
         matrix = np.zeros((3, 3))
-        matrix[np.triu_indices(3)] = [_number(_text(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA]
+        matrix[np.triu_indices(3)] = [
+            _number(_text(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA
+        ]
         moments = np.linalg.eigvalsh(matrix, UPLO="U")
         slack, shown = _MAX_ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)
         if moments[0] < -slack:
             key, expected = "principal moments", "none below zero, kg m²"
-            raise BadInputError(place=at, key=key, value=moments.tolist(), shown=shown, expected=expected)
+            raise BadInputError(
+                place=at, key=key, value=moments.tolist(), shown=shown, expected=expected
+            )
         if moments[2] > moments[0] + moments[1] + slack:
-            notes.append(f"link {link}: principal moments {shown} kg m²: impossible, one exceeds the sum of the others")
+            notes.append(
+                f"link {link}: principal moments {shown} kg m²: impossible, one exceeds the sum of "
+                "the others"
+            )
     return tuple(notes)

@@ -1,4 +1,6 @@
-"""Make a description from a URDF and its options: the text of a robot.toml, and the robot it describes."""
+"""Make a description from a URDF and its options: the text of a robot.toml, and
+the robot it describes.
+"""
 
 import json
 import math
@@ -16,8 +18,10 @@ from .chain import Chain, UrdfJoint, is_urdf, read_chain
 
 _EXAMPLE = "#: "  # starts each line of the example for dry runs with simulated drives
 _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has none
-_EFFORT_SHARE, _RISE_S = 0.02, 0.2  # of the effort: for friction, and to bring the rotor to full speed in this time
-_COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m; rated over maximum effort
+# of the effort: for friction, and to bring the rotor to full speed in this time
+_EFFORT_SHARE, _RISE_S = 0.02, 0.2
+# of the example's drives: per turn or m; rated over maximum effort
+_COUNTS, _RATED_SHARE = 1_000_000, 0.5
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
 
 
@@ -26,8 +30,12 @@ def robot_of_chain(chain: Chain) -> Robot:
     return _load_robot(describe(chain, "robot.urdf"), chain)
 
 
-def read_robot(path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None) -> Robot:
-    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`."""
+def read_robot(
+    path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None
+) -> Robot:
+    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as
+    of `Chain.with_options`.
+    """
     if is_urdf(path):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
@@ -40,23 +48,36 @@ def chain_of_letters(letters: str) -> Chain:
     """Joints by their letters, R revolute and P prismatic, of which nothing else is known."""
     types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
     if not types or None in types:
-        raise BadInputError(key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR")
+        raise BadInputError(
+            key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR"
+        )
     unknown: Any = dict.fromkeys(("position", "speed", "effort"))
     joints = (
-        UrdfJoint(name=f"joint_{j + 1}", type=str(kind), child="", damping=0.0, friction=0.0, **unknown)
+        UrdfJoint(
+            name=f"joint_{j + 1}", type=str(kind), child="", damping=0.0, friction=0.0, **unknown
+        )
         for j, kind in enumerate(types)
     )
-    return Chain(place="--dh", name="robot", text=b"", joints=tuple(joints), locked=(), rigid=(), notes=())
+    return Chain(
+        place="--dh", name="robot", text=b"", joints=tuple(joints), locked=(), rigid=(), notes=()
+    )
 
 
 def describe(chain: Chain, urdf: str, bus: str = "") -> str:
-    """The text of the robot.toml of a chain; comments with `FILL IN` mark what URDF and options leave open.
+    """The text of the robot.toml of a chain; comments with `FILL IN` mark what URDF
+    and options leave open.
 
-    The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf` is the path relative to its
-    folder. `[parameters]` has the links' inertials in the frames of `InverseModel`, fixed and locked links lumped into their
-    carrier; damping as Fv and friction as Fc. Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
+    The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf`
+    is the path relative to its folder. `[parameters]` has the links' inertials in the frames of
+    `InverseModel`, fixed and locked links lumped into their carrier; damping as Fv and friction as
+    Fc. Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
     """
-    head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
+    head = "\n".join(
+        [
+            *_head(chain, urdf),
+            *(line for j in range(len(chain.joints)) for line in _joint(chain, j)),
+        ]
+    )
     head += "\n".join(_motors_and_controller(chain))
     drives = [f"# {FILL_IN}: the drives. Replace every number by those of the real drives."]
     drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
@@ -66,12 +87,20 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
 
 
 def describe_rows(chain: Chain, bus: str = "") -> str:
-    """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in, where there is no URDF."""
+    """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in,
+    where there is no URDF.
+    """
     units = "Angles are in degrees, all else in SI."
     lines = [f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. {units}"]
-    lines += [f"name = {json.dumps(chain.name)} # {FILL_IN}", "gravity_m_s2 = [0, 0, -9.81] # in the base frame"]
+    lines += [
+        f"name = {json.dumps(chain.name)} # {FILL_IN}",
+        "gravity_m_s2 = [0, 0, -9.81] # in the base frame",
+    ]
     for j in range(len(chain.joints)):
-        lines += [*_joint(chain, j), f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}"]
+        lines += [
+            *_joint(chain, j),
+            f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}",
+        ]
     text = "\n".join([*lines, *_motors_and_controller(chain), bus])
     return text.replace("the URDF has no ", "the ").replace("not in a URDF; ", "")
 
@@ -82,13 +111,22 @@ def _load_robot(text: str, chain: Chain) -> Robot:
 
 
 def _head(chain: Chain, urdf: str) -> Iterator[str]:
-    yield f"# Made by robot-identify init from {one_line(urdf)}. {FILL_IN} marks what is not in a URDF."
+    yield (
+        f"# Made by robot-identify init from {one_line(urdf)}. {FILL_IN} marks what is not in "
+        "a URDF."
+    )
     yield "# Angles are in degrees, all other values in SI."
-    yield f"# Lines that begin with {_EXAMPLE.strip()} are an example for dry runs; sed -i 's/^{_EXAMPLE}//' enables it."
+    yield (
+        f"# Lines that begin with {_EXAMPLE.strip()} are an example for dry runs; sed -i "
+        f"'s/^{_EXAMPLE}//' enables it."
+    )
     yield f"name = {json.dumps(chain.name)}"
     yield f"urdf = {json.dumps(urdf, ensure_ascii=False)} # relative to this file"
     yield "# urdf_meshes = true # store the meshes in recordings, to draw the robot on any machine"
-    yield "gravity_m_s2 = [0, 0, -9.81] # in the URDF's base frame; change it for a robot that hangs or is tilted"
+    yield (
+        "gravity_m_s2 = [0, 0, -9.81] # in the URDF's base frame; change it for a robot that "
+        "hangs or is tilted"
+    )
     if chain.locked:
         yield ""
         yield "# Locked at zero, each as a part of the link that carries it:"
@@ -117,10 +155,16 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
         elif value is not None:
             yield f"{key} = {_number(value * scale)}"
         else:
-            yield f"# {key} = {'[LOWEST, HIGHEST]' if remark.endswith('range') else '...'} # {FILL_IN}: {remark}"
+            yield (
+                f"# {key} = {'[LOWEST, HIGHEST]' if remark.endswith('range') else '...'} # "
+                f"{FILL_IN}: {remark}"
+            )
     key = "effort_n" if joint.type == "prismatic" else "effort_nm"
     if joint.effort is None:
-        yield f"# {key} = ... # {FILL_IN}: the URDF has no effort; without it torques are checked against the drives only"
+        yield (
+            f"# {key} = ... # {FILL_IN}: the URDF has no effort; without it torques are "
+            "checked against the drives only"
+        )
     else:
         yield f"{key} = {_number(joint.effort)} # at the joint"
 
@@ -135,8 +179,14 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     if not chain.effort_unit:
         yield f"# {FILL_IN}: for each motor"
         yield "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included"
-        yield '#     drive_gain = 0.12         motor torque per unit of recorded effort, with drive_gain_unit = "N m/A"'
-        yield "# instead of effort_unit. As written here, the drives record the torque or force at the joint."
+        yield (
+            "#     drive_gain = 0.12         motor torque per unit of recorded effort, with "
+            'drive_gain_unit = "N m/A"'
+        )
+        yield (
+            "# instead of effort_unit. As written here, the drives record the torque or force "
+            "at the joint."
+        )
     for j, joint in enumerate(chain.joints):
         yield "[[motor]]"
         yield f'name = "motor_{j + 1}"'
@@ -144,18 +194,32 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield ""
     yield "[controller]"
     if chain.bandwidth_hz is None:
-        yield f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, excite needs it"
+        yield (
+            f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, excite "
+            "needs it"
+        )
     else:
-        yield f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; sets the filters"
-    yield f"# {FILL_IN}, for iv fits and realistic simulations: the drives' control law, in recorded effort per motor rad"
-    yield '# structure = "cascade_p_pi" # or pd, pd_velocity_feedforward, cascade_p_p, pid, computed_torque'
+        yield (
+            f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; sets the filters"
+        )
+    yield (
+        f"# {FILL_IN}, for iv fits and realistic simulations: the drives' control law, in "
+        "recorded effort per motor rad"
+    )
+    yield (
+        '# structure = "cascade_p_pi" # or pd, pd_velocity_feedforward, cascade_p_p, pid, '
+        "computed_torque"
+    )
     yield "# sample_rate_hz = 1000"
     for gain in ("position_gain", "velocity_gain", "integral_gain"):
         yield f"# {gain} = [{', '.join(['...'] * len(chain.joints))}]"
 
 
 def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
-    """Ratio, drive gain and unit of the effort. A gain has no effect before the ratio is known too: it would give wrong N m."""
+    """Ratio, drive gain and unit of the effort.
+
+    A gain has no effect before the ratio is known too: it would give wrong N m.
+    """
     torque = "N" if joint.type == "prismatic" else "N m"
     unit = torque if chain.effort_unit in ("", "N m") else chain.effort_unit
     gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
@@ -163,7 +227,10 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
     if joint.ratio is not None:
         yield f"ratio = {_number(joint.ratio)}"
     elif chain.effort_unit and not chain.torque_sensors:
-        yield f"# ratio = ... # {FILL_IN}: motor rad (or m) per joint rad (or m), sign included; none for efforts at the joint"
+        yield (
+            f"# ratio = ... # {FILL_IN}: motor rad (or m) per joint rad (or m), sign included; "
+            "none for efforts at the joint"
+        )
     if unit != torque:
         mark = "" if known else f" # {FILL_IN}: replaces effort_unit, together with ratio"
         yield f"{'' if known else '# '}drive_gain = {gain}{mark}"
@@ -176,7 +243,10 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
     values = InverseModel(robot).link_parameters()
     yield ""
-    yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
+    yield (
+        "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked "
+        "links lumped), its damping and"
+    )
     yield "# friction. Simulations use them; a fit does not."
     rotors = "" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and "
     yield f"# {FILL_IN}: {rotors}missing friction; without values they are 0."
@@ -184,14 +254,25 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]
         if not mass > 0:
-            at, key = f"{chain.place}: joint {joint.name!r}", f"mass of link {joint.child!r} and those fixed to it"
+            at, key = (
+                f"{chain.place}: joint {joint.name!r}",
+                f"mass of link {joint.child!r} and those fixed to it",
+            )
             expected = "more than 0: an <inertial> in one of them"
             raise BadInputError(place=at, key=key, value=float(mass), expected=expected)
-        yield f"# {one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"
-        for name, value in (*zip(LINK, values[j], strict=True), ("Fv", joint.damping), ("Fc", joint.friction)):
+        yield (
+            "# "
+            f"{one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"
+        )
+        for name, value in (
+            *zip(LINK, values[j], strict=True),
+            ("Fv", joint.damping),
+            ("Fc", joint.friction),
+        ):
             if abs(value) > _MAX_ROUNDING:
                 yield f"{name}{j + 1} = {value:.15g}"
-        yield from list(_example_terms(joint, j + 1))[chain.torque_sensors :]  # the first is the rotor's
+        # the first is the rotor's
+        yield from list(_example_terms(joint, j + 1))[chain.torque_sensors :]
 
 
 def _example_terms(joint: UrdfJoint, number: int) -> Iterator[str]:

@@ -1,7 +1,8 @@
 """Standard parameters in the form that simulators use, and the losses of a format.
 
-Formats have the friction Fv u + Fc sign(u) of each joint and, if they have couplings, of each motor that turns with several
-joints; none is negative. Other terms are left out, and their torque is reported.
+Formats have the friction Fv u + Fc sign(u) of each joint and, if they have couplings, of
+each motor that turns with several joints; none is negative. Other terms are left out, and
+their torque is reported.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ STATES, SEED = 1000, 11  # random states
 # ± rad or m (per s, s²), for joints without limit.
 DEFAULT_LIMITS = {"position": np.pi, "speed": 1.0, "acceleration": 5.0}
 MAX_ROUNDING = 1e-9  # relative to the largest rms torque
-Losses = dict[str, tuple[Array, Array]]  # by term: rms of the missing torque (n,), and in percent of the whole torque
+# by term: rms of the missing torque (n,), and in percent of the whole torque
+Losses = dict[str, tuple[Array, Array]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,29 +49,43 @@ class ExportedModel:
 def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> ExportedModel:
     """Split the standard parameters chi (p,) of a model into links and axes.
 
-    Ia and Fv of a joint include the share of a motor that turns with it (Ia5 of the TX40 includes Ia6): it is subtracted here.
-    The rest may be negative if the joints that share the motor together dissipate energy. Raises `BadInputError`, with the
-    parameters' file `place`, since simulators do not check: impossible links, negative rotors, friction that generates energy.
+    Ia and Fv of a joint include the share of a motor that turns with it (Ia5 of the TX40 includes
+    Ia6): it is subtracted here. The rest may be negative if the joints that share the motor
+    together dissipate energy. Raises `BadInputError`, with the parameters' file `place`, since
+    simulators do not check: impossible links, negative rotors, friction that generates energy.
     """
     links = chi[dynamics.link_columns(model)]
     for j, link in enumerate(links):
         if not dynamics.is_a_body(link, MIN_EIGENVALUE):
             problem = "impossible inertia for a body of positive density"
             key = f"link {j + 1}, of joint {model.robot.joints[j].name}"
-            raise BadInputError(problem, place=place, key=key, expected="a new fit with --consistent")
+            raise BadInputError(
+                problem, place=place, key=key, expected="a new fit with --consistent"
+            )
     for matrix, first, text in dynamics.requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
         if lowest < -MIN_EIGENVALUE:
-            problem, shown = "generates energy, and simulators do not check it", f"{lowest:.4g} {first.unit}"
+            problem, shown = (
+                "generates energy, and simulators do not check it",
+                f"{lowest:.4g} {first.unit}",
+            )
             expected = "0 or more: a new fit with --consistent"
-            raise BadInputError(problem, place=place, key=text, value=lowest, shown=shown, expected=expected)
+            raise BadInputError(
+                problem, place=place, key=text, value=lowest, shown=shown, expected=expected
+            )
     return _of_axes(model, chi, links)
 
 
 def _of_axes(model: dynamics.InverseModel, chi: Array, links: Array) -> ExportedModel:
-    """The terms of joints and motors in chi (p,), by axis; one-sided friction is that of the mean of both directions."""
+    """The terms of joints and motors in chi (p,), by axis; one-sided friction is that of the
+    mean of both directions.
+    """
     n = model.robot.n
-    terms = [(source, chi[c]) for c, source in _joint_terms(model).items() if source.kind in dynamics.RESISTING]
+    terms = [
+        (source, chi[c])
+        for c, source in _joint_terms(model).items()
+        if source.kind in dynamics.RESISTING
+    ]
     shared = {source.joint: source.row for source, _ in terms if np.count_nonzero(source.row) > 1}
     axis = {motor: n + k for k, motor in enumerate(shared)}
     values = {kind: np.zeros(n + len(shared)) for kind in dynamics.RESISTING}
@@ -83,7 +99,10 @@ def _of_axes(model: dynamics.InverseModel, chi: Array, links: Array) -> Exported
         model=model,
         chi=chi,
         links=links,
-        names=(*(joint.name for joint in model.robot.joints), *(model.robot.motors[motor].name for motor in shared)),
+        names=(
+            *(joint.name for joint in model.robot.joints),
+            *(model.robot.motors[motor].name for motor in shared),
+        ),
         rows=np.array([*np.eye(n), *shared.values()]),
         armature=values["rotor"],
         damping=values["viscous"],
@@ -98,21 +117,31 @@ def _coupled(term: dynamics.JointTerm) -> bool:
 
 def _joint_terms(model: dynamics.InverseModel) -> dict[int, dynamics.JointTerm]:
     """By column."""
-    return {c: source for c, source in enumerate(model.sources) if isinstance(source, dynamics.JointTerm)}
+    return {
+        c: source
+        for c, source in enumerate(model.sources)
+        if isinstance(source, dynamics.JointTerm)
+    }
 
 
 def random_states(joints: tuple[Joint, ...]) -> tuple[Array, ...]:
-    """Positions, speeds and accelerations (N, n), uniform within the limits of the joints, by default ±pi, ±1, ±5."""
+    """Positions, speeds and accelerations (N, n), uniform within the limits of the joints,
+    by default ±pi, ±1, ±5.
+    """
     rng, states = np.random.default_rng(SEED), list[Array]()
     for quantity, default in DEFAULT_LIMITS.items():
         limits = [joint.si(quantity) or default for joint in joints]
-        low, high = np.array([limit if isinstance(limit, tuple) else (-limit, limit) for limit in limits]).T
+        low, high = np.array(
+            [limit if isinstance(limit, tuple) else (-limit, limit) for limit in limits]
+        ).T
         states.append(low + (high - low) * rng.random((STATES, len(joints))))
     return tuple(states)
 
 
 def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:
-    """The regressor (N, n, p); its columns of load friction use the links' torque of these parameters."""
+    """The regressor (N, n, p); its columns of load friction use the links'
+    torque of these parameters.
+    """
     W, base = m.model.regressor(q, dq, ddq), dynamics.base_parameters(m.model)
     links = W[:, :, base.columns] @ np.where(base.links, base.K @ m.chi, 0.0)
     for c, term in _joint_terms(m.model).items():
@@ -122,10 +151,11 @@ def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:
 
 
 def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Losses]:
-    """The model of the terms that a format has, with or without `motors` (armatures, couplings), and the losses.
+    """The model of the terms that a format has, with or without `motors` (armatures,
+    couplings), and the losses.
 
-    One-sided friction becomes the mean of both directions; the friction of one joint beside that of a motor that turns with
-    it too is at least 0.
+    One-sided friction becomes the mean of both directions; the friction of one joint beside that of
+    a motor that turns with it too is at least 0.
     """
     n, losses, terms = m.model.robot.n, Losses(), _joint_terms(m.model)
     q, dq, ddq = random_states(m.model.robot.joints)
@@ -139,19 +169,31 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
             losses[what] = rms, 100 * np.divide(rms, whole, out=np.zeros(n), where=whole > 0)
 
     chi = m.chi.copy()
-    for what, kind, lost in (("rotor inertia", "rotor", not motors), ("constant offset", "offset", True)):
+    for what, kind, lost in (
+        ("rotor inertia", "rotor", not motors),
+        ("constant offset", "offset", True),
+    ):
         columns = [c for c, term in terms.items() if lost and term.kind == kind]
         add_loss(what, W[:, :, columns] @ chi[columns])
         chi[columns] = 0.0
     written = chi.copy()
     for c, term in terms.items():
-        if term.kind not in (*dynamics.RESISTING, "offset") or (_coupled(term) and (not motors or chi[c] < 0)):
+        if term.kind not in (*dynamics.RESISTING, "offset") or (
+            _coupled(term) and (not motors or chi[c] < 0)
+        ):
             written[c] = 0.0
         elif term.side:
-            ways = [k for k, x in terms.items() if (x.joint, x.kind, abs(x.side)) == (term.joint, term.kind, 1)]
+            ways = [
+                k
+                for k, x in terms.items()
+                if (x.joint, x.kind, abs(x.side)) == (term.joint, term.kind, 1)
+            ]
             written[c] = chi[ways].mean()
     axes = _of_axes(m.model, written, m.links)
-    below = {"viscous": np.minimum(axes.damping, 0.0), "coulomb": np.minimum(axes.frictionloss, 0.0)}
+    below = {
+        "viscous": np.minimum(axes.damping, 0.0),
+        "coulomb": np.minimum(axes.frictionloss, 0.0),
+    }
     for c, term in terms.items():
         if term.kind in below and not _coupled(term):
             written[c] -= below[term.kind][term.joint]
@@ -161,7 +203,9 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
 
 
 def about_com(link: Array) -> tuple[float, Array, Array]:
-    """Mass, centre of mass (3,) and XX XY XZ YY YZ ZZ (6,) about it, from a link's parameters (10,) about the origin."""
+    """Mass, centre of mass (3,) and XX XY XZ YY YZ ZZ (6,) about it, from a link's parameters
+    (10,) about the origin.
+    """
     mass = float(link[9])
     com = link[6:9] / mass
     steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))

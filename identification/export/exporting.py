@@ -1,4 +1,6 @@
-"""Build models in the requested formats before writing any, and report what each cannot represent."""
+"""Build models in the requested formats before writing any, and report what
+each cannot represent.
+"""
 
 import os
 import re
@@ -19,8 +21,13 @@ from .exported_model import STATES, ExportedModel, Losses, representable
 from .formats import mjcf_text, servo_loop, urdf_text
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # the default of URDF readers: a URDF has no gravity
-SOFT_FRICTION = "MuJoCo's frictionloss is a soft constraint: a moving joint has dry friction, a joint near rest creeps"
-_TABLE_HEADER = re.compile(r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?")
+SOFT_FRICTION = (
+    "MuJoCo's frictionloss is a soft constraint: a moving joint has dry friction, a joint near "
+    "rest creeps"
+)
+_TABLE_HEADER = re.compile(
+    r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?"
+)
 _ANY_HEADER = re.compile(r"[ \t]*\[")
 _INLINE_TABLE = re.compile(r"[ \t]*parameters[ \t]*[.=]")
 
@@ -41,7 +48,9 @@ def export_model(
     toml: Path | None = None,
     lines: tuple[str, ...] = (),
 ) -> tuple[dict[Path, str], Document]:
-    """A model in the requested formats, by path, and a report; `source` names the fit, `lines` the origin of its values."""
+    """A model in the requested formats, by path, and a report; `source` names the fit, `lines`
+    the origin of its values.
+    """
     robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
         represented, losses = representable(m, motors=False)
@@ -71,23 +80,36 @@ def export_model(
     return texts, Document(title=f"{robot.name}: model of {source}", sections=tuple(sections))
 
 
-def _make_section(m: ExportedModel, title: str, format_: str, losses: Losses, notes: tuple[str, ...]) -> Section:
+def _make_section(
+    m: ExportedModel, title: str, format_: str, losses: Losses, notes: tuple[str, ...]
+) -> Section:
     """The losses of a format for each joint."""
     if not losses:
         return Section(title=f"{title}: complete", lines=notes)
     robot, rows = m.model.robot, list[tuple[Cell, ...]]()
     for what, (rms, percent) in losses.items():
         for k, j in enumerate(np.flatnonzero(rms)):
-            numbers = Number(float(rms[j]), ".4g"), robot.effort_units[j], Number(float(percent[j]), ".2f")
+            numbers = (
+                Number(float(rms[j]), ".4g"),
+                robot.effort_units[j],
+                Number(float(percent[j]), ".2f"),
+            )
             rows.append(("" if k else what, robot.joints[j].name, *numbers))
     heads = columns(f"not representable in {format_}", "joint", numbers=("rms torque",))
     table = Table(columns=heads + columns("unit", numbers=("in %",)), rows=tuple(rows))
-    line = f"missing torque at {STATES} random states within the description's limits; in %: of the whole torque"
+    line = (
+        f"missing torque at {STATES} random states within the description's limits; in %: of "
+        "the whole torque"
+    )
     return Section(title=title, table=table, lines=(line, *notes))
 
 
-def _make_toml(m: ExportedModel, toml: Path, urdf: Path | None, source: str) -> tuple[str, tuple[str, ...]]:
-    """The fit's robot.toml with the values and the URDF written with it; lines on files that it names but are missing."""
+def _make_toml(
+    m: ExportedModel, toml: Path, urdf: Path | None, source: str
+) -> tuple[str, tuple[str, ...]]:
+    """The fit's robot.toml with the values and the URDF written with it; lines on files that it
+    names but are missing.
+    """
     robot, text = m.model.robot, m.model.robot.files["robot.toml"].decode()
     values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
     named, files = None, [drive.dictionary for drive in robot.bus.drive] if robot.bus else []
@@ -97,24 +119,34 @@ def _make_toml(m: ExportedModel, toml: Path, urdf: Path | None, source: str) -> 
         files.append(tomllib.loads(text)["urdf"])
     missing = dict.fromkeys(name for name in files if name and not (toml.parent / name).is_file())
     remark = f"Physically consistent values identified in {one_line(source)}."
-    lines = tuple(f"it names {name}, which is missing in its folder: copy it there" for name in missing)
+    lines = tuple(
+        f"it names {name}, which is missing in its folder: copy it there" for name in missing
+    )
     return replace_parameters(text, values, remark, named), lines
 
 
-def replace_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
-    """Replace the values (SI) of `[parameters]` in a description, or append the table; all other lines stay.
+def replace_parameters(
+    text: str, values: Mapping[str, float], remark: str, urdf: str | None = None
+) -> str:
+    """Replace the values (SI) of `[parameters]` in a description, or append the
+    table; all other lines stay.
 
-    The remark, on the origin of the values, replaces the remarks directly above the table; the name `urdf` replaces the URDF's.
-    Raises `BadInputError`: the table cannot be replaced line by line.
+    The remark, on the origin of the values, replaces the remarks directly above the table; the name
+    `urdf` replaces the URDF's. Raises `BadInputError`: the table cannot be replaced line by line.
     """
-    was, written = tomllib.loads(text), {name: format_numbers(value) for name, value in values.items()}
+    was, written = (
+        tomllib.loads(text),
+        {name: format_numbers(value) for name, value in values.items()},
+    )
     lines = text.splitlines()
     start = next((i for i, line in enumerate(lines) if _TABLE_HEADER.fullmatch(line)), None)
     if start is None:
         before = [line for line in lines if not ("parameters" in was and _INLINE_TABLE.match(line))]
         after = list[str]()
     else:
-        stop = next((i for i in range(start + 1, len(lines)) if _ANY_HEADER.match(lines[i])), len(lines))
+        stop = next(
+            (i for i in range(start + 1, len(lines)) if _ANY_HEADER.match(lines[i])), len(lines)
+        )
         while stop > start + 1 and not lines[stop - 1].strip().partition("#")[0]:
             stop -= 1  # blank lines and remarks above the next table belong to that table
         while start and lines[start - 1].lstrip().startswith("#"):
@@ -122,17 +154,29 @@ def replace_parameters(text: str, values: Mapping[str, float], remark: str, urdf
         before, after = lines[:start], lines[stop:]
     while before and not before[-1].strip():
         before.pop()
-    now: dict[str, Any] = was | {"parameters": {name: float(value) for name, value in written.items()}}
+    now: dict[str, Any] = was | {
+        "parameters": {name: float(value) for name, value in written.items()}
+    }
     if urdf is not None:
         now["urdf"], quoted = urdf, '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
         before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
-    table = ["", f"# {remark}", "[parameters]", *(f"{name} = {text}" for name, text in written.items())]
+    table = [
+        "",
+        f"# {remark}",
+        "[parameters]",
+        *(f"{name} = {text}" for name, text in written.items()),
+    ]
     made = "\n".join([*before, *table, *after]) + "\n"
     try:
         same = tomllib.loads(made) == now
     except tomllib.TOMLDecodeError:
         same = False
     if not same:
-        problem, expected = "cannot be replaced line by line", "one line per value under a line [parameters]"
-        raise BadInputError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
+        problem, expected = (
+            "cannot be replaced line by line",
+            "one line per value under a line [parameters]",
+        )
+        raise BadInputError(
+            problem, place="the fit's robot.toml", key="[parameters]", expected=expected
+        )
     return made

@@ -1,4 +1,6 @@
-"""Read a fit's JSON file as a robot with all standard parameters; make it consistent if it is not."""
+"""Read a fit's JSON file as a robot with all standard parameters; make it
+consistent if it is not.
+"""
 
 from pathlib import Path
 
@@ -16,10 +18,13 @@ from .exporting import export_model, write_models
 from .tables import with_gains, with_law
 
 
-def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None) -> Document:
+def export_fit(
+    stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None
+) -> Document:
     """Write a fit as `urdf`, `mjcf` or `toml`, and report what each format cannot represent.
 
-    Raises `BadInputError`: the fit is not to be used and not allowed as `untrusted`; as of `model_of_fit`.
+    Raises `BadInputError`: the fit is not to be used and not allowed as
+        `untrusted`; as of `model_of_fit`.
     """
     reasons = distrust(stored, place)
     if reasons and not untrusted:
@@ -32,14 +37,18 @@ def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **output
 
 
 def distrust(stored: FitFile, place: str) -> list[str]:
-    """Reasons not to trust a fit; in files of earlier versions, without a verdict, its status and warnings."""
+    """Reasons not to trust a fit; in files of earlier versions, without a verdict,
+    its status and warnings.
+    """
     if stored.verdict is UNSET:
         return stored.warnings_of(place)
     return [f"{place}: verdict {stored.verdict}"] if stored.verdict == "do not use" else []
 
 
 def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
-    """The robot of a fit, by its own description and drive gains, with all standard parameters; lines on their origin."""
+    """The robot of a fit, by its own description and drive gains, with all standard parameters;
+    lines on their origin.
+    """
     stored, of_gains = with_gains(stored, place)
     stored, of_law = with_law(stored, place)
     robot = stored_robot(stored, place)
@@ -50,13 +59,21 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
         return split_parameters(model, chi, place), (*of_gains, *of_law, line)
     parameters, names = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
     if [(p.name, p.unit) for p in parameters] != names:
-        other = next((f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None)
+        other = next(
+            (f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None
+        )
         expected = f"the {len(names)} of the description"
         raise BadInputError(place=place, key="standard_parameters", value=other, expected=expected)
     lines = [*of_gains, *of_law]
     if (c := stored.consistent) is not UNSET:
-        line = f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}"
-        line += f", largest move {c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
+        line = (
+            f"the consistent parameters of {place}: prior {c.prior}, weight "
+            f"{c.prior_weight:g}; chi² {c.chi2:.3g}"
+        )
+        line += (
+            f", largest move {c.largest_move:.2g} half-widths of the 95 % interval, of "
+            f"{c.moved_most}"
+        )
         lines.append(line)
     return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
 
@@ -74,13 +91,22 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     missing = [name for name in base.names if name not in shared and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
         value = ", ".join(missing[:5]) or None
-        raise BadInputError(place=place, key="covariance", value=value, expected="one row per parameter")
+        raise BadInputError(
+            place=place, key="covariance", value=value, expected="one row per parameter"
+        )
     # of parameters of single recordings the mean, as in `stored_beta`
     mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
-    covariance = np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T
+    covariance = (
+        np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T
+    )
     sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
-    reach = float(np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0]))
+    reach = float(
+        np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0])
+    )
     c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach))
     line = f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}"
-    line += f"; added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths"
+    line += (
+        f"; added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move "
+        f"{c.largest_move:.2g} half-widths"
+    )
     return c.chi, f"{line} of the 95 % interval, of {c.moved_most}; certificate {c.certificate:.1e}"

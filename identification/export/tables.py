@@ -1,4 +1,6 @@
-"""Values in the tables of a description, such as its [[joint]]s, and those of a fit; all other lines stay as they are."""
+"""Values in the tables of a description, such as its [[joint]]s, and those of a fit; all other
+lines stay as they are.
+"""
 
 import json
 import re
@@ -14,14 +16,21 @@ from ..errors import BadInputError
 from ..report import DriveGain, FitFile
 
 
-def replace_in_tables(text: str, kind: str, values: Mapping[str, Mapping[str, Any]], place: str) -> str:
-    """A description with these values, by key, in the [[kind]] tables of these names; a key for None becomes a comment."""
+def replace_in_tables(
+    text: str, kind: str, values: Mapping[str, Mapping[str, Any]], place: str
+) -> str:
+    """A description with these values, by key, in the [[kind]] tables of these names; a key for
+    None becomes a comment.
+    """
     now, written = tomllib.loads(text), set()
     made, *tables = re.split(rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$", text)
-    for own, header, table in zip(now[kind], tables[::2], tables[1::2], strict=False):  # headers and what follows them
+    # headers and what follows them
+    for own, header, table in zip(now[kind], tables[::2], tables[1::2], strict=False):
         for key, value in values.get(own["name"], {}).items():
             written.add(own["name"])
-            line = re.compile(rf"(?m)^([ \t]*{key}[ \t]*=[ \t]*)(?:\[[^\]]*\]|[^#\n]*?)([ \t]*(?:#.*)?)$")
+            line = re.compile(
+                rf"(?m)^([ \t]*{key}[ \t]*=[ \t]*)(?:\[[^\]]*\]|[^#\n]*?)([ \t]*(?:#.*)?)$"
+            )
             if value is None:
                 own.pop(key, None)
                 table = line.sub(r"# \g<0>", table)
@@ -34,31 +43,47 @@ def replace_in_tables(text: str, kind: str, values: Mapping[str, Mapping[str, An
     with suppress(tomllib.TOMLDecodeError):
         if written == values.keys() and tomllib.loads(made) == now:
             return made
-    problem, expected = "cannot be replaced line by line", f"a line [[{kind}]] of each, then a line per key"
+    problem, expected = (
+        "cannot be replaced line by line",
+        f"a line [[{kind}]] of each, then a line per key",
+    )
     raise BadInputError(problem, place=place, key=f"[[{kind}]]", expected=expected)
 
 
 def with_gains(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
     """The fit with its drive gains in its description, and lines on them.
 
-    A gain that is not determined is left as described; without a described one it is written with its wide interval. Raises
-    `BadInputError` where a [[motor]] cannot be replaced line by line.
+    A gain that is not determined is left as described; without a described one it is written with
+    its wide interval. Raises `BadInputError` where a [[motor]] cannot be replaced line by line.
     """
     if stored.gains is UNSET or "robot.toml" not in stored.description:
         return stored, ()
-    known = {gain.motor: _keys(gain) for gain in stored.gains if gain.determined or gain.described is None}
-    text = replace_in_tables(stored.description["robot.toml"], "motor", known, f"the robot.toml in {place}")
+    known = {
+        gain.motor: _keys(gain)
+        for gain in stored.gains
+        if gain.determined or gain.described is None
+    }
+    text = replace_in_tables(
+        stored.description["robot.toml"], "motor", known, f"the robot.toml in {place}"
+    )
     lines = list[str]()
     for gain in stored.gains:
         done = "as identified" if gain.motor in known else "as described"
         if not gain.determined:
             done += ", since none is described" * (gain.described is None) + "; not determined"
-        lines.append(f"drive gain of {gain.motor} {done}: {gain.value:.4g} ± {gain.half_width:.2g} {gain.unit}")
-    return msgspec.structs.replace(stored, description={**stored.description, "robot.toml": text}), tuple(lines)
+        lines.append(
+            f"drive gain of {gain.motor} {done}: {gain.value:.4g} ± {gain.half_width:.2g} "
+            f"{gain.unit}"
+        )
+    return msgspec.structs.replace(
+        stored, description={**stored.description, "robot.toml": text}
+    ), tuple(lines)
 
 
 def with_law(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
-    """The fit with the control law of its recording in its description, which has none, and a line on it."""
+    """The fit with the control law of its recording in its description, which has
+    none, and a line on it.
+    """
     text = stored.description.get("robot.toml", "")
     described = tomllib.loads(text).get("controller", {})
     if not text or stored.law is UNSET or stored.law.controller is None or "structure" in described:
@@ -69,7 +94,9 @@ def with_law(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
     text = re.sub(header, rf"\g<0>{lines}", text) if described else f"{text}\n[controller]{lines}\n"
     if tomllib.loads(text)["controller"] != described | keys:
         problem, expected = "cannot be completed", "a line [controller], then a line per key"
-        raise BadInputError(problem, place=f"the robot.toml in {place}", key="[controller]", expected=expected)
+        raise BadInputError(
+            problem, place=f"the robot.toml in {place}", key="[controller]", expected=expected
+        )
     law = msgspec.structs.replace(stored, description={**stored.description, "robot.toml": text})
     return law, (f"control law of the recording: {stored.law.structure}",)
 

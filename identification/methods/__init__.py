@@ -1,15 +1,24 @@
-"""Identification by least squares and instrumental variables: the method, its results, their documents and files.
+"""Identification by least squares and instrumental variables: the method, its results,
+their documents and files.
 
 The path of a fit, stage by stage::
 
     Signals, Settings, Problem   a recording, the settings, the robot's model
-    Rows, Unknowns, Equations    W and Y of one recording; x of all recordings, and their equations about x
+    Rows, Unknowns, Equations    W and Y of one recording; x of all recordings, and their
+                                 equations about x
     Instruments, Pass            Z of the simulated robot, and the estimate of one pass
     FitData, Trust               inputs and results of the trust tests
     Fit                          the result; `report.FitFile` is its JSON file
 """
 
-from .consistent import Known, consistent_set, read_prior, refuse_unknown_gain, urdf_prior, with_consistent
+from .consistent import (
+    Known,
+    consistent_set,
+    read_prior,
+    refuse_unknown_gain,
+    urdf_prior,
+    with_consistent,
+)
 from .equations import Equations, read_equations
 from .fit import Fit, FittedRecording, Pass
 from .fit_files import fit_file, validation_file

@@ -1,4 +1,6 @@
-"""Assesses a fit: torque errors, intervals, tests and warnings; with instruments also those and the status of the passes."""
+"""Assesses a fit: torque errors, intervals, tests and warnings; with instruments also those and
+the status of the passes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,7 +9,14 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import Estimate, InstrumentTests, autocorrelation, f_tests, spans_of, torque_errors
+from ..estimation import (
+    Estimate,
+    InstrumentTests,
+    autocorrelation,
+    f_tests,
+    spans_of,
+    torque_errors,
+)
 from ..regression import ROWS, Problem, Rows, base_name, sample_weights
 from ..report import FTest, Method
 from ..simulation import Replica, saturated_percents
@@ -32,10 +41,14 @@ def evidence_of(
     each: Sequence[Rows] = (),
     replicas: tuple[Replica, ...] = (),
 ) -> FitData:
-    """Inputs of the trust tests of an estimate from its rows; `each` are those of single recordings that are long."""
+    """Inputs of the trust tests of an estimate from its rows; `each` are those of single
+    recordings that are long.
+    """
     estimate = solved.estimate
     # Long rows have the columns of before their simulation.
-    candidates = candidates_of(equations, estimate.values_of(equations.names), None if each and replicas else replicas)
+    candidates = candidates_of(
+        equations, estimate.values_of(equations.names), None if each and replicas else replicas
+    )
     if not rows.C.size:
         rows = replace(rows, C=further_columns(equations.problems, candidates, replicas))
     lags = lags_of(equations, rows, estimate)
@@ -58,12 +71,18 @@ def evidence_of(
     )
 
 
-def candidates_of(equations: Equations, x: Array, replicas: Sequence[Replica] | None = ()) -> tuple[Candidates, ...]:
-    """By recording the terms that are not in the model, about x; replicas are None before a simulation of long recordings."""
+def candidates_of(
+    equations: Equations, x: Array, replicas: Sequence[Replica] | None = ()
+) -> tuple[Candidates, ...]:
+    """By recording the terms that are not in the model, about x; replicas are None before a
+    simulation of long recordings.
+    """
     if replicas is None:
         simulated = all(problem.signals.q_ref is not None for problem in equations.problems)
     else:
-        simulated = bool(replicas) and all(one.motion and one.reference_kind == "recorded" for one in replicas)
+        simulated = bool(replicas) and all(
+            one.motion and one.reference_kind == "recorded" for one in replicas
+        )
     speed = np.concatenate([rows.speed for rows in equations.rows])
     sliding = np.abs(speed @ equations.problem.model.coulomb_directions.T)
     return tuple(
@@ -79,8 +98,12 @@ def candidates_of(equations: Equations, x: Array, replicas: Sequence[Replica] | 
     )
 
 
-def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
-    """The fit of an estimate and its assessment; `replicas` are the robot simulated in each recording, if it was."""
+def fit_of(
+    equations: Equations, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()
+) -> Fit:
+    """The fit of an estimate and its assessment; `replicas` are the robot simulated in
+    each recording, if it was.
+    """
     rows, predicted = evidence.observed, solved.tau_predicted
     names = tuple(joint.name for joint in equations.problem.signals.robot.joints)
     evidence = replace(evidence, held_out=held_out_parts(evidence, equations.predicted))
@@ -99,7 +122,9 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
             arm=equations.unknowns.arms[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(measured.tau[own], of_model[own], measured.speed[own], names),
-            held_out=evidence.held_out[k] if len(equations.problems) > 1 and not evidence.gains else None,
+            held_out=evidence.held_out[k]
+            if len(equations.problems) > 1 and not evidence.gains
+            else None,
             replica=replicas[k] if replicas else None,
         )
         for k, (problem, part, own) in enumerate(parts)
@@ -130,7 +155,9 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
 
 
 def own_test(equations: Equations, full: Estimate) -> FTest | None:
-    """F test, by least squares, of the recordings' own parameters against shared ones; None if there are none."""
+    """F test, by least squares, of the recordings' own parameters against shared ones;
+    None if there are none.
+    """
     names, own = equations.names, equations.unknowns.own
     if not own:
         return None
@@ -143,17 +170,23 @@ def own_test(equations: Equations, full: Estimate) -> FTest | None:
     rho = (rows.tau - equations.predicted(full)) * full.weights * rows.counts
     extra, freedom = len(names) - len(shared), full.rows - len(names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
-    F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(names), autocorrelation(rho) or 0.0)
+    F, p, F_effective, p_effective = f_tests(
+        F, extra, full.rows, len(names), autocorrelation(rho) or 0.0
+    )
     return FTest(names=own, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
 def _warnings(equations: Equations) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [equations.problems[k] for k in equations.order]
-    of_settings = [[*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems]
+    of_settings = [
+        [*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems
+    ]
     if len(problems) == 1:
         return (*of_settings[0], *recording_warnings(problems[0].signals))
-    named = [f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)]
+    named = [
+        f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)
+    ]
     return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
 
 
@@ -170,11 +203,17 @@ def _short_moves(problem: Problem) -> list[str]:
     ]
 
 
-def assess_iv(equations: Equations, best: Pass, ls: LeastSquares, passes: Sequence[Pass], start: str) -> Fit:
-    """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
+def assess_iv(
+    equations: Equations, best: Pass, ls: LeastSquares, passes: Sequence[Pass], start: str
+) -> Fit:
+    """The fit of the pass that is returned; the robot simulated with its estimate
+    validates the direct model.
+    """
     estimate, replicas, z = best.estimate, best.replicas, best.z
     solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))
-    evidence = evidence_of(equations, "iv", solved, equations.along(z), each=z.rows, replicas=replicas)
+    evidence = evidence_of(
+        equations, "iv", solved, equations.along(z), each=z.rows, replicas=replicas
+    )
     tests = tests_of(evidence.observed.system, estimate)
     status, reason = status_of(equations, passes, best, tests)
     if reason is not None and best.number != len(passes):
@@ -185,8 +224,12 @@ def assess_iv(equations: Equations, best: Pass, ls: LeastSquares, passes: Sequen
     saturated = [saturated_percents(problem.with_samples()) for problem in equations.tasks()]
     iv = InstrumentEvidence(
         start=start,
-        reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
-        controller=max((one.controller for one in replicas), key=("described", "found", "surrogate").index),
+        reference="recorded"
+        if all(one.reference_kind == "recorded" for one in replicas)
+        else "surrogate",
+        controller=max(
+            (one.controller for one in replicas), key=("described", "found", "surrogate").index
+        ),
         passes=tuple(passes),
         returned=best.number,
         reason=reason,
@@ -215,20 +258,29 @@ def _iv_warnings(
     warnings = []
     if any(one.reference_kind == "surrogate" for one in replicas):
         warnings.append(
-            "surrogate reference: none recorded, the measured position is used instead; the instruments are not "
+            "surrogate reference: none recorded, the measured position is used instead; the "
+            "instruments are not "
             "strictly exogenous"
         )
     if without := [one.bandwidth_hz for one in replicas if one.controller == "surrogate"]:
         warnings.append(f"no controller described: simulated with a {without[0]:g} Hz PD instead")
-    if unknown := [one.bandwidth_hz for one in replicas if one.controller != "surrogate" and not one.J_known]:
+    if unknown := [
+        one.bandwidth_hz for one in replicas if one.controller != "surrogate" and not one.J_known
+    ]:
         warnings.append(
-            "least squares gives no positive inertias: the gain update uses those that suit the described gains at "
+            "least squares gives no positive inertias: the gain update uses those that suit the "
+            "described gains at "
             f"{unknown[0]:g} Hz"
         )
     for shares in saturated:
-        at_limit = (f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT)
+        at_limit = (
+            f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT
+        )
         if found := ", ".join(at_limit):
             warnings.append(f"drives at their limit: {found} of the samples")
     if tests.first_stage_F < MIN_FIRST_STAGE_F:
-        warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {MIN_FIRST_STAGE_F:g}")
+        warnings.append(
+            f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below "
+            f"{MIN_FIRST_STAGE_F:g}"
+        )
     return tuple(warnings)

@@ -1,4 +1,6 @@
-"""The equations of a fit: the rows of all its recordings, in the columns of its unknowns x, about given values of them."""
+"""The equations of a fit: the rows of all its recordings, in the columns of its unknowns x,
+about given values of them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,10 +12,29 @@ from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..estimation import Estimate, System, combined, stacked, stacked_columns
-from ..regression import HELD, REDUCED, Overrides, Problem, Rows, Settings, Term, Unknowns, torque_of_recording
+from ..regression import (
+    HELD,
+    REDUCED,
+    Overrides,
+    Problem,
+    Rows,
+    Settings,
+    Term,
+    Unknowns,
+    torque_of_recording,
+)
 from ..simulation import ClosedLoops, Instruments, Simulation
 from ..trust import Lag
-from .observation import SPAN_S, Observed, Replayed, Say, observation_of, observe_all, rows_at, with_common_rate
+from .observation import (
+    SPAN_S,
+    Observed,
+    Replayed,
+    Say,
+    observation_of,
+    observe_all,
+    rows_at,
+    with_common_rate,
+)
 
 SPANS_OF_IV = 80  # of a long recording: the factors of [C Z W Y] of six joints take 80 MB
 SPAN_NUMBERS = 1_500_000  # of the W of the beginning of a long recording
@@ -21,11 +42,13 @@ SPAN_NUMBERS = 1_500_000  # of the W of the beginning of a long recording
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """The recordings of a fit, in the order of their digests, so that sums do not depend on the order given.
+    """The recordings of a fit, in the order of their digests, so that sums do not
+    depend on the order given.
 
     Attributes:
         recordings: in the order of the digests; `overrides`: their settings.
-        problems: the recordings with their settings; `rows`: of each, columns of load friction zero.
+        problems: the recordings with their settings; `rows`: of each, columns
+            of load friction zero.
         replays: the described control law of each against its recorded effort.
         order: places of the recordings in the order given.
         unknowns: x.
@@ -72,15 +95,22 @@ class Equations:
 
     def with_sources(self) -> list[Problem]:
         """The problems, those without samples with where to read them."""
-        return [own if len(own.signals.q) else task for own, task in zip(self.problems, self.tasks(), strict=True)]
+        return [
+            own if len(own.signals.q) else task
+            for own, task in zip(self.problems, self.tasks(), strict=True)
+        ]
 
     def load_places(self) -> NDArray[np.intp]:
         """Places of the parameters of load friction in x."""
         places = self.load.places if self.load else ()
-        return np.array([self.names.index(self.problem.base.names[place]) for place in places], dtype=np.intp)
+        return np.array(
+            [self.names.index(self.problem.base.names[place]) for place in places], dtype=np.intp
+        )
 
     def about(self, x: Array | None = None) -> Rows:
-        """[J Y] of all recordings about x, columns of all unknowns; without x columns of load friction are zero."""
+        """[J Y] of all recordings about x, columns of all unknowns; without x columns of
+        load friction are zero.
+        """
         if self.load is None or x is None:
             x = np.zeros(0)
         if (key := x.tobytes()) not in self._about:
@@ -89,16 +119,27 @@ class Equations:
         return self._about[key]
 
     def rows_about(self, x: Array, further: Sequence[Term] = ()) -> list[Rows]:
-        """The rows of each recording about x, of long ones with `further` columns; without load friction for an empty x."""
+        """The rows of each recording about x, of long ones with `further` columns; without load
+        friction for an empty x.
+        """
         if not further and (self.load is None or not len(x)):
             return list(self.rows)
         run = self.recordings.work.run
-        tasks = [(problem, REDUCED, self.unknowns.beta(x, k)) for k, problem in enumerate(self.tasks())]
+        tasks = [
+            (problem, REDUCED, self.unknowns.beta(x, k)) for k, problem in enumerate(self.tasks())
+        ]
         if self.reduced:
             more = further or (None,) * len(tasks)
-            return list(run(regression.rows_again, [(*task, terms) for task, terms in zip(tasks, more, strict=True)]))
+            return list(
+                run(
+                    regression.rows_again,
+                    [(*task, terms) for task, terms in zip(tasks, more, strict=True)],
+                )
+            )
         assert self.load is not None
-        columns = run(regression.load_columns, [(problem, self.load, beta) for problem, _, beta in tasks])
+        columns = run(
+            regression.load_columns, [(problem, self.load, beta) for problem, _, beta in tasks]
+        )
         found = zip(self.rows, tasks, columns, strict=True)
         return [rows.about(beta, self.load, column) for rows, (*_, beta), column in found]
 
@@ -109,7 +150,11 @@ class Equations:
             WE = np.c_[rows.system.W, rows.E] if rows.E.size else rows.system.W
             J, Y = self.unknowns.columns(k, WE), rows.system.Y
             if not self.unknowns.plain:
-                Y = Y - rows.system.W @ self.unknowns.arms[k].known - rows.E[:, self.unknowns.motors].sum(axis=1)
+                Y = (
+                    Y
+                    - rows.system.W @ self.unknowns.arms[k].known
+                    - rows.E[:, self.unknowns.motors].sum(axis=1)
+                )
             systems.append(replace(rows.system, W=J, Y=Y, names=self.names))
             Z.append(self.unknowns.columns(k, rows.Z) if rows.Z.size else rows.Z)
         n = self.problem.signals.robot.n
@@ -118,7 +163,10 @@ class Equations:
             E=each[0].E[:0],
             C=stacked_columns([rows.C for rows in each], n),
             Z=stacked_columns(Z, n),
-            **{name: np.concatenate([getattr(rows, name) for rows in each]) for name in ("share", "tau", "speed")},
+            **{
+                name: np.concatenate([getattr(rows, name) for rows in each])
+                for name in ("share", "tau", "speed")
+            },
         )
 
     def along(self, z: Instruments) -> Rows:
@@ -126,20 +174,31 @@ class Equations:
         return self.stacked(self.rows_with(z.rows)) if z.rows else replace(self.about(z.x), Z=z.Z)
 
     def rows_with(self, factors: Sequence[Rows]) -> list[Rows]:
-        """The rows of each recording with the given factors, and its measurements; without any, its own rows."""
+        """The rows of each recording with the given factors, and its measurements;
+        without any, its own rows.
+        """
         pairs = zip(self.rows, factors, strict=bool(factors))
-        return [replace(x, share=own.share, tau=own.tau, speed=own.speed) for own, x in pairs] or list(self.rows)
+        return [
+            replace(x, share=own.share, tau=own.tau, speed=own.speed) for own, x in pairs
+        ] or list(self.rows)
 
     def without(self, left_out: dict[str, str]) -> "Equations":
-        """The same without friction terms that are regrouped with nothing; `left_out` has the reasons."""
+        """The same without friction terms that are regrouped with nothing;
+        `left_out` has the reasons.
+        """
         problems = [problem.without_terms(left_out) for problem in self.problems]
         found = self._of(problems, [rows.without(left_out) for rows in self.rows])
         return replace(found, left_out=self.left_out | left_out)
 
     def _of(
-        self, problems: Sequence[Problem], rows: Sequence[Rows], motors: tuple[int, ...] | None = None
+        self,
+        problems: Sequence[Problem],
+        rows: Sequence[Rows],
+        motors: tuple[int, ...] | None = None,
     ) -> "Equations":
-        """The same recordings with other settings and rows, or other motors whose gains are unknown."""
+        """The same recordings with other settings and rows, or other motors
+        whose gains are unknown.
+        """
         observed = list(zip(problems, rows, self.replays, strict=True))
         motors = self.unknowns.motors if motors is None else motors
         found = equations_of(self.recordings, self.overrides, observed, self.order, motors)
@@ -147,8 +206,14 @@ class Equations:
 
     def at_cutoff(self, cutoff_hz: float) -> "Equations":
         """The same recordings with another low-pass."""
-        overrides, most = replace(self.overrides, cutoff_hz=cutoff_hz), regression.most_numbers(len(self.problems))
-        tasks = [(one, replace(overrides, decimation=one.settings.decimation), most) for one in self.tasks()]
+        overrides, most = (
+            replace(self.overrides, cutoff_hz=cutoff_hz),
+            regression.most_numbers(len(self.problems)),
+        )
+        tasks = [
+            (one, replace(overrides, decimation=one.settings.decimation), most)
+            for one in self.tasks()
+        ]
         settings, rows = zip(*self.recordings.work.run(rows_at, tasks), strict=True)
         return self._of(self._with_settings(settings), rows)
 
@@ -158,22 +223,38 @@ class Equations:
             return self
         most, settings = REDUCED if self.reduced else HELD, [one.settings for one in self.problems]
         found = replace(self, overrides=replace(self.overrides, ramp_rows=ramp_rows))
-        found = replace(found, problems=self._with_settings([replace(one, ramp_rows=ramp_rows) for one in settings]))
-        rows = list(self.recordings.work.run(regression.rows_again, [(problem, most) for problem in found.tasks()]))
+        found = replace(
+            found,
+            problems=self._with_settings([replace(one, ramp_rows=ramp_rows) for one in settings]),
+        )
+        rows = list(
+            self.recordings.work.run(
+                regression.rows_again, [(problem, most) for problem in found.tasks()]
+            )
+        )
         return found._of(found.problems, rows)
 
     def _with_settings(self, settings: Sequence[Settings]) -> tuple[Problem, ...]:
-        return tuple(replace(one, settings=own) for one, own in zip(self.problems, settings, strict=True))
+        return tuple(
+            replace(one, settings=own) for one, own in zip(self.problems, settings, strict=True)
+        )
 
     def behind_rule(self) -> "Equations | None":
-        """The same with the rule's low-pass; None if all have it or a lower one. Raises `NoFitError` if one is too short."""
+        """The same with the rule's low-pass; None if all have it or a lower one.
+
+        Raises `NoFitError` if one is too short.
+        """
         if all(problem.settings.filtered for problem in self.problems):
             return None
-        return self.at_cutoff(min(regression.rule_cutoff_hz(problem.signals) for problem in self.problems))
+        return self.at_cutoff(
+            min(regression.rule_cutoff_hz(problem.signals) for problem in self.problems)
+        )
 
     def with_motors(self, motors: tuple[int, ...]) -> "Equations":
         """The same recordings with the gains of these motors as unknowns."""
-        return self if motors == self.unknowns.motors else self._of(self.problems, self.rows, motors)
+        return (
+            self if motors == self.unknowns.motors else self._of(self.problems, self.rows, motors)
+        )
 
     def with_gains(self, factors: Array) -> "Equations":
         """The same recordings with drive gains times `factors` (n,)."""
@@ -188,17 +269,23 @@ class Equations:
 
     def _with_torques(self, problems: Sequence[Problem]) -> "Equations":
         tasks = zip(replace(self, problems=tuple(problems)).tasks(), self.rows, strict=True)
-        return self._of(problems, list(self.recordings.work.run(regression.with_torque, list(tasks))))
+        return self._of(
+            problems, list(self.recordings.work.run(regression.with_torque, list(tasks)))
+        )
 
     def beginning(self) -> "Equations":
-        """Unchanged if rows are held; else the beginnings of the recordings, with rows, together at most three minutes."""
+        """Unchanged if rows are held; else the beginnings of the recordings, with rows, together
+        at most three minutes.
+        """
         if not self.reduced:
             return self
         observed, count = list[Observed](), len(self.problems)
         for problem in self.tasks():
             whole = problem.with_samples()
             rows = SPAN_NUMBERS / (whole.signals.robot.n * whole.base.b) / count
-            most = min(rows * whole.settings.decimation, SPAN_S * whole.signals.sample_rate_hz / count)
+            most = min(
+                rows * whole.settings.decimation, SPAN_S * whole.signals.sample_rate_hz / count
+            )
             stop = min(whole.settings.stop, whole.settings.start + int(most))
             observed.append(observation_of(whole.until(stop), HELD))
         problems, held, replays = zip(*observed, strict=True)
@@ -212,12 +299,19 @@ class Equations:
         return estimate
 
     def predicted(self, *estimates: Estimate, by_recording: bool = False) -> Array:
-        """Decimated torque (rows, n) of an estimate; of several, each in equal spans of a recording, or in one recording."""
+        """Decimated torque (rows, n) of an estimate; of several, each in equal spans of a
+        recording, or in one recording.
+        """
         tasks = [
-            (problem, *(arm.values(one) for one in (estimates[k : k + 1] if by_recording else estimates)))
+            (
+                problem,
+                *(arm.values(one) for one in (estimates[k : k + 1] if by_recording else estimates)),
+            )
             for k, (problem, arm) in enumerate(zip(self.tasks(), self.unknowns.arms, strict=True))
         ]
-        return np.concatenate([predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)])
+        return np.concatenate(
+            [predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)]
+        )
 
 
 def equations_of(
@@ -236,14 +330,17 @@ def equations_of(
         rows=rows,
         replays=replays,
         order=order,
-        unknowns=regression.make_unknowns(problems, motors, ("Fv", "Fc") if overrides.gains else ()),
+        unknowns=regression.make_unknowns(
+            problems, motors, ("Fv", "Fc") if overrides.gains else ()
+        ),
         load=regression.load_friction(problems[0].model, problems[0].base),
     )
 
 
 def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) -> Equations:
-    """The equations of one recording or several, each filtered and decimated separately: with the lowest cut-off and rate of
-    rows that the rules give. Raises `BadInputError` if the recordings are not of one robot, and as `make_problem`.
+    """The equations of one recording or several, each filtered and decimated separately: with the
+    lowest cut-off and rate of rows that the rules give. Raises `BadInputError` if the recordings
+    are not of one robot, and as `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
@@ -253,7 +350,9 @@ def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) 
         one = observation_of(regression.make_problem(signals, overrides), None, say)
         return equations_of(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
-    found = observe_all(given, [overrides] * len(given.sources), regression.most_numbers(len(given.sources)))
+    found = observe_all(
+        given, [overrides] * len(given.sources), regression.most_numbers(len(given.sources))
+    )
     check_one_robot([problem.signals for problem, _, _ in found])
     found = with_common_rate(given, found, overrides)
     each = [problem.signals for problem, _, _ in found]
@@ -272,7 +371,9 @@ def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) 
 
 
 def closed_loops(equations: Equations, prior: Array, *, gain_update: bool) -> ClosedLoops:
-    """The closed loops of the recordings; gains are set for the inertias of `prior`, values of x."""
+    """The closed loops of the recordings; gains are set for the inertias
+    of `prior`, values of x.
+    """
     pairs = enumerate(zip(equations.tasks(), equations.rows, strict=True))
     return ClosedLoops(
         simulations=tuple(

@@ -23,22 +23,25 @@ class Pass:
     """One pass of the instrumental variable method; only the last one keeps arrays as large as W.
 
     Attributes:
-        z: its instruments. Their `kind` is `simulated`: by the physically consistent parameters nearest to the previous
-            estimate; `consistent`: the same, where the inertia matrix of that estimate is not positive; `reference`: along
-            the motion that the reference predicts, where the simulated robot does not follow it. `reason` says why.
+        z: its instruments. Their `kind` is `simulated`: by the physically consistent parameters
+            nearest to the previous estimate; `consistent`: the same, where the inertia matrix of
+            that estimate is not positive; `reference`: along the motion that the reference
+            predicts, where the simulated robot does not follow it. `reason` says why.
         robot: values simulated in place of those of `z`; None for these.
-        asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values to simulate (None for a
-            regular start), and of the estimate.
+        asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values
+            to simulate (None for a regular start), and of the estimate.
         coarse: whether the robot was simulated coarsely.
-        change_sigma, change_percent, changed: largest change of a parameter in its deviations; in percent of those larger
-            than two deviations; the parameter of the former.
+        change_sigma, change_percent, changed: largest change of a parameter in its deviations; in
+            percent of those larger than two deviations; the parameter of the former.
         residual_percent: change of the residual norm by the pass, over the same rows.
-        residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
+        residual_settled, parameters_settled: whether the residual, and every parameter, changed
+            less than the tolerance.
         number: counted from 1.
-        stands_alone: whether its instruments are of kind `reference` as no simulated robot confirms others: one solution.
+        stands_alone: whether its instruments are of kind `reference` as no simulated robot
+            confirms others: one solution.
         failure: why the next pass gave no estimate; None if it did, or there was none.
-        replicas: the robot simulated in each recording with the estimate, or with the values that it settled at; only of the
-            pass that is returned.
+        replicas: the robot simulated in each recording with the estimate, or with the values that
+            it settled at; only of the pass that is returned.
     """
 
     z: Instruments
@@ -60,7 +63,9 @@ class Pass:
 
     def without_rows(self) -> "Pass":
         """The same without arrays as large as W."""
-        return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows(), replicas=())
+        return replace(
+            self, z=self.z.without_rows(), estimate=self.estimate.without_rows(), replicas=()
+        )
 
     @property
     def settled(self) -> bool:
@@ -79,13 +84,17 @@ class InstrumentEvidence:
 
     Attributes:
         start: as of `Iteration`.
-        reference: `recorded`, or `surrogate`: the measured position, with which the instruments are not strictly
-            exogenous. `controller`: `described`, or `surrogate`: a PD of the stated bandwidth.
-        passes: in order; `returned` is the number, counted from 1, of the one whose estimate this is.
+        reference: `recorded`, or `surrogate`: the measured position, with which the
+            instruments are not strictly exogenous. `controller`: `described`, or `surrogate`:
+            a PD of the stated bandwidth.
+        passes: in order; `returned` is the number, counted from 1, of the one
+            whose estimate this is.
         reason: of the status; None for `converged` with instruments of a simulated robot.
-        contrast, contrast_at: largest difference of least squares from the estimate, in half-widths, and its parameter.
+        contrast, contrast_at: largest difference of least squares from the estimate, in
+            half-widths, and its parameter.
         saturated_percent: share of recorded samples at a drive's limit; None if no limit is stated.
-        direct: errors of the direct model by joint; empty if the final estimate could not be simulated.
+        direct: errors of the direct model by joint; empty if the final estimate
+            could not be simulated.
     """
 
     start: str
@@ -108,7 +117,8 @@ class LeastSquares:
 
     Attributes:
         estimate: `full`, or that of the essential parameters if only these were requested.
-        full, essential: the estimate of all base parameters, and the reduction to the essential ones.
+        full, essential: the estimate of all base parameters, and the reduction
+            to the essential ones.
         tau_predicted: (rows, n) decimated torque that `estimate` predicts.
     """
 
@@ -136,7 +146,12 @@ class LeastSquares:
     def without_rows(self) -> "LeastSquares":
         """The same without the Q of the estimates, each as large as W."""
         essential = replace(self.essential, estimate=self.essential.estimate.without_rows())
-        return replace(self, estimate=self.estimate.without_rows(), full=self.full.without_rows(), essential=essential)
+        return replace(
+            self,
+            estimate=self.estimate.without_rows(),
+            full=self.full.without_rows(),
+            essential=essential,
+        )
 
 
 def essential_names(essential: Reduction, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
@@ -151,7 +166,8 @@ class ConsistentSet:
     """The physically consistent standard parameters nearest to an estimate.
 
     Attributes:
-        chi: (p,) standard parameters: all pseudo-inertias and rotor inertias are positive, friction adds no energy.
+        chi: (p,) standard parameters: all pseudo-inertias and rotor inertias are positive,
+            friction adds no energy.
         half: (p,) half-widths of their 95 % intervals, by Laplace.
         from_prior: (p,) where the recording reduces the variance by the prior by less than half.
         base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi.
@@ -198,7 +214,8 @@ class FittedRecording:
     """One of the recordings of a fit.
 
     Attributes:
-        problem: recording, settings and model; without samples if the recordings are too long to be held.
+        problem: recording, settings and model; without samples if the recordings
+            are too long to be held.
         arm: its base parameters in those of the fit.
         rows: its decimated samples in those of the fit.
         errors: its torque errors, one entry per joint and, last, all joints together.
@@ -220,15 +237,17 @@ class Fit:
 
     Attributes:
         recordings: in the order given.
-        estimate: of the base parameters, fewer than `base` has if only the essential ones were requested.
-        least_squares: that of the fit itself, or weighted least squares of the same recording and settings if the method
-            is `iv`.
-        t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the order of their digests.
+        estimate: of the base parameters, fewer than `base` has if only the
+            essential ones were requested.
+        least_squares: that of the fit itself, or weighted least squares of the same recording and
+            settings if the method is `iv`.
+        t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the
+            order of their digests.
         tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
         errors: one entry per joint and, last, all joints together.
         iv: None after least squares.
-        consistent_set: the nearest physically consistent parameters, if requested; `consistent_errors`: their torque
-            errors, as `errors`.
+        consistent_set: the nearest physically consistent parameters, if requested;
+            `consistent_errors`: their torque errors, as `errors`.
         data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
         gains: of the drives, if identified; `payloads`: of the recordings that have one.
         own: the test of parameters of single recordings; None if all are shared.
@@ -266,9 +285,13 @@ class Fit:
         iv = self.iv
         if iv is not None and one.replica is not None:
             iv = replace(iv, direct=one.replica.direct)
-        rows = {name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")}
+        rows = {
+            name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")
+        }
         here = slice(0, one.rows.stop - one.rows.start)
-        return replace(self, recordings=(replace(one, rows=here),), errors=one.errors, iv=iv, **rows)
+        return replace(
+            self, recordings=(replace(one, rows=here),), errors=one.errors, iv=iv, **rows
+        )
 
     @property
     def problem(self) -> Problem:
@@ -277,7 +300,9 @@ class Fit:
 
     @property
     def replica(self) -> Replica | None:
-        """The robot simulated in the first recording with the estimate; None after least squares."""
+        """The robot simulated in the first recording with the estimate;
+        None after least squares.
+        """
         return self.recordings[0].replica
 
     @property
@@ -307,10 +332,16 @@ class Fit:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is no fault: torque demands sampled at one phase of the control, an error of inertias that is no lag."""
+        """What is no fault: torque demands sampled at one phase of the control, an error of
+        inertias that is no lag.
+        """
         each = [one.problem.signals for one in self.recordings]
         robots = [s.robot for s in each if s.of_drives and s.motion_hz is None]
-        return tuple(dict.fromkeys(text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)))
+        return tuple(
+            dict.fromkeys(
+                text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)
+            )
+        )
 
     @property
     def distrust(self) -> tuple[str, ...]:

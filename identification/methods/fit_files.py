@@ -58,13 +58,20 @@ def fit_file(fit: Fit) -> report.FitFile:
         held_out_error_percent=fit.trust.line("held-out blocks").value,
         prior_source=fit.data.prior_source or UNSET,
         prior_held_out_error_percent=fit.data.prior_error_percent if prior else UNSET,
-        trust=[report.TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text) for one in lines],
+        trust=[
+            report.TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text)
+            for one in lines
+        ],
         condition_number=e.condition_number,
         condition_number_scaled=e.condition_number_scaled,
         rows=round(e.rows),
         parameters=[
-            msgspec.structs.replace(parameter, sigma_percent=float(percent), prior=prior.get(parameter.name, UNSET))
-            for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
+            msgspec.structs.replace(
+                parameter, sigma_percent=float(percent), prior=prior.get(parameter.name, UNSET)
+            )
+            for parameter, percent in zip(
+                fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True
+            )
         ],
         gains=_gains(fit.gains) if fit.gains else UNSET,
         payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
@@ -72,7 +79,10 @@ def fit_file(fit: Fit) -> report.FitFile:
         **consistent_keys(fit),
         essential=report.FTest(
             names=fit.essential_names,
-            **{key: getattr(fit.essential, key) for key in ("F", "p_value", "F_effective", "p_effective")},
+            **{
+                key: getattr(fit.essential, key)
+                for key in ("F", "p_value", "F_effective", "p_effective")
+            },
         ),
         description={
             name: signals.robot.files[name].decode("utf-8", errors="replace")
@@ -105,11 +115,14 @@ def _law(law: Law, robot: Robot) -> report.LawFile:
     return report.LawFile(
         structure=law.structure,
         reason=law.reason,
-        controller={k: list(x) if isinstance(x, tuple) else x for k, x in stated.items() if x} or None,
+        controller={k: list(x) if isinstance(x, tuple) else x for k, x in stated.items() if x}
+        or None,
         motors=[
             report.MotorLaw(
                 motor=motor.name,
-                gains={letter: row[j] for letter, row in zip(("Kp", "Kd", "Ki"), gains, strict=True)},
+                gains={
+                    letter: row[j] for letter, row in zip(("Kp", "Kd", "Ki"), gains, strict=True)
+                },
                 delay_s=float(law.delay_s[j]),
                 delay_half_width_s=float(law.delay_half_s[j]),
                 residual_percent=float(law.residual_percent[j]),
@@ -122,12 +135,18 @@ def _law(law: Law, robot: Robot) -> report.LawFile:
 
 def _payload(one: EstimatedPayload, fit: Fit) -> report.PayloadOfFit:
     units = (*["kg m²"] * 6, *["kg m"] * 3, "kg")
-    columns = zip(LINK, one.values.tolist(), units, one.from_prior.tolist(), one.half.tolist(), strict=True)
+    columns = zip(
+        LINK, one.values.tolist(), units, one.from_prior.tolist(), one.half.tolist(), strict=True
+    )
     parameters = [report.StandardParameter(*column) for column in columns]
-    found = next(p.known for r in fit.recordings if (p := r.arm.payload) and p.payload == one.payload)
+    found = next(
+        p.known for r in fit.recordings if (p := r.arm.payload) and p.payload == one.payload
+    )
     added = dict(zip(fit.base.names, found.tolist(), strict=True))
     stated = one.payload.text
-    return report.PayloadOfFit(recording=one.recording, stated=stated, parameters=parameters, base_parameters=added)
+    return report.PayloadOfFit(
+        recording=one.recording, stated=stated, parameters=parameters, base_parameters=added
+    )
 
 
 def validation_file(
@@ -138,7 +157,10 @@ def validation_file(
     consistent: tuple[report.TorqueResidual, ...] = (),
 ) -> report.ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
-    first, each = recordings[0], [_recording(one.signals, one.settings, one.errors) for one in recordings]
+    first, each = (
+        recordings[0],
+        [_recording(one.signals, one.settings, one.errors) for one in recordings],
+    )
     return report.ValidationFile(
         **_on_recording(first.signals, first.settings, errors, warnings),
         fit=fit,
@@ -148,19 +170,31 @@ def validation_file(
 
 
 def _on_recording(
-    signals: Signals, settings: Settings, errors: tuple[report.TorqueResidual, ...], warnings: tuple[str, ...]
+    signals: Signals,
+    settings: Settings,
+    errors: tuple[report.TorqueResidual, ...],
+    warnings: tuple[str, ...],
 ) -> dict[str, Any]:
-    whole, units, fs, cutoff_hz = errors[-1], signals.robot.effort_units, signals.sample_rate_hz, settings.cutoff_hz
+    whole, units, fs, cutoff_hz = (
+        errors[-1],
+        signals.robot.effort_units,
+        signals.sample_rate_hz,
+        settings.cutoff_hz,
+    )
     return {
         "warnings": list(warnings),
         "relative_error_percent": whole.relative_error_percent,
         "moving_relative_error_percent": whole.moving_relative_error_percent,
         "standing_relative_error_percent": whole.standing_relative_error_percent,
-        "joints": [msgspec.structs.replace(e, unit=u) for e, u in zip(errors[:-1], units, strict=True)],
+        "joints": [
+            msgspec.structs.replace(e, unit=u) for e, u in zip(errors[:-1], units, strict=True)
+        ],
         "sample_rate_hz": fs,
         "off_grid_periods": signals.off_grid,
         "cutoff_hz": cutoff_hz,
-        "cutoff_forward_backward_3db_hz": forward_backward_3db_hz(cutoff_hz, fs) if cutoff_hz else None,
+        "cutoff_forward_backward_3db_hz": forward_backward_3db_hz(cutoff_hz, fs)
+        if cutoff_hz
+        else None,
         "decimation": settings.decimation,
         "edges": settings.edges,
         "low_speed_percent": msgspec.structs.asdict(settings.low_speed),
@@ -179,7 +213,10 @@ def _on_recording(
 
 
 def _recording(
-    signals: Signals, settings: Settings, errors: tuple[report.TorqueResidual, ...], held_out: HeldOut | None = None
+    signals: Signals,
+    settings: Settings,
+    errors: tuple[report.TorqueResidual, ...],
+    held_out: HeldOut | None = None,
 ) -> report.RecordingOfFit:
     return report.RecordingOfFit(
         recording=signals.recording,
@@ -195,18 +232,37 @@ def _recording(
 
 
 def consistent_keys(fit: Fit) -> dict[str, Any]:
-    """The keys `covariance` and `left_out`, and with a consistent set `consistent` and `standard_parameters`."""
+    """The keys `covariance` and `left_out`, and with a consistent set `consistent` and
+    `standard_parameters`.
+    """
     full, names = fit.least_squares.full, fit.estimate.names
     sigma = dict(zip(full.names, full.covariance.diagonal() ** 0.5, strict=True))
     keys: dict[str, Any] = {
-        "covariance": report.Covariance(names=list(names), values=fit.intervals.covariance.tolist()),
-        "left_out": [report.LeftOut(name=n, sigma=float(sigma[n])) for n in full.names if n not in names],
+        "covariance": report.Covariance(
+            names=list(names), values=fit.intervals.covariance.tolist()
+        ),
+        "left_out": [
+            report.LeftOut(name=n, sigma=float(sigma[n])) for n in full.names if n not in names
+        ],
     }
     c = fit.consistent_set
     if c is None:
         return keys
-    standard = map(report.StandardParameter, c.names, c.chi.tolist(), c.units, c.from_prior.tolist(), c.half.tolist())
-    of_base = (c.base_names, c.beta.tolist(), fit.base.units, c.base_from_prior.tolist(), c.base_half.tolist())
+    standard = map(
+        report.StandardParameter,
+        c.names,
+        c.chi.tolist(),
+        c.units,
+        c.from_prior.tolist(),
+        c.half.tolist(),
+    )
+    of_base = (
+        c.base_names,
+        c.beta.tolist(),
+        fit.base.units,
+        c.base_from_prior.tolist(),
+        c.base_half.tolist(),
+    )
     return keys | {
         "consistent": report.ConsistentFile(
             prior=c.prior,

@@ -6,12 +6,22 @@ import numpy as np
 
 from ..data import Signals
 from ..estimation import relative_error_percent
-from ..model import LINK
 from ..regression import ROWS, base_name
-from ..report import NO_FIXED_POINT, Cell, Document, Number, Row, Section, Table, columns, value_form
+from ..report import (
+    NO_FIXED_POINT,
+    Cell,
+    Document,
+    Number,
+    Row,
+    Section,
+    Table,
+    columns,
+    value_form,
+)
 from ..trust import LEVELS
 from . import recording_report as shared
 from .fit import Fit, InstrumentEvidence
+from .gain_results import gain_sections, payload_sections
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
 HIDDEN = Section()  # the `short` of what only `--all` prints
@@ -23,7 +33,11 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
     settings = Section(
         title="settings and tests",
         lines=(
-            *(shared.settings_lines(signals, fit.settings, used="fitted") if len(fit.recordings) == 1 else ()),
+            *(
+                shared.settings_lines(signals, fit.settings, used="fitted")
+                if len(fit.recordings) == 1
+                else ()
+            ),
             f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
             f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
             *(_iv_lines(fit.iv) if fit.iv else ()),
@@ -31,7 +45,9 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
         ),
         short=HIDDEN,
     )
-    several = [shared.recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
+    several = (
+        [shared.recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
+    )
     return Document(
         title=f"{signals.robot.name}: {first_line(fit)}",
         badge=fit.trust.verdict,
@@ -44,8 +60,8 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
-            *_gains(fit),
-            *_payloads(fit),
+            *gain_sections(fit.gains),
+            *payload_sections(fit.payloads, signals.robot.joints[-1].name),
             _parameters(fit),
             *_consistent(fit),
             *(_iv_sections(fit.iv) if fit.iv else ()),
@@ -63,9 +79,14 @@ def first_line(fit: Fit) -> str:
     figures = [shared.headline(fit.errors)]
     if (held := fit.trust.line("held-out blocks").value) is not None:
         figures.append(f"{held:.2g} % held out")
-    alone = " with instruments: reference" if fit.iv and fit.iv.passes[fit.iv.returned - 1].stands_alone else ""
+    alone = (
+        " with instruments: reference"
+        if fit.iv and fit.iv.passes[fit.iv.returned - 1].stands_alone
+        else ""
+    )
     return (
-        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}{alone}, {fit.trust.verdict}{finding}; {', '.join(figures)}; "
+        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}{alone}, "
+        f"{fit.trust.verdict}{finding}; {', '.join(figures)}; "
         f"{_determined(fit)}"
     )
 
@@ -79,17 +100,26 @@ def _determined(fit: Fit) -> str:
     worst = max(percents, key=percents.__getitem__)
     if len(percents) == 1:
         return f"{text}: {worst} to ±{percents[worst]:.2g} %"
-    return f"{text}, half of them to ±{np.median([*percents.values()]):.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
+    return (
+        f"{text}, half of them to ±{np.median([*percents.values()]):.2g} %, the worst "
+        f"({worst}) to ±{percents[worst]:.2g} %"
+    )
 
 
 def _verdict_section(fit: Fit) -> Section:
     reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
-    lines = [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"] if fit.trust.assumed else []
+    lines = (
+        [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"]
+        if fit.trust.assumed
+        else []
+    )
     status = f"status: {fit.status}{reason}"
     lines += [status, shared.error_line(fit.errors), *(f"note: {text}" for text in fit.notes)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
-        lines.append(f"least squares has a torque error of {_percent(error)} of all rows: --method wls")
+        lines.append(
+            f"least squares has a torque error of {_percent(error)} of all rows: --method wls"
+        )
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
     stated = [line for line in lines if reason or line != status]  # the title has the status
@@ -99,18 +129,30 @@ def _verdict_section(fit: Fit) -> Section:
 
 def _trust_section(fit: Fit) -> Section:
     """Every test of the fit, worst first; in short those that found something."""
-    lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)
-    tests = {level: [line.test for line in fit.trust.lines if line.level == level] for level in LEVELS}
+    lines = tuple(
+        f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}"
+        for line in fit.trust.lines
+    )
+    tests = {
+        level: [line.test for line in fit.trust.lines if line.level == level] for level in LEVELS
+    }
     found = len(tests["do not use"]) + len(tests["caution"])
     passed = f"{len(tests['ok'])} of {len(lines)} checks passed"
-    for what, names in (("inconclusive", tests["cannot tell"]), ("not possible", tests["not made"])):
+    for what, names in (
+        ("inconclusive", tests["cannot tell"]),
+        ("not possible", tests["not made"]),
+    ):
         passed += f"; {len(names)} {what}: {', '.join(names)}" if names else ""
     short = Section(lines=(*lines[:found], f"{passed} (--all)"))
     return Section(title=f"verdict: {fit.trust.verdict}", lines=lines, short=short)
 
 
 def _essential_line(fit: Fit) -> str:
-    reduction, count, of = fit.essential, len(fit.essential_names), len(fit.least_squares.full.names)
+    reduction, count, of = (
+        fit.essential,
+        len(fit.essential_names),
+        len(fit.least_squares.full.names),
+    )
     by, kept = " (by least squares)" if fit.iv else "", len(reduction.estimate.names)
     line = f"{count} of {of} parameters determined{by}"
     line += f", {kept - count} unclear: an interval wider than the value" if kept > count else ""
@@ -122,56 +164,6 @@ def _essential_line(fit: Fit) -> str:
     )
 
 
-def _gains(fit: Fit) -> list[Section]:
-    """Identified drive gains beside those of the description."""
-    g = fit.gains
-    if g is None:
-        return []
-    rows = zip(g.motors, g.described, g.values, g.half, g.determined, g.units, strict=True)
-    table = Table(
-        columns=columns("motor", numbers=("described", "identified", "±95%", "in %")) + columns("unit", ""),
-        rows=tuple(
-            (
-                name,
-                Number(described if np.isfinite(described) else None, ".4g"),
-                Number(value, ".4g"),
-                Number(half, ".2g"),
-                Number(100 * half / abs(value) if value else math.inf, ".2f", most=1000),
-                unit,
-                "" if determined else "not determined",
-            )
-            for name, described, value, half, determined, unit in rows
-        ),
-    )
-    line = f"smallest Cragg-Donald eigenvalue {g.cragg_donald:.3g}: how well the payload separates gains and arm"
-    values = [f"{n} {v:.4g} ± {h:.2g} {u}" for n, v, h, u in zip(g.motors, g.values, g.half, g.units, strict=True)]
-    short = Section(lines=(f"drive gains: {', '.join(values)}",))
-    return [Section(title="drive gains", table=table, lines=(line,), short=short)]
-
-
-def _payloads(fit: Fit) -> list[Section]:
-    """The payloads as the nearest bodies of positive density."""
-    found, joint = list[Section](), fit.problem.signals.robot.joints[-1].name
-    heads = columns("", numbers=("value", "±95%")) + columns("unit", "mostly from")
-    for one in fit.payloads:
-        (x, y, z), of_center = one.center_of_mass_m
-        names = ("mass", "centre of mass x", "y", "z", *LINK[:6])
-        values, prior = (one.values[9], x, y, z, *one.values[:6]), (*one.from_prior[[9, 6, 7, 8]], *one.from_prior[:6])
-        weighed = one.payload.mass_half_width_kg or None if one.payload.mass_kg else one.half[9]
-        halves, units = (weighed, *of_center, *one.half[:6]), ("kg", "m", "m", "m", *["kg m²"] * 6)
-        stated = [one.payload.mass_kg is not None, *[one.payload.center_of_mass_m is not None] * 3, *[False] * 6]
-        rows: list[Row] = [
-            (name, Number(float(v), ".4g"), Number(half, ".2g"), unit, "stated" if s else "prior" if p else "recording")
-            for name, v, half, unit, p, s in zip(names, values, halves, units, prior, stated, strict=True)
-        ]
-        line = f"stated: {one.payload.describe(joint)}; values in the frame of {joint}, inertia about its origin"
-        table = Table(columns=heads, rows=tuple(rows))
-        mass = f"payload of {one.recording}: mass {one.values[9]:.4g} kg"
-        title, short = f"payload of {one.recording}", Section(lines=(mass,))
-        found.append(Section(title=title, table=table, lines=(line,), short=short))
-    return found
-
-
 def _parameters(fit: Fit) -> Section:
     e, essential = fit.estimate, set(fit.essential_names)
     units = dict(zip(fit.base.names, fit.base.units, strict=True))
@@ -180,22 +172,38 @@ def _parameters(fit: Fit) -> Section:
     for k, name in enumerate(e.names):
         value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
         form, percent = value_form(sigma), 100 * half / abs(value) if value else math.inf
-        numbers: list[Cell] = [Number(value, form), Number(half, form), Number(percent, ".2f", most=1000)]
+        numbers: list[Cell] = [
+            Number(value, form),
+            Number(half, form),
+            Number(percent, ".2f", most=1000),
+        ]
         numbers += [Number(prior[name], form) if name in prior else ""] if prior else []
         unit, mark = units[base_name(name)], "yes" if name in essential else ""
         rows.append((name, *numbers, unit, Number(sigma, form), mark))
-    heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))) + columns("unit")
-    torque = dict(zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True))
-    places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -abs(e.beta[k]) * torque[e.names[k]]))
+    heads = columns(
+        "parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))
+    ) + columns("unit")
+    torque = dict(
+        zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True)
+    )
+    places = sorted(
+        range(len(rows)),
+        key=lambda k: (e.names[k] not in essential, -abs(e.beta[k]) * torque[e.names[k]]),
+    )
     places = sorted(places[: min(MAX_SHORT_PARAMETERS, len(essential))])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
     meaning = "±95%: half-width of the 95 % interval"
     if error is not None:
         held = _percent(fit.trust.line("held-out blocks").value)
-        meaning += f"; torque error held out: links of the {fit.data.prior_source} {_percent(error)}, fit {held}"
+        meaning += (
+            f"; torque error held out: links of the {fit.data.prior_source} {_percent(error)}, "
+            f"fit {held}"
+        )
     return Section(
         title=PARAMETERS,
-        table=Table(columns=heads + columns(numbers=("sigma",)) + columns("essential"), rows=tuple(rows)),
+        table=Table(
+            columns=heads + columns(numbers=("sigma",)) + columns("essential"), rows=tuple(rows)
+        ),
         lines=(meaning, "sigma assumes a white residual, the interval does not"),
         short=Section(
             title=f"the {len(places)} that move the torque most, of {len(essential)} determined",
@@ -212,27 +220,47 @@ def _consistent(fit: Fit) -> list[Section]:
         return []
     alike = fit.trust.line("consistent").value == c.chi_squared
     own = "" if alike else " (the verdict's line `consistent` has its own)"
-    free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
+    free, held = (
+        errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors)
+    )
 
     def row(name: str, value: float, half: float, unit: str, from_prior: bool) -> Row:
         values = (Number(round(value, 12) + 0.0, ".5g"), Number(half, ".2g"))
         return (name, *values, unit, "prior" if from_prior else "recording")
 
-    rows: list[Row] = list(map(row, c.names, c.chi.tolist(), c.half.tolist(), c.units, c.from_prior.tolist()))
-    left = [f"{name} ({move:+.2g})" for name, move in zip(c.base_names, c.moves, strict=True) if abs(move) > 1]
+    rows: list[Row] = list(
+        map(row, c.names, c.chi.tolist(), c.half.tolist(), c.units, c.from_prior.tolist())
+    )
+    left = [
+        f"{name} ({move:+.2g})"
+        for name, move in zip(c.base_names, c.moves, strict=True)
+        if abs(move) > 1
+    ]
     lines = (
-        f"all pseudo-inertias and rotor inertias are positive, friction adds no energy; prior: {c.prior}{own}",
-        f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
+        "all pseudo-inertias and rotor inertias are positive, friction adds no energy; prior: "
+        f"{c.prior}{own}",
+        f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move "
+        f"{c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
         f"relative torque error {_percent(free)} → {_percent(held)} of all rows",
-        f"{int(c.from_prior.sum())} of {len(c.names)} values are the prior's: the torques say nothing about them",
+        f"{int(c.from_prior.sum())} of {len(c.names)} values are the prior's: the torques say "
+        "nothing about them",
     )
     heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
     title = "physically consistent standard parameters"
     table, short = Table(columns=heads, rows=tuple(rows)), Section(title=title, lines=lines)
-    of_base = (c.base_names, c.beta.tolist(), c.base_half.tolist(), fit.base.units, c.base_from_prior.tolist())
-    moved = [(*cells, Number(move, "+.2g")) for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)]
+    of_base = (
+        c.base_names,
+        c.beta.tolist(),
+        c.base_half.tolist(),
+        fit.base.units,
+        c.base_from_prior.tolist(),
+    )
+    moved = [
+        (*cells, Number(move, "+.2g"))
+        for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)
+    ]
     base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
     whole = (*lines, f"certificate {c.certificate:.1e} (Newton decrement)")
     return [
@@ -284,20 +312,36 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
         direct = Table(
             columns=columns("joint", numbers=("position", "torque")),
             rows=tuple(
-                (d.name, Number(d.position_error_percent, ".2f"), Number(d.torque_error_percent, ".2f"))
+                (
+                    d.name,
+                    Number(d.position_error_percent, ".2f"),
+                    Number(d.torque_error_percent, ".2f"),
+                )
                 for d in iv.direct
             ),
         )
-        sections.append(Section(title="simulated robot against the recording, %", table=direct, short=HIDDEN))
+        sections.append(
+            Section(title="simulated robot against the recording, %", table=direct, short=HIDDEN)
+        )
     return sections
 
 
 def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
     """Tests of the instruments, and why a pass could not be simulated."""
     t = iv.tests
-    lines = [f"pass {k}: instruments {p.z.kind}: {p.z.reason}" for k, p in enumerate(iv.passes, 1) if p.z.reason]
-    strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
-    used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
+    lines = [
+        f"pass {k}: instruments {p.z.kind}: {p.z.reason}"
+        for k, p in enumerate(iv.passes, 1)
+        if p.z.reason
+    ]
+    strength = (
+        f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F "
+        f"{t.first_stage_F:.3g}"
+    )
+    used = (
+        f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller "
+        f"{iv.controller}"
+    )
     contrast = f"least squares differs by {iv.contrast:.2g} half-widths, at {iv.contrast_at}"
     return (*lines, strength, contrast, used)
 

@@ -1,5 +1,7 @@
 """Results of drive gains and payloads in a fit, apart from the base parameters."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +11,7 @@ from acquisition.robot import Payload
 
 from ..arrays import Array
 from ..model import LINK
+from ..report import Number, Row, Section, Table, columns
 
 MASS, MOMENTS = LINK.index("M"), [LINK.index(name) for name in ("MX", "MY", "MZ")]
 MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
@@ -44,7 +47,8 @@ class EstimatedPayload:
 
     Attributes:
         recording: the first one with it; `payload`: as stated.
-        values, half: (10,) XX XY XZ YY YZ ZZ MX MY MZ M of the nearest body of positive density, and half-widths.
+        values, half: (10,) XX XY XZ YY YZ ZZ MX MY MZ M of the nearest body of positive
+            density, and half-widths.
         from_prior: (10,) whether a value is not from the recordings.
         near: whether there is such a body; without one the values are what is stated, or a ball's.
     """
@@ -61,3 +65,77 @@ class EstimatedPayload:
         """Centre of mass (3,) and half-widths (3,), which include that of the mass."""
         m, moments = self.values[MASS], self.values[MOMENTS]
         return moments / m, np.hypot(self.half[MOMENTS] / m, moments / m**2 * self.half[MASS])
+
+
+def gain_sections(g: Gains | None) -> list[Section]:
+    """Identified drive gains beside those of the description."""
+    if g is None:
+        return []
+    rows = zip(g.motors, g.described, g.values, g.half, g.determined, g.units, strict=True)
+    table = Table(
+        columns=columns("motor", numbers=("described", "identified", "±95%", "in %"))
+        + columns("unit", ""),
+        rows=tuple(
+            (
+                name,
+                Number(described if np.isfinite(described) else None, ".4g"),
+                Number(value, ".4g"),
+                Number(half, ".2g"),
+                Number(100 * half / abs(value) if value else math.inf, ".2f", most=1000),
+                unit,
+                "" if determined else "not determined",
+            )
+            for name, described, value, half, determined, unit in rows
+        ),
+    )
+    line = (
+        f"smallest Cragg-Donald eigenvalue {g.cragg_donald:.3g}: how well the payload "
+        "separates gains and arm"
+    )
+    values = [
+        f"{n} {v:.4g} ± {h:.2g} {u}"
+        for n, v, h, u in zip(g.motors, g.values, g.half, g.units, strict=True)
+    ]
+    short = Section(lines=(f"drive gains: {', '.join(values)}",))
+    return [Section(title="drive gains", table=table, lines=(line,), short=short)]
+
+
+def payload_sections(payloads: Sequence[EstimatedPayload], joint: str) -> list[Section]:
+    """The payloads as the nearest bodies of positive density."""
+    found = list[Section]()
+    heads = columns("", numbers=("value", "±95%")) + columns("unit", "mostly from")
+    for one in payloads:
+        (x, y, z), of_center = one.center_of_mass_m
+        names = ("mass", "centre of mass x", "y", "z", *LINK[:6])
+        values, prior = (
+            (one.values[9], x, y, z, *one.values[:6]),
+            (*one.from_prior[[9, 6, 7, 8]], *one.from_prior[:6]),
+        )
+        weighed = one.payload.mass_half_width_kg or None if one.payload.mass_kg else one.half[9]
+        halves, units = (weighed, *of_center, *one.half[:6]), ("kg", "m", "m", "m", *["kg m²"] * 6)
+        stated = [
+            one.payload.mass_kg is not None,
+            *[one.payload.center_of_mass_m is not None] * 3,
+            *[False] * 6,
+        ]
+        rows: list[Row] = [
+            (
+                name,
+                Number(float(v), ".4g"),
+                Number(half, ".2g"),
+                unit,
+                "stated" if s else "prior" if p else "recording",
+            )
+            for name, v, half, unit, p, s in zip(
+                names, values, halves, units, prior, stated, strict=True
+            )
+        ]
+        line = (
+            f"stated: {one.payload.describe(joint)}; values in the frame of {joint}, inertia "
+            "about its origin"
+        )
+        table = Table(columns=heads, rows=tuple(rows))
+        mass = f"payload of {one.recording}: mass {one.values[9]:.4g} kg"
+        title, short = f"payload of {one.recording}", Section(lines=(mass,))
+        found.append(Section(title=title, table=table, lines=(line,), short=short))
+    return found

@@ -1,11 +1,13 @@
-"""Drive gains by instrumental variables, equation (I): the recorded effort is a regressor, its instrument the
-effort that the model predicts.
+"""Drive gains by instrumental variables, equation (I): the recorded effort is a regressor, its
+instrument the effort that the model predicts.
 
-    X x = Y,  X = [W L -E],  x = (beta, phi, kappa),  Y = known torques - L phi_known;    Z = [W L -Ê]
+    X x = Y,  X = [W L -E],  x = (beta, phi, kappa),  Y = known torques - L phi_known;
+    Z = [W L -Ê]
 
-E_m is the torque of motor m by its described gain, kappa_m the factor on it. The recorded effort is noisy, so least squares is
-biased towards kappa = 0; Ê is computed from the base parameters of the pass before. The fixed point with the measured motion in
-W and L needs no simulation; it starts the passes with the simulated robot, whose X and Z have the same columns.
+E_m is the torque of motor m by its described gain, kappa_m the factor on it. The recorded effort is
+noisy, so least squares is biased towards kappa = 0; Ê is computed from the base parameters of the
+pass before. The fixed point with the measured motion in W and L needs no simulation; it starts the
+passes with the simulated robot, whose X and Z have the same columns.
 """
 
 from collections.abc import Sequence
@@ -31,14 +33,23 @@ MIN_KNOWN_SHARE = 1e-6  # of the norm of Y, outside the span of [W L]
 
 def motors_of(equations: Equations) -> tuple[int, ...]:
     """The motors whose gains are identified."""
-    names, wanted = [m.name for m in equations.problem.signals.robot.motors], equations.overrides.gains or ()
-    return tuple(range(len(names))) if "all" in wanted else tuple(names.index(name) for name in dict.fromkeys(wanted))
+    names, wanted = (
+        [m.name for m in equations.problem.signals.robot.motors],
+        equations.overrides.gains or (),
+    )
+    return (
+        tuple(range(len(names)))
+        if "all" in wanted
+        else tuple(names.index(name) for name in dict.fromkeys(wanted))
+    )
 
 
 def measured_instruments(equations: Equations, x: Array) -> Array:
     """Z = [W L -Ê] (r, p) of the measured motion about x: the rows of `about`."""
     n, of, each = equations.problem.signals.robot.n, equations.unknowns, list[Array]()
-    for k, (problem, rows) in enumerate(zip(equations.problems, equations.rows_about(x), strict=True)):
+    for k, (problem, rows) in enumerate(
+        zip(equations.problems, equations.rows_about(x), strict=True)
+    ):
         each.append(of.columns(k, np.c_[rows.system.W, predicted_drives(problem, of.beta(x, k))]))
     return estimation.stacked_columns(each, n)
 
@@ -52,22 +63,32 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
     names, gains = equations.names, equations.unknowns.gains
     columns = np.setdiff1d(np.arange(len(names)), equations.load_places())
     refuse_without_scale(equations, columns)
-    # Least squares by the described gains starts better than with all columns, where gains may become 0.
-    described = equations.with_motors(()).about().system.with_columns(columns[: gains.start - len(names)])
+    # Least squares by the described gains starts better than with all columns,
+    # where gains may become 0.
+    described = (
+        equations.with_motors(()).about().system.with_columns(columns[: gains.start - len(names)])
+    )
     x = np.ones(len(names))
     x[: gains.start] = estimation.weighted_least_squares(described).values_of(names[: gains.start])
     if equations.load:
-        fixed, start = leave_out_load(equations.with_motors(()), x[: gains.start], estimation.weighted_least_squares)
+        fixed, start = leave_out_load(
+            equations.with_motors(()), x[: gains.start], estimation.weighted_least_squares
+        )
         if fixed.left_out != equations.left_out:
             equations, x = fixed.with_motors(equations.unknowns.motors), np.r_[start, x[gains]]
             names, gains = equations.names, equations.unknowns.gains
     for _ in range(MAX_PASSES):
         rows, Z = equations.about(x), measured_instruments(equations, x)
         try:
-            estimate = estimation.instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
+            estimate = estimation.instrumental_variables(
+                rows.system, Z, joint_weights_of(rows.system, x)
+            )
             estimate = equations.combined(rows.system, estimate)
         except NoFitError as error:
-            text = f"drive gains and the arm cannot be separated ({error.args[0]}): the payload does not show in the recordings"
+            text = (
+                f"drive gains and the arm cannot be separated ({error.args[0]}): the payload "
+                "does not show in the recordings"
+            )
             expected = "a payload on one recording, and its mass as stated"
             raise BadInputError(text, key="gains", expected=expected) from error
         before, x = x, estimate.values_of(names)
@@ -87,7 +108,10 @@ def refuse_without_scale(equations: Equations, columns: NDArray[np.intp]) -> Non
     """Refuse recordings whose known torques are no more than the robot's parameters could give."""
     rows, of = equations.about(), equations.unknowns
     system = rows.system
-    W = system.W[:, np.setdiff1d(columns, np.arange(len(of.names))[of.gains])] * system.used[:, None]
+    W = (
+        system.W[:, np.setdiff1d(columns, np.arange(len(of.names))[of.gains])]
+        * system.used[:, None]
+    )
     Y, size = system.Y * system.used, np.linalg.norm(W, axis=0)
     A = W / np.where(size > 0, size, 1.0)
     left = np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y, rcond=1e-10)[0])
@@ -99,11 +123,16 @@ def refuse_without_scale(equations: Equations, columns: NDArray[np.intp]) -> Non
     if several and any(payload.center_of_mass_m is None for payload in payloads):
         text = "the mass alone does not determine the scale: give its centre of mass"
         if any(payload.mass_kg is None for payload in payloads):
-            text = "an unknown mass does not determine the scale: weigh it, or fit with drive gains that are known"
+            text = (
+                "an unknown mass does not determine the scale: weigh it, or fit with drive "
+                "gains that are known"
+            )
         raise BadInputError(text, key="payload", expected="KG@X,Y,Z")
     places = ", ".join(problem.signals.recording for problem in equations.problems)
     text = "no recording differs in payload"
-    raise BadInputError(text, place=places, key="gains", expected="one recording without and one with a payload")
+    raise BadInputError(
+        text, place=places, key="gains", expected="one recording without and one with a payload"
+    )
 
 
 def factors_of(equations: Equations, x: Array) -> Array:
@@ -114,34 +143,53 @@ def factors_of(equations: Equations, x: Array) -> Array:
 
 
 def held_and_counted(
-    equations: Equations, estimate: Estimate, each: Sequence[Rows], system: System, lags: Sequence[Lag]
+    equations: Equations,
+    estimate: Estimate,
+    each: Sequence[Rows],
+    system: System,
+    lags: Sequence[Lag],
 ) -> Intervals:
-    """Intervals that include how well lags, stated drive gains, masses, and centres of mass that are not estimated are known,
-    which the estimate holds; from the rows of each recording, and of all.
+    """Intervals that include how well lags, stated drive gains, masses, and centres of mass
+    that are not estimated are known, which the estimate holds; from the rows of each
+    recording, and of all.
     """
-    of, n, found = equations.unknowns, equations.problem.signals.robot.n, estimation.intervals_of(system, estimate)
-    robot, torques = equations.problem.signals.robot, list[list[Array]]()  # by recording, of each half-width
+    of, n, found = (
+        equations.unknowns,
+        equations.problem.signals.robot.n,
+        estimation.intervals_of(system, estimate),
+    )
+    # by recording, of each half-width
+    robot, torques = equations.problem.signals.robot, list[list[Array]]()
     for m, motor in enumerate(robot.motors):
         if motor.drive_gain_half_width and m not in of.motors:
-            torques.append([motor.drive_gain_half_width / robot.gain[m] * rows.E[:, m] for rows in each])
+            torques.append(
+                [motor.drive_gain_half_width / robot.gain[m] * rows.E[:, m] for rows in each]
+            )
     stated = [np.zeros(len(estimate.names))] * len(torques)  # moves of what is stated of x
     for carried in of.payloads:
         for known, x in carried.half_widths(estimate.names):
             stated.append(x)
             pairs = zip(each, of.arms, strict=True)
-            torques.append([rows.system.W @ (known * (arm.payload is carried)) for rows, arm in pairs])
+            torques.append(
+                [rows.system.W @ (known * (arm.payload is carried)) for rows, arm in pairs]
+            )
     moved = [lag.moved for lag in lags]
     if torques:
-        C = estimation.stacked_columns([np.transpose(of_recording) for of_recording in zip(*torques, strict=True)], n)
+        C = estimation.stacked_columns(
+            [np.transpose(of_recording) for of_recording in zip(*torques, strict=True)], n
+        )
         moved += list(np.abs(stated - moves_of(system, C, estimate).T) / found.reach)
-    return estimation.intervals_from(estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom)
+    return estimation.intervals_from(
+        estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom
+    )
 
 
 def smallest_cragg_donald(system: System, Z: Array, weights: Array, gains: slice) -> float:
-    """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W and L, per instrument.
+    """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W
+    and L, per instrument.
 
-    Cragg, Donald, Testing identifiability and specification in instrumental variable models, Econometric Theory 9 (1993).
-    First-stage F of a gain is blind: W explains the current.
+    Cragg, Donald, Testing identifiability and specification in instrumental variable models,
+    Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
     """
     w = (weights[system.joint_of_row] * system.used)[:, None]
     others, E, known = np.delete(Z, gains, axis=1) * w, system.W[:, gains] * w, Z[:, gains] * w
@@ -157,12 +205,17 @@ def smallest_cragg_donald(system: System, Z: Array, weights: Array, gains: slice
 
 
 def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
-    """The estimate of the base parameters alone, and the results of gains and payloads, which it includes."""
+    """The estimate of the base parameters alone, and the results of gains and
+    payloads, which it includes.
+    """
     of, estimate, found = equations.unknowns, evidence.estimate, evidence.intervals
     base, robot = base_places(estimate.names), equations.problem.signals.robot
     payloads, motors, gains = [], [robot.motors[m] for m in of.motors], None
     for one in of.payloads:
-        own = np.array([estimate.names.index(name) for name in one.names if name in estimate.names], dtype=np.intp)
+        own = np.array(
+            [estimate.names.index(name) for name in one.names if name in estimate.names],
+            dtype=np.intp,
+        )
         covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
         values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
         pairs = zip(equations.problems, of.arms, strict=True)
@@ -170,17 +223,33 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
         half = found.reach * sigma
         near = not one.names or bool(half.any())
         payloads.append(
-            EstimatedPayload(recording=name, payload=one.payload, values=values, half=half, from_prior=prior, near=near)
+            EstimatedPayload(
+                recording=name,
+                payload=one.payload,
+                values=values,
+                half=half,
+                from_prior=prior,
+                near=near,
+            )
         )
     if motors:
         at = [estimate.names.index(name) for name in of.names[of.gains]]
         assert evidence.Z is not None
         gains = Gains(
             motors=tuple(motor.name for motor in motors),
-            units=tuple(f"{robot.effort_units[m]}/{robot.motors[m].recorded_unit}" for m in of.motors),
+            units=tuple(
+                f"{robot.effort_units[m]}/{robot.motors[m].recorded_unit}" for m in of.motors
+            ),
             described=np.array([np.nan if m.gain is None else m.gain for m in motors]),
             values=robot.gain[list(of.motors)],
             half=np.abs(robot.gain[list(of.motors)]) * found.half[at],
-            cragg_donald=smallest_cragg_donald(evidence.observed.system, evidence.Z, estimate.weights, of.gains),
+            cragg_donald=smallest_cragg_donald(
+                evidence.observed.system, evidence.Z, estimate.weights, of.gains
+            ),
         )
-    return {"estimate": estimate.part(base), "intervals": found.part(base), "gains": gains, "payloads": tuple(payloads)}
+    return {
+        "estimate": estimate.part(base),
+        "intervals": found.part(base),
+        "gains": gains,
+        "payloads": tuple(payloads),
+    }

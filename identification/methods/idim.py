@@ -1,7 +1,8 @@
 """Identification by the inverse dynamic model, with least squares or instrumental variables.
 
-Letters and equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, M. Gautier, "An instrumental variable
-approach for rigid industrial robots identification", Control Engineering Practice 25 (2014) 85-101.
+Letters and equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, M. Gautier, "An
+instrumental variable approach for rigid industrial robots identification", Control Engineering
+Practice 25 (2014) 85-101.
 """
 
 from collections.abc import Callable
@@ -50,21 +51,24 @@ def identify(
     ----------
     signals : the recording, or several of one robot; each is filtered and decimated separately.
     overrides : settings that replace those of the description; `Overrides()` for none.
-    method : `iv`, instrumental variables; `wls`, least squares with rows weighted by joint; `ols`, without weights. Default:
-        `iv` if every recording has its reference, else `wls`.
+    method : `iv`, instrumental variables; `wls`, least squares with rows weighted by joint; `ols`,
+        without weights. Default: `iv` if every recording has its reference, else `wls`.
     iteration : of `iv`: start of the passes, and when they end.
     essential : fit only the essential parameters.
     say : called with a line of text for each step.
 
     Returns
     -------
-    The estimate with its tests. The status of least squares is `solved`; that of `iv` is `converged` only if two passes agree
-    and the robot simulated with the estimate follows the recording.
+    The estimate with its tests. The status of least squares is `solved`; that of `iv` is
+    `converged` only if two passes agree and the robot simulated with the estimate
+    follows the recording.
 
     Raises
     ------
-    NoFitError : a recording is too short, the recordings excite too little, or the first pass gives no estimate.
-    BadInputError : the recordings are not of one robot, or an `iteration` is given to least squares.
+    NoFitError : a recording is too short, the recordings excite too little, or the first
+        pass gives no estimate.
+    BadInputError : the recordings are not of one robot, or an `iteration` is
+        given to least squares.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     asked = replace(overrides, method="iv" if overrides.gains else method)
@@ -72,7 +76,8 @@ def identify(
     chosen, reason = (method, "as requested") if method is not None else _default_method(equations)
     settings = [problem.settings for problem in equations.problems]
     low = settings[0].low_speed.iv if "iv" in (asked.method, chosen) else settings[0].low_speed.ls
-    if any(one.low_speed_percent != low for one in settings):  # not every recording has its reference
+    # not every recording has its reference
+    if any(one.low_speed_percent != low for one in settings):
         equations = read_equations(signals, replace(asked, method=chosen), say)
     equations = correct_known_lags(equations)
     if equations.overrides.gains and chosen != "iv" and method is not None:
@@ -89,7 +94,9 @@ def identify(
     else:
         if iteration is not None:
             expected = f"iv ({reason})"
-            raise BadInputError("only instrumental variables iterate", key="method", value=chosen, expected=expected)
+            raise BadInputError(
+                "only instrumental variables iterate", key="method", value=chosen, expected=expected
+            )
         fit = _by_least_squares(equations, chosen, essential=essential)
     return replace(fit, method_reason=reason)
 
@@ -124,10 +131,14 @@ def identify_iv(
     say: Say = lambda text: None,
 ) -> Fit:
     """IDIM-IV, section 3; parameters as of `identify`."""
-    return identify(signals, overrides, method="iv", iteration=iteration, essential=essential, say=say)
+    return identify(
+        signals, overrides, method="iv", iteration=iteration, essential=essential, say=say
+    )
 
 
-def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, essential: bool) -> Fit:
+def _by_least_squares(
+    equations: Equations, method: Literal["ols", "wls"], *, essential: bool
+) -> Fit:
     """IDIM-LS: W and Y from the measured torque and the filtered position."""
     equations, full = least_squares(equations, method)
     x, each = full.values_of(equations.names), list[Rows]()
@@ -140,12 +151,17 @@ def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, es
     evidence = evidence_of(equations, method, ls, rows, each=each)
     ls = replace(ls, intervals=evidence.intervals)
     # Once, of the first recording: it looks at the beginning of a long one anyway.
-    first, alone = equations.tasks()[0].with_samples(), equations.unknowns.plain and not equations.load
+    first, alone = (
+        equations.tasks()[0].with_samples(),
+        equations.unknowns.plain and not equations.load,
+    )
     noise = position_noise_line(first, method, ls, alone=alone)
     return fit_of(equations, replace(evidence, position_noise=noise), ls)
 
 
-def _by_instruments(equations: Equations, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
+def _by_instruments(
+    equations: Equations, iteration: Iteration, *, essential: bool, say: Say
+) -> Fit:
     """IDIM-IV; long recordings start where their beginnings end, with the lags of these."""
     motors, begun = motors_of(equations), equations.beginning()
     if motors:
@@ -161,11 +177,17 @@ def _by_instruments(equations: Equations, iteration: Iteration, *, essential: bo
     begun, ls, passes, best = _solve_by_instruments(begun, iteration, essential=essential, say=say)
     if equations.reduced:
         equations = equations.without(begun.left_out) if begun.left_out else equations
-        equations = equations.with_gains(np.asarray(begun.problem.gains)).with_motors(()) if motors else equations
+        equations = (
+            equations.with_gains(np.asarray(begun.problem.gains)).with_motors(())
+            if motors
+            else equations
+        )
         start = begun.names, best.estimate.values_of(begun.names), best.covariance
         begun = with_lags(equations, begun.lags)
         del equations, ls, passes, best  # with their rows
-        begun, ls, passes, best = _solve_by_instruments(begun, iteration, essential=essential, say=say, start=start)
+        begun, ls, passes, best = _solve_by_instruments(
+            begun, iteration, essential=essential, say=say, start=start
+        )
     return assess_iv(begun, best, ls, passes, iteration.start)
 
 
@@ -179,17 +201,24 @@ def _solve_by_instruments(
 ) -> tuple[Equations, LeastSquares, list[Pass], Pass]:
     """The instruments Z are the regressor of the robot simulated with the previous estimate.
 
-    W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
-    updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, finds the lag L of the torque by the same
-    instruments, and solves for beta_k+1. `start`: names, values and covariance in place of those of `iteration`.
+    W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference,
+    same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq,
+    decimated as W, finds the lag L of the torque by the same instruments, and solves for beta_k+1.
+    `start`: names, values and covariance in place of those of `iteration`.
     """
     equations, full = least_squares(equations)
-    ls = solve_least_squares(equations, full, equations.about(full.values_of(equations.names)), essential=essential)
+    ls = solve_least_squares(
+        equations, full, equations.about(full.values_of(equations.names)), essential=essential
+    )
     prior = iv.inertia_prior(equations, ls)
     x, C, robot = iv.start_values(equations, iteration, ls)
     if motors := motors_of(equations):
         equations, ones = equations.with_motors(motors), np.ones(len(motors))
-        x, prior, C = np.r_[x, ones], np.r_[prior, ones], None if C is None else np.pad(C, (0, len(motors)))
+        x, prior, C = (
+            np.r_[x, ones],
+            np.r_[prior, ones],
+            None if C is None else np.pad(C, (0, len(motors))),
+        )
     names, weights = equations.names, full.weights
     if start is not None:  # the whole may leave out terms that its beginning has
         at = [start[0].index(name) for name in names]
@@ -211,15 +240,20 @@ def _solve_by_instruments(
             raise NoEstimateError(z.reason) from error
         # C = D R D
         after = covariance_of_all(names, estimate, intervals_of(W_and_Y.system, estimate), ls.full)
-        return iv.assess_pass(z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent)
+        return iv.assess_pass(
+            z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent
+        )
 
     def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
         coarse = regular and iv.is_coarse(equations.problem, number, most)
-        # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only starts the next ones
+        # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only
+        # starts the next ones
         further = terms_of_long(equations, x) if number > 1 or most == 1 else ()
         z = lab.instruments(x, C, robot=robot, coarse=coarse, further=further)
         # Y(tau(t + L))
-        equations = equations if coarse or robot is not None else with_lags_found(equations, z, weights)
+        equations = (
+            equations if coarse or robot is not None else with_lags_found(equations, z, weights)
+        )
         return equations, replace(one_pass(equations, z), number=number, coarse=coarse, robot=robot)
 
     given, first = equations, x
@@ -227,7 +261,10 @@ def _solve_by_instruments(
     stored = equations.problem.signals.robot.identification
     most = iteration.max_iterations or stored.max_iterations
     tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
-    while not (passes and passes[-1].is_last and len(passes) > equations.reduced) and len(passes) < most:
+    while (
+        not (passes and passes[-1].is_last and len(passes) > equations.reduced)
+        and len(passes) < most
+    ):
         say(f"pass {len(passes) + 1}: simulating the robot")
         passes = [one.without_rows() for one in passes]
         try:
@@ -243,7 +280,9 @@ def _solve_by_instruments(
         z = replace(lab.along_reference(first, terms_of_long(given, first)), reason=why)
         found = with_lags_found(given, z, weights)
         with suppress(NoEstimateError):
-            last = replace(one_pass(found, z), number=len(passes) + 1, stands_alone=True, replicas=z.replicas)
+            last = replace(
+                one_pass(found, z), number=len(passes) + 1, stands_alone=True, replicas=z.replicas
+            )
             if iv.why_by_reference(found, [last], last) is None:
                 equations, passes, best = found, [*passes, last], last
     passes = [one.without_rows() for one in passes]
@@ -253,21 +292,29 @@ def _solve_by_instruments(
         x = best.estimate.values_of(names)
         x[equations.unknowns.gains] = 1.0
         rows = equations.along(best.z)
-        estimate = step(rows, rows.Z) if best.z.rows else settle(equations, x, partial(step, Z=rows.Z))[1]
+        estimate = (
+            step(rows, rows.Z) if best.z.rows else settle(equations, x, partial(step, Z=rows.Z))[1]
+        )
         best = replace(best, estimate=estimate, z=replace(best.z, x=x))
     return equations, ls, passes, best
 
 
 def _by_measured_motion(equations: Equations, x: Array, *, settled: bool, essential: bool) -> Fit:
-    """Drive gains and parameters by the fixed point of `solve_with_gains`, where no robot can be simulated."""
+    """Drive gains and parameters by the fixed point of `solve_with_gains`, where no
+    robot can be simulated.
+    """
     equations = equations.with_gains(factors_of(equations, x))
     x[equations.unknowns.gains] = 1.0
     rows, Z = equations.about(x), measured_instruments(equations, x)
     estimate = instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
     estimate = equations.combined(rows.system, estimate)
     fixed, full = least_squares(equations.with_motors(()))
-    ls = solve_least_squares(fixed, full, fixed.about(full.values_of(fixed.names)), essential=essential)
-    without = "with these" if _default_method(equations)[0] == "iv" else "without a recorded reference"
+    ls = solve_least_squares(
+        fixed, full, fixed.about(full.values_of(fixed.names)), essential=essential
+    )
+    without = (
+        "with these" if _default_method(equations)[0] == "iv" else "without a recorded reference"
+    )
     solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))
     evidence = replace(
         evidence_of(equations, "iv", solved, replace(rows, Z=Z)),
@@ -279,15 +326,23 @@ def _by_measured_motion(equations: Equations, x: Array, *, settled: bool, essent
 
 
 def terms_of_long(equations: Equations, x: Array) -> tuple[Term, ...]:
-    """What the rows of long recordings have beside the equations about x; nothing for rows that are held."""
+    """What the rows of long recordings have beside the equations about x; nothing
+    for rows that are held.
+    """
     return candidates_of(equations, x, None) if equations.reduced else ()
 
 
-def solve_least_squares(equations: Equations, full: Estimate, rows: Rows, *, essential: bool) -> LeastSquares:
-    """Least squares from the estimate `full` of all parameters, and its rows: its reduction, intervals and torque."""
+def solve_least_squares(
+    equations: Equations, full: Estimate, rows: Rows, *, essential: bool
+) -> LeastSquares:
+    """Least squares from the estimate `full` of all parameters, and its rows: its
+    reduction, intervals and torque.
+    """
     predicted = equations.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.counts
-    reduction = estimation.essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
+    reduction = estimation.essential_parameters(
+        rows.system, full, correlation=autocorrelation(rho) or 0.0
+    )
     estimate = full
     if essential:
         estimate = equations.combined(rows.system, reduction.estimate)

@@ -1,4 +1,6 @@
-"""Iteration of the instrumental variable method: start, next values to simulate, end, and its status."""
+"""Iteration of the instrumental variable method: start, next values to
+simulate, end, and its status.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -18,17 +20,20 @@ from .equations import Equations
 from .fit import LeastSquares, Pass
 from .settled import least_squares
 
-MAX_TRACKING_PERCENT = 20.0  # a larger error of the simulated position does not confirm the estimate
-MAX_FULL_STEPS = 4  # passes; later ones simulate the mean of the last two values, which damps oscillation
+# a larger error of the simulated position does not confirm the estimate
+MAX_TRACKING_PERCENT = 20.0
+# passes; later ones simulate the mean of the last two values, which damps oscillation
+MAX_FULL_STEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
     """Settings of the iteration.
 
-    `start`: `regular` (only a regular inertia matrix), `ls`, or the name of the source of the base parameters `values`.
-    `tolerance_percent`, `max_iterations`: in place of the keys of robot.toml. `inertias` (n,) are those of the regular start,
-    1 kg m² (or kg) by default.
+    `start`: `regular` (only a regular inertia matrix), `ls`, or the name of the source of the
+        base parameters `values`.
+    `tolerance_percent`, `max_iterations`: in place of the keys of robot.toml. `inertias` (n,) are
+    those of the regular start, 1 kg m² (or kg) by default.
     """
 
     start: str = "regular"
@@ -42,28 +47,33 @@ class Iteration:
 def start_values(
     equations: Equations, iteration: Iteration, ls: LeastSquares
 ) -> tuple[Array, Array | None, Array | None]:
-    """Values of x to start from, least squares, their covariance, and what is simulated first in their place: neither a regular
-    start nor given values give the torques by which a lag is found.
+    """Values of x to start from, least squares, their covariance, and what is simulated first in
+    their place: neither a regular start nor given values give the torques by which a lag is found.
     """
     problem, repeated = equations.problem, equations.unknowns.repeated
     x = ls.full.values_of(equations.names)
     if iteration.start == "regular" and iteration.values is None:
         return x, None, repeated(regular_start(problem.model, problem.base, iteration.inertias))
-    C = covariance_of_all(equations.names, ls.full, intervals_of(equations.about(x).system, ls.full), ls.full)
+    C = covariance_of_all(
+        equations.names, ls.full, intervals_of(equations.about(x).system, ls.full), ls.full
+    )
     return x, C, None if iteration.values is None else repeated(iteration.values(problem.base))
 
 
 def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
-    """Parameters (b,) to simulate next: the estimate, or in later passes its mean with the last values."""
+    """Parameters (b,) to simulate next: the estimate, or in later passes its
+    mean with the last values.
+    """
     beta = passes[-1].estimate.values_of(names)
     return 0.5 * (beta + passes[-1].z.x) if len(passes) >= MAX_FULL_STEPS else beta
 
 
 def is_coarse(problem: Problem, number: int, most: int) -> bool:
-    """Whether a pass from a regular start is coarse: the first, and the second if no controller is described.
+    """Whether a pass from a regular start is coarse: the first, and the second if no
+    controller is described.
 
-    Their estimates only start later passes. A described controller sets its own steps, so less time is saved. The last of the
-    `most` passes is never coarse.
+    Their estimates only start later passes. A described controller sets its own steps, so less time
+    is saved. The last of the `most` passes is never coarse.
     """
     return number <= min(1 if problem.signals.robot.controller.structure else 2, most - 1)
 
@@ -77,11 +87,11 @@ def assess_pass(
     *,
     tolerance_percent: float,
 ) -> Pass:
-    """The pass that gave `estimate`, its changes, and whether it settled; `system` has all parameters, `covariances` are those
-    of the values simulated and the estimate.
+    """The pass that gave `estimate`, its changes, and whether it settled; `system` has all
+    parameters, `covariances` are those of the values simulated and the estimate.
     """
-    # Compared with the values asked for, not with the consistent ones simulated instead. Parameters near zero never settle
-    # in percent: half a deviation is enough.
+    # Compared with the values asked for, not with the consistent ones simulated instead. Parameters
+    # near zero never settle in percent: half a deviation is enough.
     tolerance = 0.01 * tolerance_percent
     old = np.array([z.x[system.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
@@ -90,7 +100,9 @@ def assess_pass(
     norm_change = abs(estimate.residual_norm - norm_before)
     with np.errstate(divide="ignore", invalid="ignore"):
         in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
-        in_percent = np.where(np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0)
+        in_percent = np.where(
+            np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0
+        )
     return Pass(
         z=z,
         estimate=estimate,
@@ -101,17 +113,29 @@ def assess_pass(
         changed=estimate.names[int(in_sigma.argmax())],
         residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
         residual_settled=norm_change <= tolerance * norm_before,
-        parameters_settled=bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all()),
+        parameters_settled=bool(
+            (change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all()
+        ),
     )
 
 
 class NoEstimateError(Exception):
-    """Instruments gave no estimate: the cause, and why they are not of the simulated robot, if so."""
+    """Instruments gave no estimate: the cause, and why they are not of the
+    simulated robot, if so.
+    """
 
 
 def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
-    """The passes; the last one has the reason why the next gave no estimate. Raises `NoFitError` if there is none."""
-    text = "; ".join([f"pass {len(passes) + 1}: {error.__cause__}", *(str(reason) for reason in error.args if reason)])
+    """The passes; the last one has the reason why the next gave no estimate.
+
+    Raises `NoFitError` if there is none.
+    """
+    text = "; ".join(
+        [
+            f"pass {len(passes) + 1}: {error.__cause__}",
+            *(str(reason) for reason in error.args if reason),
+        ]
+    )
     if not passes:
         raise NoFitError(f"no instruments: {text}", place=", ".join(recordings)) from error
     return [*passes[:-1], replace(passes[-1], failure=text)]
@@ -123,10 +147,11 @@ def conclude(
     further: Callable[[Array], Sequence[Term]],
     solve: Callable[[Instruments], Estimate],
 ) -> Pass:
-    """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks best at its worst joint.
+    """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks
+    best at its worst joint.
 
-    It has its instruments, and the robot simulated with its estimate, or with the values that it settled at. `further`: as of
-    `ClosedLoops.instruments`, about given values.
+    It has its instruments, and the robot simulated with its estimate, or with the values that it
+    settled at. `further`: as of `ClosedLoops.instruments`, about given values.
     """
     last, names = passes[-1], lab.unknowns.names
     if last.is_last and last.failure is None:
@@ -136,7 +161,9 @@ def conclude(
     best = passes[int(np.argmin(tracked)) if min(tracked) < np.inf else -1]
     if best is last and last.failure is None:
         return replace(last, replicas=after.replicas)
-    z = lab.instruments(best.z.x, best.asked, robot=best.robot, coarse=best.coarse, further=further(best.z.x))
+    z = lab.instruments(
+        best.z.x, best.asked, robot=best.robot, coarse=best.coarse, further=further(best.z.x)
+    )
     estimate = solve(z)
     if best is not last:
         after = lab.instruments(estimate.values_of(names), best.covariance)
@@ -144,7 +171,9 @@ def conclude(
 
 
 def _tracking(z: Instruments) -> float:
-    """Position error of the worst joint, percent; infinite where the estimate itself was not simulated."""
+    """Position error of the worst joint, percent; infinite where the estimate
+    itself was not simulated.
+    """
     if z.kind != "simulated":
         return np.inf
     joints = [joint.position_error_percent for one in z.replicas for joint in one.direct]
@@ -154,11 +183,12 @@ def _tracking(z: Instruments) -> float:
 def status_of(
     equations: Equations, passes: Sequence[Pass], best: Pass, tests: InstrumentTests
 ) -> tuple[Status, str | None]:
-    """`converged` needs settled passes, simulated instruments that explain W, and a simulation that tracks the recording; or
-    instruments along the motion that the reference predicts which stand alone, and explain W.
+    """`converged` needs settled passes, simulated instruments that explain W, and a simulation
+    that tracks the recording; or instruments along the motion that the reference predicts which
+    stand alone, and explain W.
 
-    Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot would hide a joint of small
-    travel.
+    Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot
+    would hide a joint of small travel.
     """
     last, unconfirmed = passes[-1], None if best.stands_alone else _unconfirmed(equations, best)
     if last.failure is not None:
@@ -184,12 +214,16 @@ def status_of(
 
 
 def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -> str | None:
-    """Why instruments have to be along the motion that the reference predicts; None where those of the pass are enough, the
-    control law is described, or the reference is not recorded.
+    """Why instruments have to be along the motion that the reference predicts; None where those of
+    the pass are enough, the control law is described, or the reference is not recorded.
     """
-    if any(one.reference_kind != "recorded" or one.controller == "described" for one in best.replicas):
+    if any(
+        one.reference_kind != "recorded" or one.controller == "described" for one in best.replicas
+    ):
         return None
-    status, why = status_of(equations, passes, best, tests_of(equations.along(best.z).system, best.estimate))
+    status, why = status_of(
+        equations, passes, best, tests_of(equations.along(best.z).system, best.estimate)
+    )
     text = f"by a simulated robot, whose control law is not described, {status}: {why}"
     return None if status == "converged" else text
 
@@ -199,7 +233,11 @@ def _unconfirmed(equations: Equations, best: Pass) -> str | None:
     replicas, reasons = best.replicas, list[str | None]()
     for problem, arm in zip(equations.tasks(), equations.unknowns.arms, strict=True):
         chi = problem.base.standard_parameters(arm.values(best.estimate))
-        reasons.append(why_not_positive(direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))))
+        reasons.append(
+            why_not_positive(
+                direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))
+            )
+        )
     reason = join_reasons(reasons, [problem.signals.recording for problem in equations.problems])
     if reason is not None:
         return f"the final estimate cannot be simulated: {reason}"
@@ -207,8 +245,14 @@ def _unconfirmed(equations: Equations, best: Pass) -> str | None:
     if tracking_percent is None or not tracking_percent <= MAX_TRACKING_PERCENT:
         return "the simulated position does not follow the measured one"
     for d in direct_errors(replicas):
-        if d.position_error_percent is not None and not d.position_error_percent <= MAX_TRACKING_PERCENT:
-            return f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from the measured one"
+        if (
+            d.position_error_percent is not None
+            and not d.position_error_percent <= MAX_TRACKING_PERCENT
+        ):
+            return (
+                f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from "
+                "the measured one"
+            )
     return None
 
 
@@ -220,7 +264,9 @@ def tests_of(system: System, estimate: Estimate) -> InstrumentTests:
 
 
 def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelResidual, ...]:
-    """Largest errors of the simulated robot in any recording, by joint; none if one could not be simulated."""
+    """Largest errors of the simulated robot in any recording, by joint; none if one
+    could not be simulated.
+    """
     if any(not one.direct for one in replicas):
         return ()
     return tuple(
@@ -239,9 +285,11 @@ def largest(percents: list[float | None]) -> float | None:
 
 
 def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:
-    """Values of x for whose inertias the controller gains are assumed to be set: least squares at the rule's cut-off.
+    """Values of x for whose inertias the controller gains are assumed to be set: least squares
+    at the rule's cut-off.
 
-    Without that filter the inertias are poorly determined; it is left out if the recording is too short.
+    Without that filter the inertias are poorly determined; it is left out if the
+    recording is too short.
     """
     with suppress(NoFitError):
         if (behind := equations.behind_rule()) is not None:
@@ -252,8 +300,8 @@ def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:
     """Base parameters (b,) of a robot with only an inertia J of each motor, at its joint.
 
-    With a coupled wrist the Ia of a joint includes all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has
-    a link with that inertia about every axis, or that mass.
+    With a coupled wrist the Ia of a joint includes all motors that turn with it: Ia5 = 2 on the
+    TX40. A joint without Ia has a link with that inertia about every axis, or that mass.
     """
     chi, robot = np.zeros(model.p), model.robot
     J = np.ones(robot.n) if J is None else J
@@ -261,7 +309,9 @@ def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = N
     R = np.abs(robot.R) > 0
     for j, joint in enumerate(robot.joints):
         if joint.rotor_inertia:
-            turning = [m for m in range(robot.n) if m != j and R[m, m] and R[m, j] and R[j].sum() == 1]
+            turning = [
+                m for m in range(robot.n) if m != j and R[m, m] and R[m, j] and R[j].sum() == 1
+            ]
             shares = [J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2 for m in turning]
             chi[place[f"Ia{j + 1}"]] = J[j] + sum(shares)
         elif joint.type == "revolute":

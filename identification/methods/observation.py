@@ -9,15 +9,23 @@ from .. import regression
 from ..arrays import Array
 from ..data import ON_GRID, RecordingFile, Recordings, Signals
 from ..errors import NoFitError
-from ..estimation import Estimate, System, one_thread, ordinary_least_squares, weighted_least_squares
+from ..estimation import (
+    Estimate,
+    System,
+    one_thread,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
 from ..regression import FilteredMotion, KnownLag, Overrides, Problem, Rows, Settings, law_of
 from ..report import Method
 from ..trust import TrustLine, law_line
 from .fit import LeastSquares
 
 Say = Callable[[str], None]
-Replayed = tuple[TrustLine, KnownLag | None]  # the line of its control law, and the lag of the torque by it
-Observed = tuple[Problem, Rows, Replayed]  # a recording, without samples where it is one of several long ones
+# the line of its control law, and the lag of the torque by it
+Replayed = tuple[TrustLine, KnownLag | None]
+# a recording, without samples where it is one of several long ones
+Observed = tuple[Problem, Rows, Replayed]
 
 SPAN_S = 180.0  # of a long recording, for tests that need rows
 NAME = "position noise"
@@ -40,7 +48,11 @@ def observation_of(problem: Problem, most: float | None, say: Say = lambda text:
     """The rows of a recording, and its control law; `most` as of `rows_of_recording`."""
     problem = problem if problem.law is not None else replace(problem, law=law_of(problem))
     rows, replayed = regression.rows_of_recording(problem, say, most=most), law_line(problem)
-    return problem.without_samples() if most is not None and rows.reduced else problem, rows, replayed
+    return (
+        problem.without_samples() if most is not None and rows.reduced else problem,
+        rows,
+        replayed,
+    )
 
 
 def observe_all(given: Recordings, overrides: Sequence[Overrides], most: float) -> list[Observed]:
@@ -49,13 +61,21 @@ def observe_all(given: Recordings, overrides: Sequence[Overrides], most: float) 
     return list(given.work.run(observe, list(tasks)))
 
 
-def with_common_rate(given: Recordings, found: list[Observed], overrides: Overrides) -> list[Observed]:
-    """The same with common cut-off and rate of rows, all reduced or none; only those that change are built again."""
+def with_common_rate(
+    given: Recordings, found: list[Observed], overrides: Overrides
+) -> list[Observed]:
+    """The same with common cut-off and rate of rows, all reduced or none; only those that
+    change are built again.
+    """
     settings = [problem.settings for problem, _, _ in found]
     rates = [problem.signals.sample_rate_hz for problem, _, _ in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
-    most = regression.REDUCED if any(rows.reduced for _, rows, _ in found) else regression.most_numbers(len(found))
+    most = (
+        regression.REDUCED
+        if any(rows.reduced for _, rows, _ in found)
+        else regression.most_numbers(len(found))
+    )
     again = []
     for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
         decimation = max(1, round(fs / row_hz))
@@ -77,16 +97,23 @@ def rows_at(problem: Problem, overrides: Overrides, most: float) -> tuple[Settin
     return settings, regression.rows_of_recording(replace(problem, settings=settings), most=most)
 
 
-def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, alone: bool) -> TrustLine:
+def position_noise_line(
+    problem: Problem, method: Method, ls: LeastSquares, *, alone: bool
+) -> TrustLine:
     """Bias of least squares by position noise, in half-widths.
 
-    Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric measurement error models,
-    JASA 89 (1994). Noise with the spectrum found above the low-pass is added over the whole band, with both signs; the mean
-    of the two moves is, to first order, the bias by the noise within the band.
+    Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric
+    measurement error models, JASA 89 (1994). Noise with the spectrum found above the low-pass is
+    added over the whole band, with both signs; the mean of the two moves is, to first order, the
+    bias by the noise within the band.
 
     `alone`: `ls` has only this recording, without load friction.
     """
-    settings, fs, reason = problem.settings, problem.signals.sample_rate_hz, _reason_against(problem)
+    settings, fs, reason = (
+        problem.settings,
+        problem.signals.sample_rate_hz,
+        _reason_against(problem),
+    )
     if reason is not None:
         return TrustLine(NAME, "cannot tell", f"{reason}: {ADVICE}")
     assert settings.cutoff_hz is not None
@@ -94,23 +121,34 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     problem = replace(problem, settings=replace(settings, stop=stop))
     noise = _noise_like(problem)
     try:
-        plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
+        plain = (
+            ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
+        )
         both = [_least_squares(_with_noise(problem, way * noise), method, ls) for way in (1, -1)]
     except NoFitError as error:
         return TrustLine(NAME, "cannot tell", f"{error.args[0]}: {ADVICE}")
-    names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
+    names = [
+        name
+        for name in ls.essential.estimate.names
+        if name in plain.names and name in ls.estimate.names
+    ]
     indices = np.array([ls.estimate.names.index(name) for name in names])
     beta, half = plain.values_of(tuple(names)), ls.intervals.half[indices]
     off = np.abs(0.5 * (both[0].values_of(tuple(names)) + both[1].values_of(tuple(names))) - beta)
     with np.errstate(divide="ignore", invalid="ignore"):
-        widths, percents = np.nan_to_num(off / half, posinf=np.inf), np.nan_to_num(100 * off / np.abs(beta))
+        widths, percents = (
+            np.nan_to_num(off / half, posinf=np.inf),
+            np.nan_to_num(100 * off / np.abs(beta)),
+        )
     matters = (widths > MAX_BIAS) & (percents > MAX_BIAS_PERCENT)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
     value = float(widths[worst])
     text = f"moves {names[worst]} by {value:.2g} half-widths ({percents[worst]:.2g} %)"
     if matters.any():
         text = f"{text} or more: {ADVICE}"
-        return TrustLine(NAME, "caution", text, value, finding="least squares biased by position noise")
+        return TrustLine(
+            NAME, "caution", text, value, finding="least squares biased by position noise"
+        )
     return TrustLine(NAME, "ok", text, value)
 
 
@@ -127,9 +165,11 @@ def _reason_against(problem: Problem) -> str | None:
 
 
 def _noise_like(problem: Problem) -> Array:
-    """Noise (N, n) with the spectrum of the positions well above low-pass and motion: white, or the AR(1) that fits it.
+    """Noise (N, n) with the spectrum of the positions well above low-pass and motion: white, or
+    the AR(1) that fits it.
 
-    Rounding and most encoders give white noise. Noise that falls with frequency is larger below the low-pass than above.
+    Rounding and most encoders give white noise. Noise that falls with frequency is larger below
+    the low-pass than above.
     """
     settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
     q = problem.signals.q[: settings.stop + round(fs)]  # no more than is used
@@ -138,12 +178,16 @@ def _noise_like(problem: Problem) -> Array:
     window = np.hanning(len(used))[:, None]
     power = np.abs(np.fft.rfft(above * window, axis=0)) ** 2 / np.sum(window**2)
     cosine = np.cos(2 * np.pi * np.fft.rfftfreq(len(used)))
-    seen = np.flatnonzero(np.fft.rfftfreq(len(used), 1 / fs) > max(1.5 * (settings.cutoff_hz or 0.0), fs / 8))
+    seen = np.flatnonzero(
+        np.fft.rfftfreq(len(used), 1 / fs) > max(1.5 * (settings.cutoff_hz or 0.0), fs / 8)
+    )
     bands = [band for band in np.array_split(seen, BANDS) if len(band)]
-    level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)  # of an exponential distribution
+    # of an exponential distribution
+    level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)
     phi, of_band = CORRELATIONS[:, None], np.array([cosine[band].mean() for band in bands])
     shapes = 1 / (1 - 2 * phi * of_band + phi**2)
-    off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]  # (correlations, bands, n)
+    # (correlations, bands, n)
+    off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]
     best = off.std(axis=1).argmin(axis=0)
     size = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])
     white = np.fft.rfft(rng.standard_normal(q.shape), axis=0)
@@ -166,7 +210,9 @@ def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estima
     """Least squares of the recording with the parameters of `ls`, without load friction."""
     system = regression.rows_of_recording(problem, most=regression.HELD).system
     asked = set(map(regression.base_name, ls.estimate.names))
-    columns = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
+    columns = np.array(
+        [k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()]
+    )
     return solver_of(method)(system.with_columns(columns))
 
 

@@ -1,4 +1,6 @@
-"""Parameters of a fit, known values, and those of a stored fit for another recording or robot, with its settings."""
+"""Parameters of a fit, known values, and those of a stored fit for another recording or
+robot, with its settings.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +19,14 @@ from ..data import Signals, check_one_robot, load_signals
 from ..errors import BadInputError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, base_parameters, base_prior, direct_model
-from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
+from ..regression import (
+    Overrides,
+    Problem,
+    base_name,
+    make_problem,
+    payload_of,
+    torque_of_recording,
+)
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
@@ -26,7 +35,9 @@ from .recording_report import Validated
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
     """The parameters that a fit estimated, labelled by its method: IV, LS or OLS."""
-    return _estimated({"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.intervals)
+    return _estimated(
+        {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.intervals
+    )
 
 
 def least_squares_parameters(fit: Fit) -> ParameterSet:
@@ -36,7 +47,9 @@ def least_squares_parameters(fit: Fit) -> ParameterSet:
 
 def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
     essential = essential_names(fit.essential, e, intervals)
-    known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
+    known = dict(
+        zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True)
+    )
     found = zip(e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True)
     return ParameterSet(
         label=label,
@@ -57,48 +70,76 @@ def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> Param
 
 
 def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
-    """The a-priori links of a robot.toml or a URDF, `prior`, as known values of the base parameters of a stored fit, `place`.
+    """The a-priori links of a robot.toml or a URDF, `prior`, as known values of the base parameters
+    of a stored fit, `place`.
 
-    Raises `BadInputError`: the fit is in A or V or without description; a file of another robot, or without inertials.
+    Raises `BadInputError`: the fit is in A or V or without description; a file of another
+        robot, or without inertials.
     """
     refuse_unknown_gain(robot := stored_robot(stored, place))
     base = base_parameters(model := InverseModel(robot))
     values, _ = base_prior(model, base, InverseModel(read_prior(prior, robot)))
     if not values:
-        raise BadInputError(place=str(prior), key="inertials", value=None, expected="those of the links")
-    known = true_parameters(base, np.array([values.get(name, 0.0) for name in base.names])).parameters
+        raise BadInputError(
+            place=str(prior), key="inertials", value=None, expected="those of the links"
+        )
+    known = true_parameters(
+        base, np.array([values.get(name, 0.0) for name in base.names])
+    ).parameters
     return FitFile(parameters=[known[name] for name in values])
 
 
 def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
-    """Known values `true` (b,) of the base parameters, SI, labelled `true`; their deviations are 0."""
+    """Known values `true` (b,) of the base parameters, SI, labelled `true`;
+    their deviations are 0.
+    """
     return ParameterSet(
         label="true",
         parameters={
             name: Parameter(name=name, value=float(x), unit=unit, expression=expression)
-            for name, x, unit, expression in zip(base.names, true, base.units, base.expressions, strict=True)
+            for name, x, unit, expression in zip(
+                base.names, true, base.units, base.expressions, strict=True
+            )
         },
     )
 
 
-def stored_settings(stored: FitFile, signals: Signals, given: Overrides) -> tuple[Overrides, list[str]]:
-    """The settings of a stored fit for another recording, those `given` first, and warnings; known values have none.
+def stored_settings(
+    stored: FitFile, signals: Signals, given: Overrides
+) -> tuple[Overrides, list[str]]:
+    """The settings of a stored fit for another recording, those `given` first, and warnings;
+    known values have none.
 
-    The lag of the fit is used if timing, effort objects and rate are equal, else what is known of the recording's own.
+    The lag of the fit is used if timing, effort objects and rate are equal, else what is known
+    of the recording's own.
     """
     if stored.sample_rate_hz is None:
         return given, []
     rate_hz, low = signals.sample_rate_hz, stored.low_speed_percent
     n_d = stored.decimation and max(1, round(stored.decimation * rate_hz / stored.sample_rate_hz))
-    lag_s: float | Literal["none"] | None = "none" if stored.torque_lag_s is None else stored.torque_lag_s
+    lag_s: float | Literal["none"] | None = (
+        "none" if stored.torque_lag_s is None else stored.torque_lag_s
+    )
     notes = list[str]()
     if (lag := stored.lag) is not UNSET:
-        fitted = (lag.effort_object or lag.effort_provenance, lag.effort_timing, stored.sample_rate_hz)
-        names = zip(("effort object", "effort timing", "rate in Hz"), fitted, signals.lag_group, strict=True)
-        others = [f"its {name} is {here}, that of the fit {there}" for name, there, here in names if here != there]
+        fitted = (
+            lag.effort_object or lag.effort_provenance,
+            lag.effort_timing,
+            stored.sample_rate_hz,
+        )
+        names = zip(
+            ("effort object", "effort timing", "rate in Hz"), fitted, signals.lag_group, strict=True
+        )
+        others = [
+            f"its {name} is {here}, that of the fit {there}"
+            for name, there, here in names
+            if here != there
+        ]
         lag_s = None if others else lag.value_s
         if others and given.torque_lag_s is None:
-            text = f"the lag of the fit, {1e3 * lag.value_s:.3g} ms, is not used: {'; '.join(others)}"
+            text = (
+                f"the lag of the fit, {1e3 * lag.value_s:.3g} ms, is not used: {'; '.join(others)}"
+            )
             notes = [f"{signals.recording}: {text}; --torque-lag-s states one"]
     found = Overrides(
         cutoff_hz=stored.cutoff_hz or 0.0,
@@ -114,7 +155,9 @@ def stored_settings(stored: FitFile, signals: Signals, given: Overrides) -> tupl
 def stored_robot(stored: FitFile, place: str) -> Robot:
     """The robot by the description in a fit's file, `place`; a file without one is refused."""
     if not stored.description:
-        raise BadInputError(place=place, key="description", value=None, expected="a fit with its robot.toml")
+        raise BadInputError(
+            place=place, key="description", value=None, expected="a fit with its robot.toml"
+        )
     files = {name: text.encode() for name, text in stored.description.items()}
     return with_stored_gains(stored, robot_from_files(files, place))
 
@@ -124,21 +167,34 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
     if stored.gains is UNSET:
         return robot
     found = {one.motor: one.value for one in stored.gains}
-    gains = [found.get(motor.name, gain) for motor, gain in zip(robot.motors, robot.gain, strict=True)]
+    gains = [
+        found.get(motor.name, gain) for motor, gain in zip(robot.motors, robot.gain, strict=True)
+    ]
     return replace(robot, identified_gain=np.array(gains))
 
 
 def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
-    """(rows, n) torque IDM(q, dq, ddq) beta of a stored fit along a motion of three arrays (rows, n)."""
-    model, arrays = InverseModel(stored_robot(stored, place)), [np.asarray(x, dtype=np.float64) for x in motion]
+    """(rows, n) torque IDM(q, dq, ddq) beta of a stored fit along a motion of
+    three arrays (rows, n).
+    """
+    model, arrays = (
+        InverseModel(stored_robot(stored, place)),
+        [np.asarray(x, dtype=np.float64) for x in motion],
+    )
     shapes, base = [x.shape for x in arrays], base_parameters(model)
     if any(shape != (len(arrays[0]), model.robot.n) for shape in shapes):
-        raise BadInputError(key="shapes", value=shapes, expected=f"(rows, {model.robot.n}) of q, dq and ddq")
-    return direct_model(model, base.standard_parameters(stored_beta(stored, base, place))).torque(*arrays)
+        raise BadInputError(
+            key="shapes", value=shapes, expected=f"(rows, {model.robot.n}) of q, dq and ddq"
+        )
+    return direct_model(model, base.standard_parameters(stored_beta(stored, base, place))).torque(
+        *arrays
+    )
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
-    """Parameters that `base` lacks, or has in another unit or for another sum of standard parameters."""
+    """Parameters that `base` lacks, or has in another unit or for another sum
+    of standard parameters.
+    """
     known = dict(zip(base.names, zip(base.units, base.expressions, strict=True), strict=True))
     return [
         p.name
@@ -152,7 +208,9 @@ def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
 def consistent_fit(stored: FitFile, place: str) -> FitFile:
     """The same with the values of its consistent set; a file, `place`, without one is refused."""
     if not (given := {p.name: p.value for p in stored.standard_parameters or ()}):
-        raise BadInputError(place=place, key="standard_parameters", value=None, expected="`fit --consistent`")
+        raise BadInputError(
+            place=place, key="standard_parameters", value=None, expected="`fit --consistent`"
+        )
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
     beta = (base.K @ [given.get(name, 0.0) for name in model.names]).tolist()
     found = zip(base.names, beta, base.units, base.expressions, strict=True)
@@ -161,7 +219,9 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
 
 
 def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
-    """(b,) values in the order of `base`, zero if left out, means of own parameters; refuses a fit of another robot."""
+    """(b,) values in the order of `base`, zero if left out, means of own parameters; refuses
+    a fit of another robot.
+    """
     values: dict[str, list[float]] = {}
     for p in stored.parameters:
         values.setdefault(base_name(p.name), []).append(p.value)
@@ -177,21 +237,32 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
     for name, unit in zip(base.names, base.units, strict=True):
         if units.get(name, unit) != unit:
             expected = f"{unit}, as the recording's robot has it"
-            raise BadInputError(place=place, key=f"{name}.unit", value=units[name], expected=expected)
+            raise BadInputError(
+                place=place, key=f"{name}.unit", value=units[name], expected=expected
+            )
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
 
 
 def payload_beta(stored: FitFile, problem: Problem) -> Array:
-    """(b,) base parameters of a recording's payload: as the fit found it, if it is stated alike there; else a ball's."""
+    """(b,) base parameters of a recording's payload: as the fit found it, if it is stated
+    alike there; else a ball's.
+    """
     payload = problem.signals.payload
-    found = {one.stated: one.base_parameters for one in stored.payloads or ()}.get(payload.text if payload else "")
-    return np.array([found.get(name, 0.0) for name in problem.base.names]) if found else payload_of(problem)
+    found = {one.stated: one.base_parameters for one in stored.payloads or ()}.get(
+        payload.text if payload else ""
+    )
+    return (
+        np.array([found.get(name, 0.0) for name in problem.base.names])
+        if found
+        else payload_of(problem)
+    )
 
 
 def signals_as_fitted(
     signals: Signals, recording: Path, stored: FitFile, place: str, *, chosen: bool
 ) -> tuple[Signals, list[str]]:
-    """The signals of a recording, and warnings; with the fit's description if the recording's has other parameters.
+    """The signals of a recording, and warnings; with the fit's description if the
+    recording's has other parameters.
 
     `chosen`: the user gave the description. `place` names the fit in the warnings.
     """
@@ -205,18 +276,24 @@ def signals_as_fitted(
     if chosen or not stored.description:
         text = f"perhaps not the same quantities as those of robot {signals.robot.name} here"
         return signals, [f"{place}: {names}: {text}"]
-    note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
-    return replace(load_signals(recording, stored_robot(stored, place)), payload=signals.payload), [note]
+    note = (
+        f"{signals.recording}: its description does not have the parameters of the fit "
+        f"({names}): that of {place} is used"
+    )
+    return replace(load_signals(recording, stored_robot(stored, place)), payload=signals.payload), [
+        note
+    ]
 
 
 @one_thread
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
 ) -> tuple[tuple[Validated, ...], tuple[TorqueResidual, ...]]:
-    """Torque errors of a stored fit on recordings of one robot, each with what replaces its settings; nothing is fitted.
+    """Torque errors of a stored fit on recordings of one robot, each with what replaces its
+    settings; nothing is fitted.
 
-    Payloads are as the fit found them; `place` names it in errors. Returns each recording with its errors, and the errors of
-    all together: one per joint and, last, that of all joints.
+    Payloads are as the fit found them; `place` names it in errors. Returns each recording with its
+    errors, and the errors of all together: one per joint and, last, that of all joints.
     """
     check_one_robot([signals for signals, _ in recordings])
     names = tuple(j.name for j in recordings[0][0].robot.joints)
@@ -225,6 +302,8 @@ def validate_all(
         problem = make_problem(signals, overrides)
         beta = stored_beta(stored, problem.base, place) + payload_beta(stored, problem)
         parts.append(torque_of_recording(problem, beta))
-        each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names), *parts[-1][:2]))
+        each.append(
+            Validated(signals, problem.settings, torque_errors(*parts[-1], names), *parts[-1][:2])
+        )
     tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
     return tuple(each), torque_errors(tau, predicted, speed, names)

@@ -1,4 +1,6 @@
-"""Reports of a recording: settings and ranges before a fit; torque errors of a fit on other recordings."""
+"""Reports of a recording: settings and ranges before a fit; torque errors of a
+fit on other recordings.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,12 +17,15 @@ from .fit import Fit, FittedRecording
 ERROR_COLUMNS = ("all rows", "moving", "standing")
 
 
-def recording_document(signals: Signals, settings: Settings | None, refusal: str | None) -> Document:
+def recording_document(
+    signals: Signals, settings: Settings | None, refusal: str | None
+) -> Document:
     """The report of a recording without a fit."""
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     lines = (
         *([f"cannot be fitted: {refusal}"] if refusal else []),
-        f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, {reference} reference",
+        f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, "
+        f"{reference} reference",
         *(settings_lines(signals, settings, used="a fit would use") if settings else []),
         *recording_lines(signals),
     )
@@ -49,7 +54,9 @@ def recording_document(signals: Signals, settings: Settings | None, refusal: str
 
 @dataclass(frozen=True)
 class Validated:
-    """A recording, its settings, the torque errors of a fit on it, and the rows (T, n) of measured and modelled torque."""
+    """A recording, its settings, the torque errors of a fit on it, and the rows (T, n) of
+    measured and modelled torque.
+    """
 
     signals: Signals
     settings: Settings
@@ -69,7 +76,11 @@ def validation_document(
     units = recordings[0].signals.robot.effort_units
     title = "relative torque error of the consistent set, %"
     names = ", ".join(one.signals.recording for one in recordings)
-    lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
+    lines = [
+        line
+        for one in recordings
+        for line in settings_lines(one.signals, one.settings, used="evaluated on")
+    ]
     lines += [line for one in recordings for line in recording_lines(one.signals)]
     rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors[-1])) for one in recordings]
     table = Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
@@ -77,19 +88,28 @@ def validation_document(
         title=f"{fit} on {names}: {headline(errors)}",
         sections=(
             Section(
-                lines=(error_line(errors), *([f"consistent set: {error_line(consistent)}"] if consistent else [])),
+                lines=(
+                    error_line(errors),
+                    *([f"consistent set: {error_line(consistent)}"] if consistent else []),
+                ),
                 warnings=warnings,
             ),
             *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             replace(errors_section(errors, units), short=None),
-            *([replace(errors_section(consistent, units), title=title, short=None)] if consistent else []),
+            *(
+                [replace(errors_section(consistent, units), title=title, short=None)]
+                if consistent
+                else []
+            ),
             Section(title="settings", lines=tuple(lines)),
         ),
     )
 
 
 def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None) -> Section:
-    """Errors of a fit on each of its recordings, held-out errors, and the test of own parameters."""
+    """Errors of a fit on each of its recordings, held-out errors, and the
+    test of own parameters.
+    """
     rows: list[Row] = []
     lines = []
     for one in recordings:
@@ -97,13 +117,20 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
         span = (settings.start / signals.sample_rate_hz, settings.stop / signals.sample_rate_hz)
         error = None if held is None else held.error_percent
         timing = (Number(signals.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
-        rows.append((signals.recording, *timing, *_error_cells(one.errors[-1]), Number(error, ".4f")))
+        rows.append(
+            (signals.recording, *timing, *_error_cells(one.errors[-1]), Number(error, ".4f"))
+        )
         if held is not None and error is None:
-            why = f"{', '.join(held.undetermined)} undetermined" if held.undetermined else "it has no torque"
+            why = (
+                f"{', '.join(held.undetermined)} undetermined"
+                if held.undetermined
+                else "it has no torque"
+            )
             lines.append(f"{signals.recording} cannot be predicted by the others: {why}")
     if own is not None:
         lines.append(
-            f"own parameters {', '.join(own.names)} against shared ones: F test p = {Number(own.p_value, '.2g').text} "
+            f"own parameters {', '.join(own.names)} against shared ones: F test p = "
+            f"{Number(own.p_value, '.2g').text} "
             f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
         )
     short = Section(lines=tuple(lines))
@@ -114,12 +141,18 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
     lines += [line for one in recordings for line in recording_lines(one.problem.signals)]
     numbers = ("Hz", "from, s", "to, s", *ERROR_COLUMNS, "held out")
     table = Table(columns=columns("recording", numbers=numbers), rows=tuple(rows))
-    return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines), short=short)
+    return Section(
+        title="recordings: relative torque error, %", table=table, lines=tuple(lines), short=short
+    )
 
 
 def _error_cells(error: TorqueResidual) -> tuple[Number, ...]:
     """The cells of `ERROR_COLUMNS`."""
-    percents = error.relative_error_percent, error.moving_relative_error_percent, error.standing_relative_error_percent
+    percents = (
+        error.relative_error_percent,
+        error.moving_relative_error_percent,
+        error.standing_relative_error_percent,
+    )
     return tuple(Number(percent, ".4f") for percent in percents)
 
 
@@ -131,9 +164,16 @@ def headline(errors: tuple[TorqueResidual, ...]) -> str:
 def error_line(errors: tuple[TorqueResidual, ...]) -> str:
     """The relative torque error of all joints together, by kind of row."""
     e = errors[-1]
-    percents = e.moving_relative_error_percent, e.standing_relative_error_percent, e.relative_error_percent
+    percents = (
+        e.moving_relative_error_percent,
+        e.standing_relative_error_percent,
+        e.relative_error_percent,
+    )
     moving, standing, whole = map(_percent, percents)
-    return f"relative torque error: {moving} % of moving rows, {standing} % of standing rows, {whole} % of all rows"
+    return (
+        f"relative torque error: {moving} % of moving rows, {standing} % of standing rows, "
+        f"{whole} % of all rows"
+    )
 
 
 def half_width_percents(fit: Fit) -> dict[str, float]:
@@ -144,14 +184,21 @@ def half_width_percents(fit: Fit) -> dict[str, float]:
 
 
 def main_figures(
-    moving: float | None, held_out: float | None, more: Mapping[str, float | None], percents: Mapping[str, float]
+    moving: float | None,
+    held_out: float | None,
+    more: Mapping[str, float | None],
+    percents: Mapping[str, float],
 ) -> tuple[tuple[str, str], ...]:
-    """The figures to read first, by what they are: torque errors, and half-widths of essential parameters (`percents`)."""
+    """The figures to read first, by what they are: torque errors, and half-widths of essential
+    parameters (`percents`).
+    """
     errors = {"torque error of moving rows": moving, "held out": held_out} | {**more}
     shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
     if percents:
         worst = max(percents, key=percents.__getitem__)
-        shown[f"half of the {len(percents)} determined parameters"] = f"±{np.median([*percents.values()]):.2g} %"
+        shown[f"half of the {len(percents)} determined parameters"] = (
+            f"±{np.median([*percents.values()]):.2g} %"
+        )
         shown[f"the worst, {worst}"] = f"±{percents[worst]:.2g} %"
     return tuple(shown.items())
 
@@ -159,17 +206,28 @@ def main_figures(
 def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -> Section:
     """Relative torque errors by joint: whole, moving, standing; all joints together last."""
     heads = columns("joint", "unit", numbers=ERROR_COLUMNS)
-    each = [f"{error.name} {Number(error.moving_relative_error_percent, '.2g').text} %" for error in errors[:-1]]
+    each = [
+        f"{error.name} {Number(error.moving_relative_error_percent, '.2g').text} %"
+        for error in errors[:-1]
+    ]
     rows = list[Row]()
     for e, unit in zip(errors, (*units, ""), strict=True):
-        counts = Number(e.moving_rows, "d"), Number(e.standing_rows, "d"), Number(e.autocorrelation, ".2f")
+        counts = (
+            Number(e.moving_rows, "d"),
+            Number(e.standing_rows, "d"),
+            Number(e.autocorrelation, ".2f"),
+        )
         rows.append((e.name, unit, *_error_cells(e), *counts))
     wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
     return Section(
         title="relative torque error, %",
         table=Table(columns=wide, rows=tuple(rows), total=True),
         # a line above has all joints
-        short=Section(lines=(f"torque error of moving rows by joint: {', '.join(each)}",) if len(each) > 1 else ()),
+        short=Section(
+            lines=(f"torque error of moving rows by joint: {', '.join(each)}",)
+            if len(each) > 1
+            else ()
+        ),
     )
 
 
@@ -179,13 +237,17 @@ def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[
     cutoff = "no low-pass"
     if settings.cutoff_hz is not None:
         both = forward_backward_3db_hz(settings.cutoff_hz, fs)
-        cutoff = f"low-pass {settings.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at {both:.1f} Hz)"
+        cutoff = (
+            f"low-pass {settings.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at "
+            f"{both:.1f} Hz)"
+        )
     notes = " with MATLAB's edge rule" if settings.edges == "matlab" else ""
     if signals.off_grid > ON_GRID:
         notes += f"; samples up to {signals.off_grid:.2g} periods off a uniform grid: interpolated"
     return (
         f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {settings.decimation}{notes}",
-        f"{used}: {settings.span}, {settings.start / fs:.3f} s to {settings.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
+        f"{used}: {settings.span}, {settings.start / fs:.3f} s to {settings.stop / fs:.3f} s of "
+        f"{len(signals.q) / fs:.3f} s",
         *_known_lines(signals),
     )
 
@@ -202,7 +264,9 @@ def gain_warnings(signals: Signals) -> tuple[str, ...]:
         return ()
     units = " and ".join(sorted(set(robot.effort_units)))
     text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    shared = "; joints share parameters, so the values are valid only if all drives have the same gain"
+    shared = (
+        "; joints share parameters, so the values are valid only if all drives have the same gain"
+    )
     return (text + shared * (robot.n > 1),)
 
 
@@ -210,13 +274,23 @@ def _known_lines(signals: Signals) -> list[str]:
     """Known torque and feed-forward, and their use."""
     lines, joints, units = [], signals.robot.joints, signals.robot.effort_units
     for values, text in (
-        (signals.known_torque, "known torque, added to that of the drives and to the simulated robot"),
+        (
+            signals.known_torque,
+            "known torque, added to that of the drives and to the simulated robot",
+        ),
         (signals.feedforward, "feed-forward, added to the output of the simulated controller"),
     ):
         if values is not None:
-            own = [m.recorded_unit for m in signals.robot.motors] if values is signals.feedforward else units
+            own = (
+                [m.recorded_unit for m in signals.robot.motors]
+                if values is signals.feedforward
+                else units
+            )
             sizes = zip(joints, np.sqrt(np.mean(values**2, axis=0)), own, strict=True)
-            lines.append(f"{text}: rms " + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in sizes))
+            lines.append(
+                f"{text}: rms "
+                + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in sizes)
+            )
     return lines
 
 
@@ -226,7 +300,10 @@ def recording_lines(signals: Signals) -> tuple[str, ...]:
     last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
     counted = [f"recorder: {', '.join(last)}"] if last else []
     if signals.payload is not None:
-        counted.append(f"payload of {signals.recording}: {signals.payload.describe(signals.robot.joints[-1].name)}")
+        counted.append(
+            f"payload of {signals.recording}: "
+            f"{signals.payload.describe(signals.robot.joints[-1].name)}"
+        )
     return (*counted, f"{signals.recording} has sha256 {signals.sha256}")
 
 

@@ -1,12 +1,14 @@
 """Least squares of friction terms that may be unidentifiable, or depend on the link torque.
 
-A term whose column is nearly a sum of others is left out, with a message; so is load friction whose interval
-contains 0, before the first step. Load friction depends on the link torque (`regression.load`): steps about the estimate
-end when no parameter changes by more than a thousandth of its deviation.
+A term whose column is nearly a sum of others is left out, with a message; so is load friction whose
+interval contains 0, before the first step. Load friction depends on the link torque
+(`regression.load`): steps about the estimate end when no parameter changes by more than a
+thousandth of its deviation.
 
-The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method: long ones keep noise above the
-low-pass out of the rows, short ones leave more of short moves. Least squares has its own half-widths; those of instrumental
-variables come from instruments along the reference, which need no simulation.
+The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method:
+long ones keep noise above the low-pass out of the rows, short ones leave more of short moves. Least
+squares has its own half-widths; those of instrumental variables come from instruments along the
+reference, which need no simulation.
 """
 
 from collections.abc import Callable, Collection
@@ -17,19 +19,31 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import Estimate, System, condensed, instrumental_variables, intervals_of, weighted_least_squares
+from ..estimation import (
+    Estimate,
+    System,
+    condensed,
+    instrumental_variables,
+    intervals_of,
+    weighted_least_squares,
+)
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
 from .equations import Equations, closed_loops
 from .observation import solver_of
 
-MIN_INDEPENDENT_NORM = 0.01  # share of the norm of an identifiable column that is independent of the others
-MAX_STEPS, MAX_STEP, MIN_STEP = 30, 1e-3, 0.1  # of load friction: deviations at the end; shares of a step
-MIN_CHANGE = 1e-10  # of the largest value: smaller changes are rounding, also where exact data have no deviation
+# share of the norm of an identifiable column that is independent of the others
+MIN_INDEPENDENT_NORM = 0.01
+# of load friction: deviations at the end; shares of a step
+MAX_STEPS, MAX_STEP, MIN_STEP = 30, 1e-3, 0.1
+# of the largest value: smaller changes are rounding, also where exact data have no deviation
+MIN_CHANGE = 1e-10
 LONG, SHORT, *OTHERS = RAMPS
 
 
-def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -> tuple[Equations, Estimate]:
+def least_squares(
+    equations: Equations, method: Literal["ols", "wls"] = "wls"
+) -> tuple[Equations, Estimate]:
     """Least squares with the identifiable terms. Raises `NoFitError` as the estimators."""
     equations, solve = leave_out_collinear_terms(equations), solver_of(method)
     if equations.load is None:
@@ -38,13 +52,21 @@ def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -
     others = np.setdiff1d(np.arange(len(equations.names)), equations.load_places())
     x = solve(condensed(equations.about().system.with_columns(others))).values_of(equations.names)
     equations, x = leave_out_load(equations, x, solve)
-    return equations, settle(equations, x, lambda now: equations.combined(now.system, solve(now.system)))[1]
+    return equations, settle(
+        equations, x, lambda now: equations.combined(now.system, solve(now.system))
+    )[1]
 
 
-def leave_out_load(equations: Equations, x: Array, solve: Callable[[System], Estimate]) -> tuple[Equations, Array]:
-    """The equations without load friction that may be zero about x, the least certain first; and x without its places."""
+def leave_out_load(
+    equations: Equations, x: Array, solve: Callable[[System], Estimate]
+) -> tuple[Equations, Array]:
+    """The equations without load friction that may be zero about x, the least certain first;
+    and x without its places.
+    """
     system, left_out = equations.about(x).system, dict[str, str]()
-    while names := [equations.names[i] for i in equations.load_places() if equations.names[i] not in left_out]:
+    while names := [
+        equations.names[i] for i in equations.load_places() if equations.names[i] not in left_out
+    ]:
         kept = system.with_columns(np.flatnonzero([name not in left_out for name in system.names]))
         if worst := most_collinear(equations.problem, kept, names):
             left_out |= worst
@@ -62,12 +84,15 @@ def leave_out_load(equations: Equations, x: Array, solve: Callable[[System], Est
     return (equations.without(left_out), x[stay]) if left_out else (equations, x)
 
 
-def settle(equations: Equations, x: Array, solve: Callable[[Rows], Estimate]) -> tuple[Rows, Estimate]:
-    """Steps x + (Z'J)^-1 Z'r, equation (C), until none is above a thousandth of a deviation, halved where the next one would
-    move more torque, by the weights of the step before: those of least squares rise as the residual falls.
+def settle(
+    equations: Equations, x: Array, solve: Callable[[Rows], Estimate]
+) -> tuple[Rows, Estimate]:
+    """Steps x + (Z'J)^-1 Z'r, equation (C), until none is above a thousandth of a deviation, halved
+    where the next one would move more torque, by the weights of the step before: those of least
+    squares rise as the residual falls.
 
-    `solve` gives the whole step from the rows about x: one is enough without load friction. Returns the rows about the last x,
-    and its estimate.
+    `solve` gives the whole step from the rows about x: one is enough without load friction. Returns
+    the rows about the last x, and its estimate.
     """
     rows = equations.about(x)
     estimate = solve(rows)
@@ -96,9 +121,14 @@ def _torque(rows: Rows, step: Array, weights: Array) -> float:
 
 
 def leave_out_collinear_terms(equations: Equations) -> Equations:
-    """The system without the friction terms, other than load friction, whose columns are nearly a sum of others."""
+    """The system without the friction terms, other than load friction, whose columns are
+    nearly a sum of others.
+    """
     model, base = equations.problem.model, equations.problem.base
-    kinds = {name: getattr(model.sources[c], "kind", None) for name, c in zip(base.names, base.columns, strict=True)}
+    kinds = {
+        name: getattr(model.sources[c], "kind", None)
+        for name, c in zip(base.names, base.columns, strict=True)
+    }
     shapes = [name for name, kind in kinds.items() if kind in SHAPES and kind != "load"]
     while left_out := most_collinear(equations.problem, equations.about().system, shapes):
         equations = equations.without(left_out)
@@ -113,46 +143,62 @@ def most_collinear(problem: Problem, system: System, indices: Collection[str]) -
     if lowest is None or shares[lowest] >= MIN_INDEPENDENT_NORM:
         return {}
     kind = problem.term_of(lowest).kind
-    finding = f"{kind} friction of joint {problem.joint_of(lowest)} left out: {lowest} cannot be distinguished from the others"
+    finding = (
+        f"{kind} friction of joint {problem.joint_of(lowest)} left out: {lowest} cannot be "
+        "distinguished from the others"
+    )
     return {lowest: f"{finding} ({100 * shares[lowest]:.1f} % of its column is independent)"}
 
 
 def independent_norm(system: System, names: Collection[str]) -> dict[str, float]:
-    """By parameter the share of its column's norm that is independent of the other columns, in the rows used."""
+    """By parameter the share of its column's norm that is independent of the other
+    columns, in the rows used.
+    """
     if not names:
         return {}
     system = condensed(system)
     norms = np.linalg.norm(system.W, axis=0)
     seen = norms > 1e-12 * norms.max()
     _, singular, Vt = np.linalg.svd(np.linalg.qr(system.W[:, seen] / norms[seen], mode="r"))
-    # Row i of the inverse is normal to all other columns; 1 over its length is the share of column i.
+    # Row i of the inverse is normal to all other columns; 1 over its length is
+    # the share of column i.
     left = 1.0 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
     shares = dict.fromkeys(names, 0.0)
     of_seen = (name for name, s in zip(system.names, seen, strict=True) if s)
-    return shares | {name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares}
+    return shares | {
+        name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares
+    }
 
 
 def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
     """The recordings with the ramps that give smaller half-widths, in the median of the parameters.
 
-    No weights, but rows in which joints move, are tried where moves are short; abrupt weights where no ramps determine the
-    parameters. Unchanged where no sample stands, or the ramps are stated.
+    No weights, but rows in which joints move, are tried where moves are short; abrupt weights where
+    no ramps determine the parameters. Unchanged where no sample stands, or the ramps are stated.
     """
     stand = (equations.about().share[equations.about().counts] < 1).any()
     if not stand or equations.overrides.ramp_rows is not None:
         return equations
     span = equations.beginning()
     tried = {ramp: span.with_ramps(ramp) for ramp in (LONG, SHORT)}
-    if any(min(sample_weights(problem.with_samples()).ramps) < LONG for problem in tried[LONG].problems):
+    if any(
+        min(sample_weights(problem.with_samples()).ramps) < LONG for problem in tried[LONG].problems
+    ):
         tried[ROWS] = span.with_ramps(ROWS)
     found: dict[float, dict[str, float]] = {}
-    for by_instruments in (instruments, False):  # a joint that the reference holds has no instruments along it
+    # a joint that the reference holds has no instruments along it
+    for by_instruments in (instruments, False):
         if len(found) < len(tried):
-            each = {ramp: _half_widths(one, instruments=by_instruments) for ramp, one in tried.items()}
+            each = {
+                ramp: _half_widths(one, instruments=by_instruments) for ramp, one in tried.items()
+            }
             found = {ramp: half for ramp, half in each.items() if half}
     best = None
     for ramp, half in found.items():
-        if best is None or np.median([half[x] / found[best][x] for x in half.keys() & found[best].keys()]) < 1:
+        if (
+            best is None
+            or np.median([half[x] / found[best][x] for x in half.keys() & found[best].keys()]) < 1
+        ):
             best = ramp
     if best is None:
         able = (ramp for ramp in OTHERS if _half_widths(span.with_ramps(ramp), instruments=False))
@@ -170,7 +216,9 @@ def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]
         if instruments:
             beta = estimate.values_of(system.names)
             Z = closed_loops(equations, beta, gain_update=False).along_reference(beta).Z
-            estimate = instrumental_variables(system.with_columns(columns), Z[:, columns], estimate.weights)
+            estimate = instrumental_variables(
+                system.with_columns(columns), Z[:, columns], estimate.weights
+            )
         half = intervals_of(system.with_columns(columns), estimate).half
         return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}
     return {}

@@ -1,4 +1,6 @@
-"""The lag of the torque: the known value is corrected before the passes; in each pass that has instruments it is estimated."""
+"""The lag of the torque: the known value is corrected before the passes; in each pass that has
+instruments it is estimated.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +15,8 @@ from ..simulation import Instruments
 from ..trust import Lag, by_group, combined_lag, lags_in, moves_of, simulated_rates
 from .equations import Equations
 
-# The torque is corrected and the lag estimated again: the column is of first order only, not exact for many samples.
+# The torque is corrected and the lag estimated again: the column is of first order only, not
+# exact for many samples.
 MAX_LAG_STEPS = 4
 MAX_LAST_LAG = 0.25  # samples; the steps end below it
 
@@ -32,7 +35,9 @@ def known_lags(equations: Equations) -> list[KnownLag]:
     """The known lag of each group of recordings: their mean, with the smallest deviation."""
     found = []
     for group in lag_groups(equations):
-        each = [_known(equations.problems[k].settings.known_lag, equations.replays[k][1]) for k in group]
+        each = [
+            _known(equations.problems[k].settings.known_lag, equations.replays[k][1]) for k in group
+        ]
         best = min(each, key=lambda known: known.sd_s)
         found.append(replace(best, value_s=float(np.mean([known.value_s for known in each]))))
     return found
@@ -46,25 +51,36 @@ def _known(known: KnownLag, replayed: KnownLag | None) -> KnownLag:
 
 
 def correct_known_lags(equations: Equations) -> Equations:
-    """The recordings with torques corrected by their known lags, which are those of the fit until it finds others."""
+    """The recordings with torques corrected by their known lags, which are those of the fit
+    until it finds others.
+    """
     return with_lags(equations, [combined_lag(known, None) for known in known_lags(equations)])
 
 
 def with_lags(equations: Equations, lags: Sequence[Lag]) -> Equations:
     """The recordings with torques corrected by the lags of their groups."""
-    of = {k: lag.value_s for group, lag in zip(lag_groups(equations), lags, strict=True) for k in group}
+    of = {
+        k: lag.value_s
+        for group, lag in zip(lag_groups(equations), lags, strict=True)
+        for k in group
+    }
     return replace(equations.corrected([of[k] for k in range(len(of))]), lags=tuple(lags))
 
 
 def with_lags_found(equations: Equations, z: Instruments, weights: Array) -> Equations:
-    """The recordings with torques corrected by the lags that instruments find together with what is known.
+    """The recordings with torques corrected by the lags that instruments find
+    together with what is known.
 
-    Unchanged where the reference is not recorded or the robot was not simulated; long recordings have the lags of their
-    beginning.
+    Unchanged where the reference is not recorded or the robot was not simulated; long recordings
+    have the lags of their beginning.
     """
     problems = equations.problems
     signals = [problem.signals for problem in problems]
-    if any(one.q_ref is None for one in signals) or any(one.motion is None for one in z.replicas) or z.rows:
+    if (
+        any(one.q_ref is None for one in signals)
+        or any(one.motion is None for one in z.replicas)
+        or z.rows
+    ):
         return equations
     groups, known = lag_groups(equations), known_lags(equations)
     rates, fast = zip(*map(simulated_rates, problems, z.replicas), strict=True)
@@ -75,7 +91,10 @@ def with_lags_found(equations: Equations, z: Instruments, weights: Array) -> Equ
         except NoFitError:
             break
         now = [equations.problems[group[0]].settings.torque_lag_s for group in groups]
-        found = [(float(at + step), float(s), freedom) for at, step, s in zip(now, steps, sd, strict=True)]
+        found = [
+            (float(at + step), float(s), freedom)
+            for at, step, s in zip(now, steps, sd, strict=True)
+        ]
         lags = [combined_lag(prior, data) for prior, data in zip(known, found, strict=True)]
         equations = with_lags(equations, lags)
         last = max(abs(lag.value_s - at) for lag, at in zip(lags, now, strict=True))
@@ -85,8 +104,8 @@ def with_lags_found(equations: Equations, z: Instruments, weights: Array) -> Equ
 
 
 def lags_of(equations: Equations, rows: Rows, estimate: Estimate) -> tuple[Lag, ...]:
-    """The lags with their recordings, and the moves of an estimate by one deviation of each: the last of the further columns is
-    the rate of the torque.
+    """The lags with their recordings, and the moves of an estimate by one deviation of each: the
+    last of the further columns is the rate of the torque.
     """
     groups, n, spans = lag_groups(equations), len(rows.system.rows), rows.system.spans
     parts = spans_of([own.count * own.rows for own in spans])

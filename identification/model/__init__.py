@@ -1,6 +1,15 @@
-"""The robot's models: inverse and direct dynamics, friction and rotors, base parameters. This room alone imports pinocchio."""
+"""The robot's models: inverse and direct dynamics, friction and rotors, base parameters.
 
-from .base import BaseParameters, base_parameters, described_parameters, known_parameters, load_parameters
+This room alone imports pinocchio.
+"""
+
+from .base import (
+    BaseParameters,
+    base_parameters,
+    described_parameters,
+    known_parameters,
+    load_parameters,
+)
 from .direct import (
     DirectModel,
     cholesky_solver,

@@ -1,7 +1,9 @@
-"""Base parameters: the fewest parameters that give the inverse dynamic model, found numerically (Gautier1991).
+"""Base parameters: the fewest parameters that give the inverse dynamic model, found
+numerically (Gautier1991).
 
-The regressor at random states shows which columns are zero and which are combinations of previous columns. Columns are
-taken from the base outwards, which gives the usual names: ZZ1R, XX2R, ...; R marks a regrouped parameter.
+The regressor at random states shows which columns are zero and which are combinations of previous
+columns. Columns are taken from the base outwards, which gives the usual names: ZZ1R, XX2R, ...; R
+marks a regrouped parameter.
 """
 
 from collections.abc import Collection
@@ -50,11 +52,13 @@ class BaseParameters:
         return len(self.names)
 
     def standard_parameters(self, beta: Array) -> Array:
-        """Standard parameters chi (p,) with K chi = beta; all links whose masses are free have the same mass.
+        """Standard parameters chi (p,) with K chi = beta; all links whose masses are
+        free have the same mass.
 
         Every chi with the same beta gives the same motion.
         """
-        # pinocchio divides by masses. Free ones exceed those of beta, so that no regrouped mass becomes zero.
+        # pinocchio divides by masses. Free ones exceed those of beta, so that no
+        # regrouped mass becomes zero.
         chi = np.zeros(self.K.shape[1])
         given = beta[np.isin(self.columns, self.masses)]
         chi[np.setdiff1d(self.masses, self.columns)] = 1.0 + np.abs(given).max(initial=0.0)
@@ -62,7 +66,9 @@ class BaseParameters:
         return chi
 
     def without(self, names: Collection[str]) -> "BaseParameters":
-        """The base parameters without these, which must be friction terms that are not regrouped."""
+        """The base parameters without these, which must be friction terms
+        that are not regrouped.
+        """
         others = [i for i, name in enumerate(self.names) if name not in names]
         return replace(
             self,
@@ -81,13 +87,20 @@ def load_parameters(base: BaseParameters) -> tuple[str, ...]:
 
 
 def base_parameters(dynamics: InverseModel) -> BaseParameters:
-    """Find the base parameters of a robot from its regressor at seeded random states, by QR (Gautier1991)."""
+    """Find the base parameters of a robot from its regressor at seeded random
+    states, by QR (Gautier1991).
+    """
     rng = np.random.default_rng(SEED)
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
     norms = np.linalg.norm(W, axis=0)
-    shapes = [c for c, source in enumerate(dynamics.sources) if isinstance(source, JointTerm) and source.kind in SHAPES]
-    # Links from the base outwards, then rotors and friction: these are regrouped into a link's parameter.
+    shapes = [
+        c
+        for c, source in enumerate(dynamics.sources)
+        if isinstance(source, JointTerm) and source.kind in SHAPES
+    ]
+    # Links from the base outwards, then rotors and friction: these are regrouped
+    # into a link's parameter.
     order = sorted(range(dynamics.p), key=lambda c: (not dynamics.of_links[c], c))
     present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in shapes]
     scaled = W[:, present] / norms[present]
@@ -95,13 +108,18 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     diagonal = np.abs(np.diag(R))
     keep = diagonal > TOLERANCE * diagonal.max()
     # W_dependent = W_independent C, hence beta = chi_independent + C chi_dependent.
-    C = np.linalg.lstsq(scaled[:, keep], scaled[:, ~keep])[0] if (~keep).any() else np.zeros((keep.sum(), 0))
+    C = (
+        np.linalg.lstsq(scaled[:, keep], scaled[:, ~keep])[0]
+        if (~keep).any()
+        else np.zeros((keep.sum(), 0))
+    )
     independent, dependent = np.array(present)[keep], np.array(present, dtype=np.intp)[~keep]
     C = C * norms[dependent] / norms[independent][:, None]
     C[np.abs(C) < 1e-8] = 0.0
     regrouping = np.zeros((len(independent), dynamics.p))
     regrouping[:, dependent] = C
-    independent = np.r_[independent, np.array(shapes, dtype=np.intp)]  # friction shapes are regrouped with nothing
+    # friction shapes are regrouped with nothing
+    independent = np.r_[independent, np.array(shapes, dtype=np.intp)]
     K = np.r_[regrouping, np.zeros((len(shapes), dynamics.p))]
     K[np.arange(len(independent)), independent] = 1.0
     link_masses = {f"M{j + 1}" for j in range(dynamics.robot.n)}
@@ -109,8 +127,12 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     K, columns = K[by_column], independent[by_column]
     regrouped = np.count_nonzero(K, axis=1) > 1
     return BaseParameters(
-        names=tuple(dynamics.names[c] + "R" * bool(r) for c, r in zip(columns, regrouped, strict=True)),
-        expressions=tuple(_expression(row, int(c), dynamics.names) for row, c in zip(K, columns, strict=True)),
+        names=tuple(
+            dynamics.names[c] + "R" * bool(r) for c, r in zip(columns, regrouped, strict=True)
+        ),
+        expressions=tuple(
+            _expression(row, int(c), dynamics.names) for row, c in zip(K, columns, strict=True)
+        ),
         units=tuple(dynamics.units[c] for c in columns),
         columns=columns,
         K=K,
@@ -120,7 +142,9 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
 
 
 def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
-    """Such as `ZZ2 + Ia2 + 0.0506 (M3 + M4)`: the parameter itself first, equal coefficients in one bracket."""
+    """Such as `ZZ2 + Ia2 + 0.0506 (M3 + M4)`: the parameter itself first, equal
+    coefficients in one bracket.
+    """
     groups: dict[float, list[str]] = {}
     for c in [own, *(int(c) for c in np.flatnonzero(row) if c != own)]:
         groups.setdefault(float(f"{row[c]:.6g}"), []).append(names[c])
@@ -144,8 +168,13 @@ def known_parameters(dynamics: InverseModel) -> Array:
         raise BadInputError("no [parameters] to simulate with", place=place)
     for name, value in values.items():
         if name not in names:
-            text, expected = "not a standard parameter of this robot", f"such as {', '.join(names[:3])} ... {names[-1]}"
-            raise BadInputError(text, place=place, key=f"parameters.{name}", value=value, expected=expected)
+            text, expected = (
+                "not a standard parameter of this robot",
+                f"such as {', '.join(names[:3])} ... {names[-1]}",
+            )
+            raise BadInputError(
+                text, place=place, key=f"parameters.{name}", value=value, expected=expected
+            )
     return np.array([values.get(name, 0.0) for name in names])
 
 

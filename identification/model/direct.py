@@ -1,8 +1,10 @@
-"""The robot's direct dynamic model: its equation of motion with given parameters; and derivatives of the inverse model.
+"""The robot's direct dynamic model: its equation of motion with given parameters; and
+derivatives of the inverse model.
 
-A row of the regressor times any parameters is the torque of a robot with these parameters. So the gradient of a function of
-the regressor is, row by row, a derivative of RNEA with the function's derivative by that row as the inertias. Carpentier,
-Mansard: Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS 2018.
+A row of the regressor times any parameters is the torque of a robot with these parameters. So the
+gradient of a function of the regressor is, row by row, a derivative of RNEA with the function's
+derivative by that row as the inertias. Carpentier, Mansard: Analytical Derivatives of Rigid Body
+Dynamics Algorithms, RSS 2018.
 """
 
 import math
@@ -20,25 +22,29 @@ from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import FRICTION, SHAPES, JointTerm, Kind
 
 _POSES = 300  # positions of a trajectory at which M is checked
-_ONE_BY_ONE = 150  # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
-_DUMMY = 2.0  # mass added to each link, times the sum of masses and first moments: no sum of masses is then zero
+# samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
+_ONE_BY_ONE = 150
+# mass added to each link, times the sum of masses and first moments: no sum of masses is then zero
+_DUMMY = 2.0
 _MASS = FROM_PINOCCHIO[LINK.index("M")]
 _FIRST_MOMENTS = tuple(FROM_PINOCCHIO[LINK.index(name)] for name in ("MX", "MY", "MZ"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DirectModel:
-    """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
+    """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) +
+    friction = tau, equation (1).
 
     Attributes:
         inverse, links: the inverse model, and the links' parameters (n, 10) in the order of `LINK`.
         rigid: pinocchio's model with the links' inertias, and its `data`.
         rotor: (n, n) rotor part of M.
-        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 only.
+        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for
+            dq > 0 and dq < 0 only.
         directions: (c, n) directions r of friction with a sign, at the speed r·dq.
         up, down: (c,) Coulomb friction for r·dq > 0 and for r·dq < 0, positive if it resists.
-        shapes: further friction along the directions, by kind: factors (c,), positive if they resist, and the speeds (c,) of
-            Stribeck friction.
+        shapes: further friction along the directions, by kind: factors (c,), positive if they
+            resist, and the speeds (c,) of Stribeck friction.
         offset: (n,) constant torque.
     """
 
@@ -71,7 +77,9 @@ class DirectModel:
         return pin.crba(self.rigid, self.data, q), bias
 
     def lone_bias(self) -> Callable[[float], float]:
-        """h of a lone joint, without friction, as a function of its position: a + b cos q + c sin q."""
+        """h of a lone joint, without friction, as a function of its position:
+        a + b cos q + c sin q.
+        """
         at = np.array([[0.0], [0.5 * np.pi], [np.pi]])
         ahead, up, behind = (self.inertia_and_bias(q, np.zeros(1))[1].item() for q in at)
         a, b = 0.5 * (ahead + behind), 0.5 * (ahead - behind)
@@ -90,14 +98,23 @@ class DirectModel:
         """
         along = self.rigid.gravity.linear if along is None else along
         still = np.zeros(q.shape)
-        return self.offset + (self.torques_of_links(q, still, still, along) if along.any() else still)
+        return self.offset + (
+            self.torques_of_links(q, still, still, along) if along.any() else still
+        )
 
     def torque(
-        self, q: Array, dq: Array, ddq: Array, dq_sign: Array | None = None, rigid: Array | None = None
+        self,
+        q: Array,
+        dq: Array,
+        ddq: Array,
+        dq_sign: Array | None = None,
+        rigid: Array | None = None,
     ) -> Array:
-        """Torque (N, n) along a motion q, dq, ddq (N, n); `rigid` (N, n) that of the links, where it is known.
+        """Torque (N, n) along a motion q, dq, ddq (N, n); `rigid` (N, n) that of the
+        links, where it is known.
 
-        `dq_sign` (N, n), such as a reference without noise, gives the signs of friction instead of dq.
+        `dq_sign` (N, n), such as a reference without noise, gives the signs of
+        friction instead of dq.
         """
         rigid = self.torques_of_links(q, dq, ddq) if rigid is None else rigid
         u = (dq if dq_sign is None else dq_sign) @ self.directions.T
@@ -106,8 +123,12 @@ class DirectModel:
             sliding = sliding + np.sign(u) * self.shape(u, rigid @ self.directions.T)
         return np.asarray(rigid + (self.without_sliding(dq, ddq) + sliding @ self.directions))
 
-    def torques_of_links(self, q: Array, dq: Array, ddq: Array, gravity: Array | None = None) -> Array:
-        """tau_rigid (N, n) along a motion q, dq, ddq (N, n); `gravity` (3,) replaces the description's, m/s²."""
+    def torques_of_links(
+        self, q: Array, dq: Array, ddq: Array, gravity: Array | None = None
+    ) -> Array:
+        """tau_rigid (N, n) along a motion q, dq, ddq (N, n); `gravity` (3,) replaces
+        the description's, m/s².
+        """
         rigid = self.rigid
         if len(q) > _ONE_BY_ONE * q.shape[1]:
             gravity = rigid.gravity.linear if gravity is None else gravity
@@ -124,13 +145,21 @@ class DirectModel:
         return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + self.offset)
 
     def shape(self, u: Array, rigid: Array) -> Array:
-        """Size (..., c) of further friction at speeds u (..., c) and links' torques `rigid` (..., c) along the directions."""
+        """Size (..., c) of further friction at speeds u (..., c) and links' torques `rigid` (...,
+        c) along the directions.
+        """
         load = np.abs(rigid)
-        return sum((x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.shapes.items()), np.zeros_like(u))
+        return sum(
+            (x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.shapes.items()),
+            np.zeros_like(u),
+        )
 
     def steepness(self, u: Array) -> Array:
         """Slopes (c,) of shapes that grow with speed, at the speeds u (c,), not zero."""
-        slopes = (x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0) for kind, (x, u_s) in self.shapes.items())
+        slopes = (
+            x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0)
+            for kind, (x, u_s) in self.shapes.items()
+        )
         return sum(slopes, np.zeros_like(u))
 
     def largest_shape(self, u: Array) -> Array:
@@ -138,7 +167,9 @@ class DirectModel:
         largest = np.zeros_like(u)
         for kind, (factor, u_s) in self.shapes.items():
             size = FRICTION[kind].size
-            largest += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
+            largest += np.maximum(
+                factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0
+            )
         return largest
 
     @property
@@ -151,8 +182,8 @@ class DirectModel:
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     """The equation of motion (1) of a robot with standard parameters chi (p,), SI.
 
-    Load friction depends on the torque of chi's links; with `BaseParameters.standard_parameters` these include the rotor
-    inertias that are regrouped with links' parameters.
+    Load friction depends on the torque of chi's links; with `BaseParameters.standard_parameters`
+    these include the rotor inertias that are regrouped with links' parameters.
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
@@ -203,7 +234,9 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
 
 
 def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:
-    """A function that solves A x = b for x (n,), of the upper triangle of A (n, n); its x is None if A is not positive."""
+    """A function that solves A x = b for x (n,), of the upper triangle of A (n, n); its x is
+    None if A is not positive.
+    """
     factors = eigenpy.LLT(n)
 
     def solve(A: Array, b: Array) -> Any:
@@ -214,7 +247,9 @@ def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:
 
 
 def poses_of(q: Array) -> Array:
-    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the inertia matrix M is checked."""
+    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the
+    inertia matrix M is checked.
+    """
     return q[:: pose_step(len(q))]
 
 
@@ -224,12 +259,16 @@ def pose_step(N: int) -> int:
 
 
 def inertias(M: Array) -> Array:
-    """J (n,) in kg m² or kg: each joint's largest diagonal entry of the inertia matrices M (P, n, n)."""
+    """J (n,) in kg m² or kg: each joint's largest diagonal entry of the
+    inertia matrices M (P, n, n).
+    """
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 
 
 def why_not_positive(M: Array) -> str | None:
-    """Why not all inertia matrices M (P, n, n) of a trajectory are positive definite; None if they are."""
+    """Why not all inertia matrices M (P, n, n) of a trajectory are positive
+    definite; None if they are.
+    """
     if not np.isfinite(M).all():
         return "the inertia matrix is not finite on the trajectory"
     lowest = float(np.linalg.eigvalsh(M).min())
@@ -240,8 +279,8 @@ def why_not_positive(M: Array) -> str | None:
 def regressor_gradient(
     model: InverseModel, base: BaseParameters, motion: tuple[Array, Array, Array], G: Array
 ) -> tuple[Array, Array, Array]:
-    """Gradients (N, n) by q, dq and ddq, the `motion`, each (N, n), of sum(G * W): W (N, n, b) is the regressor of the base
-    parameters, G (N, n, b) constant.
+    """Gradients (N, n) by q, dq and ddq, the `motion`, each (N, n), of sum(G * W): W (N, n, b) is
+    the regressor of the base parameters, G (N, n, b) constant.
 
     Pinocchio divides by masses: a dummy mass is added to each link, and its torque is subtracted.
     """
@@ -266,11 +305,14 @@ def regressor_gradient(
     inertias[..., _MASS] += dummy
     unit = [pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))] * n
     derivatives = pin.computeRNEADerivatives
-    slopes = np.empty((n + 1, 3, *q.shape, n))  # of each joint's inertias and of the dummy: derivatives by q, dq, ddq
+    # of each joint's inertias and of the dummy: derivatives by q, dq, ddq
+    slopes = np.empty((n + 1, 3, *q.shape, n))
     for k in range(len(q)):
         state = rigid, data, q[k], dq[k], ddq[k]
         for i in range(n + 1):
-            each = unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]]
+            each = (
+                unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]]
+            )
             for link, inertia in enumerate(each):
                 rigid.inertias[link + 1] = inertia
             derivatives(*state)
@@ -282,7 +324,9 @@ def regressor_gradient(
 
 
 def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis."""
+    """tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q,
+    dq, ddq: the last axis.
+    """
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
     rigid, data, n = model.rigid, model.data, q.shape[1]
     tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))
@@ -297,8 +341,8 @@ def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> t
 def torque_without_sliding(
     model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n) by q, dq, ddq, each (N, n); `of_links`
-    are those of `torque_of_links`.
+    """Torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n) by q, dq,
+    ddq, each (N, n); `of_links` are those of `torque_of_links`.
     """
     _, dq, ddq = motion
     slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down

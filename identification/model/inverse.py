@@ -1,9 +1,10 @@
 """The robot's inverse dynamic model, linear in its standard parameters.
 
-tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's names: XX XY XZ YY YZ ZZ
-(about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg), rotor inertia Ia, viscous friction Fv, Coulomb
-friction Fc, offset Off. Asymmetric friction has Fvp, Fcp for dq > 0 and Fvn, Fcn for dq < 0. The terms of motors and friction
-are in `joint_terms`. The columns of load friction depend on parameters and are zero here.
+tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's
+names: XX XY XZ YY YZ ZZ (about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg),
+rotor inertia Ia, viscous friction Fv, Coulomb friction Fc, offset Off. Asymmetric friction has Fvp,
+Fcp for dq > 0 and Fvn, Fcn for dq < 0. The terms of motors and friction are in `joint_terms`. The
+columns of load friction depend on parameters and are zero here.
 """
 
 import xml.etree.ElementTree as ET
@@ -23,15 +24,18 @@ from .joint_terms import SLIDING, JointTerm, joint_terms
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of XX XY XZ YY YZ ZZ
-FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
+# pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
+FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)
 _BLOCK = 2048  # samples: the twists of six joints then fit in the cache
 
 
 class InverseModel:
-    """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and `units`, link by link.
+    """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and
+    `units`, link by link.
 
-    `sources` are their origins: (link, place in LINK), or a term of a joint; `of_links` (p,) marks the former.
-    `coulomb_directions` (c, n) are the directions r of friction with a sign, at the speed r·dq: joints and coupled motors.
+    `sources` are their origins: (link, place in LINK), or a term of a joint; `of_links` (p,) marks
+    the former. `coulomb_directions` (c, n) are the directions r of friction with a sign, at the
+    speed r·dq: joints and coupled motors.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -44,11 +48,20 @@ class InverseModel:
         for j in range(n):
             self.sources += [(j, i) for i in range(len(LINK))]
             self.sources += joint_terms(robot, j)
-        self.names = tuple(s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self.sources)
-        self.units = tuple(s.unit if isinstance(s, JointTerm) else _link_unit(robot, s) for s in self.sources)
-        self.p, self.of_links = len(self.names), np.array([not isinstance(s, JointTerm) for s in self.sources])
+        self.names = tuple(
+            s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self.sources
+        )
+        self.units = tuple(
+            s.unit if isinstance(s, JointTerm) else _link_unit(robot, s) for s in self.sources
+        )
+        self.p, self.of_links = (
+            len(self.names),
+            np.array([not isinstance(s, JointTerm) for s in self.sources]),
+        )
         self._nonzero = self._structure()
-        along = [s.direction for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING]
+        along = [
+            s.direction for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING
+        ]
         self.coulomb_directions = np.array(list(dict.fromkeys(map(tuple, along)))).reshape(-1, n)
 
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -78,7 +91,9 @@ class InverseModel:
         return W
 
     def link_parameters(self) -> Array:
-        """The URDF's parameters (n, 10) of the links in the order of `LINK`, with fixed and locked links; zero for DH rows."""
+        """The URDF's parameters (n, 10) of the links in the order of `LINK`, with fixed and locked
+        links; zero for DH rows.
+        """
         inertias = list(self.model.inertias)[1:]
         return np.array([inertia.toDynamicParameters() for inertia in inertias])[:, FROM_PINOCCHIO]
 
@@ -89,8 +104,8 @@ class InverseModel:
 
     @cached_property
     def joint_frames(self) -> tuple[Array, Array, Array]:
-        """By joint, at position zero: origin (n, 3) and rotation (n, 3, 3) of its link's frame in the parent link's frame, and
-        its axis (n, 3) in its link's frame.
+        """By joint, at position zero: origin (n, 3) and rotation (n, 3, 3) of its link's frame in
+        the parent link's frame, and its axis (n, 3) in its link's frame.
         """
         placements = list(self.model.jointPlacements)[1:]
         pin.computeJointJacobians(self.model, self._data, np.zeros(self.robot.n))
@@ -99,10 +114,16 @@ class InverseModel:
             jacobian = np.asarray(pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL))
             column = jacobian.reshape(6, -1)[:, j]  # for a single joint pinocchio returns a vector
             axes[j] = column[:3] if joint.type == "prismatic" else column[3:]
-        return np.array([p.translation for p in placements]), np.array([p.rotation for p in placements]), axes
+        return (
+            np.array([p.translation for p in placements]),
+            np.array([p.rotation for p in placements]),
+            axes,
+        )
 
     def placements(self, q: Array) -> tuple[Array, Array]:
-        """Links' frames in the base at the positions q (N, n): origins (N, n, 3), rotations (N, n, 3, 3)."""
+        """Links' frames in the base at the positions q (N, n): origins (N, n, 3),
+        rotations (N, n, 3, 3).
+        """
         origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
         for k, qk in enumerate(np.ascontiguousarray(q, dtype=float)):
             pin.forwardKinematics(self.model, self._data, qk)
@@ -111,25 +132,42 @@ class InverseModel:
         return origins, rotations
 
     def _link_series(
-        self, motion: tuple[Array, Array, Array], places: dict[tuple[int, int], list[int]], out: Array
+        self,
+        motion: tuple[Array, Array, Array],
+        places: dict[tuple[int, int], list[int]],
+        out: Array,
     ) -> None:
-        """Fill out[places[link, place in LINK]], one row for each joint that carries the link, in ascending order.
+        """Fill out[places[link, place in LINK]], one row for each joint that carries the
+        link, in ascending order.
 
-        The torque of a joint is v·f + w·n, with the link's velocities v, w at unit joint speed, and the force f and moment n
-        that accelerate the link (Khalil2002).
+        The torque of a joint is v·f + w·n, with the link's velocities v, w at unit joint speed, and
+        the force f and moment n that accelerate the link (Khalil2002).
         """
-        by_link = {i: [place for link, place in places if link == i] for i in sorted({link for link, _ in places})}
-        rows = {i: np.concatenate([places[i, place] for place in own]) for i, own in by_link.items()}
-        for block, twists in self._twists(motion, 1 + max(by_link, default=-1), np.array(self.robot.gravity)):
+        by_link = {
+            i: [place for link, place in places if link == i]
+            for i in sorted({link for link, _ in places})
+        }
+        rows = {
+            i: np.concatenate([places[i, place] for place in own]) for i, own in by_link.items()
+        }
+        for block, twists in self._twists(
+            motion, 1 + max(by_link, default=-1), np.array(self.robot.gravity)
+        ):
             for i, own in by_link.items():
                 out[rows[i], block] = _link_torques(twists[i + 1], _FORCES[own], _MOMENTS[own])
 
-    def torques_of_links(self, motion: tuple[Array, Array, Array], parameters: Array, gravity: Array) -> Array:
-        """Torque (N, n) of links with `parameters` (n, 10) in the order of `LINK`, over the motion q, dq, ddq (N, n)."""
+    def torques_of_links(
+        self, motion: tuple[Array, Array, Array], parameters: Array, gravity: Array
+    ) -> Array:
+        """Torque (N, n) of links with `parameters` (n, 10) in the order of `LINK`, over the
+        motion q, dq, ddq (N, n).
+        """
         tau, unit_wrenches = np.zeros(motion[0].shape), (_FORCES, _MOMENTS)
         for block, twists in self._twists(motion, len(parameters), gravity):
             for twist, own, carriers in zip(twists[1:], parameters, self._carriers, strict=True):
-                tau[block, carriers] += _link_torques(twist, *(np.tensordot(own[None], x, 1) for x in unit_wrenches)).T
+                tau[block, carriers] += _link_torques(
+                    twist, *(np.tensordot(own[None], x, 1) for x in unit_wrenches)
+                ).T
         return tau
 
     def _twists(
@@ -146,8 +184,9 @@ class InverseModel:
             yield slice(k, k + _BLOCK), twists
 
     def _carried(self, i: int, before: Array, q: Array, dq: Array, ddq: Array) -> Array:
-        """Twists of link i in its frame (linear and angular, 3, 2 + joints that carry it, N): its velocity, its acceleration
-        minus gravity, and its velocity for each of these joints at unit speed; `before` are those of its parent.
+        """Twists of link i in its frame (linear and angular, 3, 2 + joints that carry it, N): its
+        velocity, its acceleration minus gravity, and its velocity for each of these joints at unit
+        speed; `before` are those of its parent.
         """
         origin, axis, R, by_sin, by_cos = self._placements[i]
         prismatic = int(self.robot.joints[i].type == "prismatic")
@@ -176,17 +215,23 @@ class InverseModel:
 
     @cached_property
     def _placements(self) -> list[tuple[Array, ...]]:
-        """By joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its rotation R + by_sin sin q + by_cos cos q."""
+        """By joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its rotation R +
+        by_sin sin q + by_cos cos q.
+        """
         made = []
         for joint, origin, R, axis in zip(self.robot.joints, *self.joint_frames, strict=True):
             K = np.cross(np.eye(3), axis) * (joint.type == "revolute")
-            made.append((origin[:, None], axis, *(x[..., None] for x in (R + R @ K @ K, R @ K, -R @ K @ K))))
+            made.append(
+                (origin[:, None], axis, *(x[..., None] for x in (R + R @ K @ K, R @ K, -R @ K @ K)))
+            )
         return made
 
     @cached_property
     def _carriers(self) -> list[list[int]]:
         """By link the joints that carry it."""
-        return [[joint - 1 for joint in joints if joint > 0] for joints in list(self.model.supports)[1:]]
+        return [
+            [joint - 1 for joint in joints if joint > 0] for joints in list(self.model.supports)[1:]
+        ]
 
     def _structure(self) -> NDArray[np.bool_]:
         """Which entries (n, p) of the regressor can be non-zero: joint j carries link i."""
@@ -200,7 +245,9 @@ class InverseModel:
 
 
 def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
-    """Torques (P * joints, N) of the joints that carry a link, for P forces and moments (P, 3, 12) as of `_unit_wrenches`."""
+    """Torques (P * joints, N) of the joints that carry a link, for P forces and moments (P, 3, 12)
+    as of `_unit_wrenches`.
+    """
     (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
     # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); torque v·f + w·n.
     of = np.concatenate([a + _cross(w, v), dw, w[[0, 0, 0, 1, 1, 2]] * w[[0, 1, 2, 1, 2, 2]]])
@@ -214,8 +261,9 @@ def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
 
 
 def _unit_wrenches() -> tuple[Array, Array]:
-    """Force and moment (10, 3, 12) of a link by parameter of LINK, linear in its acceleration a, its angular acceleration dw,
-    and the products wx wx, wx wy, wx wz, wy wy, wy wz, wz wz of its angular velocity.
+    """Force and moment (10, 3, 12) of a link by parameter of LINK, linear in its acceleration
+    a, its angular acceleration dw, and the products wx wx, wx wy, wx wz, wy wy, wy wz, wz wz
+    of its angular velocity.
     """
     forces, moments = np.zeros((2, 10, 3, 12))
     S = np.cross(np.eye(3)[:, None], np.eye(3)[None])  # S[i, k]: e_i x e_k
@@ -256,12 +304,20 @@ def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
 
 
 def _model_from_dh(robot: Robot) -> pin.Model:
-    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified Denavit-Hartenberg, Khalil2002."""
+    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified
+    Denavit-Hartenberg, Khalil2002.
+    """
     model, parent = pin.Model(), 0
     for joint in robot.joints:
         assert joint.dh is not None  # load_robot checks it
-        about_x = pin.SE3(pin.utils.rotate("x", np.deg2rad(joint.dh.alpha_deg)), np.array([joint.dh.d_m, 0.0, 0.0]))
-        about_z = pin.SE3(pin.utils.rotate("z", np.deg2rad(joint.dh.theta_deg)), np.array([0.0, 0.0, joint.dh.r_m]))
+        about_x = pin.SE3(
+            pin.utils.rotate("x", np.deg2rad(joint.dh.alpha_deg)),
+            np.array([joint.dh.d_m, 0.0, 0.0]),
+        )
+        about_z = pin.SE3(
+            pin.utils.rotate("z", np.deg2rad(joint.dh.theta_deg)),
+            np.array([0.0, 0.0, joint.dh.r_m]),
+        )
         kind = pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ()
         parent = model.addJoint(parent, kind, about_x * about_z, joint.name)
     return model
@@ -273,7 +329,11 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     wanted = [joint.name for joint in robot.joints]
     try:
         root = ET.fromstring(robot.urdf or "")
-        found = [str(joint.get("name")) for joint in root.findall("joint") if joint.get("type") != "fixed"]
+        found = [
+            str(joint.get("name"))
+            for joint in root.findall("joint")
+            if joint.get("type") != "fixed"
+        ]
         for name in wanted:
             if name not in found:
                 expected = f"one of {listed(found)}"
@@ -290,18 +350,23 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     if order != wanted:
         shown = ", ".join(wanted)
         key = "order of joints"
-        raise BadInputError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
+        raise BadInputError(
+            place=place, key=key, value=wanted, shown=shown, expected=", ".join(order)
+        )
     for described, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         prismatic = built.shortname().startswith("JointModelP")
         if prismatic != (described.type == "prismatic") or built.nq != 1:
             where = f"{place}: joint {described.name!r}"
-            raise BadInputError(place=where, key="type", value=built.shortname(), expected=described.type)
+            raise BadInputError(
+                place=where, key="type", value=built.shortname(), expected=described.type
+            )
     return model
 
 
 def _make_buildable(joint: ET.Element, place: str) -> None:
     """Change a joint so that pinocchio builds it: with an axis and very wide limits."""
-    axis = joint.find("axis") if joint.get("type") != "floating" else None  # exporters write 0 0 0 for it
+    # exporters write 0 0 0 for it
+    axis = joint.find("axis") if joint.get("type") != "floating" else None
     if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
         where = f"{place}: joint {joint.get('name')!r}"
         raise BadInputError(place=where, key="axis", value="0 0 0", expected="a direction")
@@ -310,4 +375,6 @@ def _make_buildable(joint: ET.Element, place: str) -> None:
     if joint.get("type") in ("revolute", "prismatic"):  # pinocchio needs limits
         for limit in joint.findall("limit"):
             joint.remove(limit)
-        ET.SubElement(joint, "limit", {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"})
+        ET.SubElement(
+            joint, "limit", {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"}
+        )

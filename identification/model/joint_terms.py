@@ -1,6 +1,7 @@
 """Joint torques of motors and friction, as columns of the model: rotor inertia, friction, offset.
 
-With v the speed of a joint and u = r·dq the speed along a direction r of Coulomb friction (a joint's or a coupled motor's):
+With v the speed of a joint and u = r·dq the speed along a direction r of Coulomb friction (a
+joint's or a coupled motor's):
 
 | term | torque per unit of the parameter | along | parameters |
 |---|---|---|---|
@@ -12,10 +13,11 @@ With v the speed of a joint and u = r·dq the speed along a direction r of Coulo
 | stribeck | exp(-(u/u_s)²) sign(u), u_s a stated speed | direction | Fs, Fsm |
 | load | abs(tau_rigid) sign(v), tau_rigid the torque of the links | joint | mu |
 
-Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the motor turns at r·dq
-and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist if a motor turns with several joints. As usual
-for coupled wrists, the part of Ia and Fvm that acts on one joint only belongs to that joint's Ia and Fv: on the Stäubli TX40
-tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
+Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the
+motor turns at r·dq and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist if a
+motor turns with several joints. As usual for coupled wrists, the part of Ia and Fvm that acts on
+one joint only belongs to that joint's Ia and Fv: on the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6,
+and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,12 +38,15 @@ ROOT_ROUNDING = 1e-3  # rad/s or m/s, added to the speed under a rounded root
 
 @dataclass(frozen=True, kw_only=True)
 class Friction:
-    """A friction term of the description as a function of the speed u; to add a term, add a row to `FRICTION`.
+    """A friction term of the description as a function of the speed u; to add a term,
+    add a row to `FRICTION`.
 
     Attributes:
-        name: of its parameter; `motor_name` for a motor that turns with several joints, "" if such a motor has none.
+        name: of its parameter; `motor_name` for a motor that turns with several joints, "" if
+            such a motor has none.
         unit: of the parameter, from {effort} and {length}.
-        size: per unit of the parameter, of u, the described speed and the size of the links' torque.
+        size: per unit of the parameter, of u, the described speed and the
+            size of the links' torque.
         slope: its derivative by u, of u and the described speed.
         has_sign: the term is sign(u) size, which jumps or is steep at 0; else it is the size.
         is_steep: the slope is infinite at 0.
@@ -81,7 +86,8 @@ FRICTION: dict[Kind, Friction] = {
     ),
     "load": Friction(name="mu", unit="", size=lambda u, u_s, load: load + 0.0 * u),
 }
-SHAPES = tuple(kind for kind in FRICTION if kind != "coulomb")  # further friction: neither viscous nor Coulomb
+# further friction: neither viscous nor Coulomb
+SHAPES = tuple(kind for kind in FRICTION if kind != "coulomb")
 SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign)
 
 
@@ -89,10 +95,11 @@ SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign
 class JointTerm:
     """A standard parameter of a joint or motor, and its column of the regressor.
 
-    rotor: matrix ddq; viscous: matrix dq; offset: `direction`; those of `FRICTION` act along r = `direction`, at u = r·dq.
-    A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is the part of a motor's
-    diagonal that belongs to other joints' parameters and is not in `matrix`. At `speed` Stribeck friction has fallen to 37 %.
-    `joint` is the number in the name, from 0.
+    rotor: matrix ddq; viscous: matrix dq; offset: `direction`; those of `FRICTION` act along r =
+    `direction`, at u = r·dq. A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one
+    joint. `given_away` (n,) is the part of a motor's diagonal that belongs to other joints'
+    parameters and is not in `matrix`. At `speed` Stribeck friction has fallen to 37 %. `joint` is
+    the number in the name, from 0.
     """
 
     name: str
@@ -112,13 +119,20 @@ class JointTerm:
 
     @property
     def row(self) -> Array:
-        """(n,) speed of its joint or motor per joint speed, 1 at `joint`; includes what `given_away` takes from `matrix`."""
+        """(n,) speed of its joint or motor per joint speed, 1 at `joint`; includes what
+        `given_away` takes from `matrix`.
+        """
         if self.direction.any():
             return self.direction
-        return np.asarray(self.matrix[self.joint] + self.given_away[self.joint] * np.eye(len(self.matrix))[self.joint])
+        return np.asarray(
+            self.matrix[self.joint]
+            + self.given_away[self.joint] * np.eye(len(self.matrix))[self.joint]
+        )
 
     def entry(self, j: int, dq: Array, ddq: Array, load: Array | float = 0.0) -> Array | float:
-        """The column's entry at joint j over a motion: dq, ddq (N, n) → (N,); `load` (N,) is the size of the links' torque."""
+        """The column's entry at joint j over a motion: dq, ddq (N, n) → (N,); `load` (N,) is the
+        size of the links' torque.
+        """
         if self.kind == "rotor":
             return np.asarray(ddq @ self.matrix[j])
         if self.kind == "viscous":
@@ -134,7 +148,9 @@ class JointTerm:
         return np.asarray(self.direction[j] * (sign * friction.size(u, self.speed, load)))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
-        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); zero for terms with a sign: see `rounded`."""
+        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); zero for terms with
+        a sign: see `rounded`.
+        """
         by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
         if self.kind == "rotor":
             by_acceleration = self.matrix[j]
@@ -147,23 +163,30 @@ class JointTerm:
         return by_speed, by_acceleration
 
     def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
-        """Friction with a sign along the direction at speeds dq (N, n), without jumps, and its slope, (N,) each.
+        """Friction with a sign along the direction at speeds dq (N, n), without jumps,
+        and its slope, (N,) each.
 
-        The sign of a speed u becomes x / sqrt(1 + x²), x = u over the creep speed along the direction; the root becomes
-        sqrt(abs(u) + ROOT_ROUNDING). The slope is the derivative by u.
+        The sign of a speed u becomes x / sqrt(1 + x²), x = u over the creep speed along the
+        direction; the root becomes sqrt(abs(u) + ROOT_ROUNDING). The slope is the derivative by u.
         """
         friction = FRICTION[self.kind]
         u, slow = dq @ self.direction, float(creep @ np.abs(self.direction))
         x = u / slow
         sign, steepness = x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5 / slow
         at = np.abs(u) + ROOT_ROUNDING * friction.is_steep
-        size, slope = friction.size(at, self.speed, 0.0), np.sign(u) * friction.slope(at, self.speed)
-        share = 0.5 if self.side else 1.0  # friction of one direction is half of sign(u) + 1 or of sign(u) - 1
+        size, slope = (
+            friction.size(at, self.speed, 0.0),
+            np.sign(u) * friction.slope(at, self.speed),
+        )
+        # friction of one direction is half of sign(u) + 1 or of sign(u) - 1
+        share = 0.5 if self.side else 1.0
         return share * (sign + self.side) * size, share * (size * steepness + slope * sign)
 
 
 def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
-    """The described terms numbered j + 1: Ia, friction of the joint, Off, friction of a coupled motor."""
+    """The described terms numbered j + 1: Ia, friction of the joint, Off,
+    friction of a coupled motor.
+    """
     joint, n = robot.joints[j], robot.n
     motors = _motor_rows(robot)
     r, own = motors[j], np.eye(n)[j]
@@ -172,22 +195,43 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     effort, length = robot.effort_units[j], joint.position_unit
     viscous_unit = f"{effort} s/{length}"
     none, square = np.zeros(n), np.zeros((n, n))
-    blank = JointTerm(name="", joint=j, unit="", kind="offset", matrix=square, direction=none, given_away=none)
+    blank = JointTerm(
+        name="", joint=j, unit="", kind="offset", matrix=square, direction=none, given_away=none
+    )
 
     def through_matrix(
-        name: str, unit: str, kind: Literal["rotor", "viscous"], whole: Array, taken: Sequence[int] = (), side: int = 0
+        name: str,
+        unit: str,
+        kind: Literal["rotor", "viscous"],
+        whole: Array,
+        taken: Sequence[int] = (),
+        side: int = 0,
     ) -> JointTerm:
         matrix = whole.copy()
         matrix[list(taken), list(taken)] = 0.0
         given_away = np.diag(whole - matrix)
         return replace(
-            blank, name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, given_away=given_away, side=side
+            blank,
+            name=f"{name}{j + 1}",
+            unit=unit,
+            kind=kind,
+            matrix=matrix,
+            given_away=given_away,
+            side=side,
         )
 
     def along(kind: Kind, name: str, direction: Array, side: int = 0) -> JointTerm:
         unit = FRICTION[kind].unit.format(effort=effort, length=length)
         speed = joint.si("stribeck_speed") or np.inf
-        return replace(blank, name=f"{name}{j + 1}", unit=unit, kind=kind, direction=direction, side=side, speed=speed)
+        return replace(
+            blank,
+            name=f"{name}{j + 1}",
+            unit=unit,
+            kind=kind,
+            direction=direction,
+            side=side,
+            speed=speed,
+        )
 
     terms: list[JointTerm] = []
     if joint.rotor_inertia:
@@ -195,25 +239,36 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
         terms.append(through_matrix("Ia", inertia_unit(robot, j), "rotor", np.outer(r, r), taken))
     for side, mark in ((1, "p"), (-1, "n")) if joint.one_sided else ((0, ""),):
         if "viscous" in joint.terms:
-            terms.append(through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side=side))
+            terms.append(
+                through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side=side)
+            )
         if "coulomb" in joint.terms:
             terms.append(along("coulomb", f"Fc{mark}", own, side))
     if "offset" in joint.terms:
         terms.append(replace(blank, name=f"Off{j + 1}", unit=effort, direction=own))
     terms += [along(kind, FRICTION[kind].name, own) for kind in SHAPES if kind in joint.terms]
     if coupled and "viscous" in joint.terms:
-        taken = [i for i, other in enumerate(robot.joints) if "viscous" in other.terms and not other.one_sided]
+        taken = [
+            i
+            for i, other in enumerate(robot.joints)
+            if "viscous" in other.terms and not other.one_sided
+        ]
         terms.append(through_matrix("Fvm", viscous_unit, "viscous", np.outer(r, r), taken))
-    of_motors = [(kind, friction.motor_name) for kind, friction in FRICTION.items() if coupled and friction.motor_name]
+    of_motors = [
+        (kind, friction.motor_name)
+        for kind, friction in FRICTION.items()
+        if coupled and friction.motor_name
+    ]
     terms += [along(kind, name, r) for kind, name in of_motors if kind in joint.terms]
     return terms
 
 
 def corner_speeds(directions: Array) -> Array:
-    """Absolute speeds (m, k) along k directions (k, n) at the corners, where the planes d_k dq = 0 meet.
+    """Absolute speeds (m, k) along k directions (k, n) at the corners, where the
+    planes d_k dq = 0 meet.
 
-    The power of Coulomb friction sum_k Fc_k |d_k dq| is linear between these planes: if it is not negative at the corners, it
-    is not negative anywhere.
+    The power of Coulomb friction sum_k Fc_k |d_k dq| is linear between these planes: if it is not
+    negative at the corners, it is not negative anywhere.
     """
     across, corners = spanning(directions), dict[tuple[float, ...], None]()
     for standing in combinations(directions @ across.T, len(across) - 1):
@@ -227,18 +282,24 @@ def corner_speeds(directions: Array) -> Array:
 def spanning(rows: Array) -> Array:
     """Unit vectors (r, n) that span rows (k, n): joint axes if possible."""
     moving, rank = np.flatnonzero(rows.any(axis=0)), int(np.linalg.matrix_rank(rows))
-    return np.asarray(np.eye(rows.shape[1])[moving] if rank == len(moving) else np.linalg.svd(rows)[2][:rank])
+    return np.asarray(
+        np.eye(rows.shape[1])[moving] if rank == len(moving) else np.linalg.svd(rows)[2][:rank]
+    )
 
 
 def inertia_unit(robot: Robot, j: int) -> str:
-    """Unit of an inertia about joint j's axis, or of a mass moved by it; in A or V if the gain is unknown."""
+    """Unit of an inertia about joint j's axis, or of a mass moved by it; in A or V
+    if the gain is unknown.
+    """
     if not robot.gain_known:
         return f"{robot.effort_units[j]} s²/{robot.joints[j].position_unit}"
     return "kg m²" if robot.joints[j].type == "revolute" else "kg"
 
 
 def _motor_rows(robot: Robot) -> Array:
-    """Motor matrix (n, n) with each row divided by its entry at the motor's own joint, or else by its largest."""
+    """Motor matrix (n, n) with each row divided by its entry at the motor's own joint,
+    or else by its largest.
+    """
     own = np.diag(robot.R).copy()
     for m in np.flatnonzero(own == 0):
         own[m] = robot.R[m, np.argmax(np.abs(robot.R[m]))]

@@ -1,6 +1,8 @@
-"""Distances between the links of a robot, and to the ground: capsules of the description, or the URDF's collision shapes.
+"""Distances between the links of a robot, and to the ground: capsules of the description, or the
+URDF's collision shapes.
 
-Meshes are replaced by their convex hulls; adjacent links are not checked. Distances are coal's, by pinocchio.
+Meshes are replaced by their convex hulls; adjacent links are not checked. Distances
+are coal's, by pinocchio.
 """
 
 import xml.etree.ElementTree as ET
@@ -28,7 +30,8 @@ class Obstacles:
     Attributes:
         model, geometry: pinocchio's models of the joints, and of the shapes and their pairs.
         near: names of pairs that are too near at all poses and are not checked.
-        missing: meshes of the URDF that are not found; their links are checked partly or not at all.
+        missing: meshes of the URDF that are not found; their links are
+            checked partly or not at all.
     """
 
     model: Any
@@ -40,10 +43,15 @@ class Obstacles:
     def names(self) -> tuple[str, ...]:
         """(P,) names of the pairs."""
         shapes = [shape.name.rpartition("_")[0] for shape in self.geometry.geometryObjects]
-        return tuple(f"{shapes[pair.first]} and {shapes[pair.second]}" for pair in self.geometry.collisionPairs)
+        return tuple(
+            f"{shapes[pair.first]} and {shapes[pair.second]}"
+            for pair in self.geometry.collisionPairs
+        )
 
     def distances(self, q: Array) -> Array:
-        """(N, P) distances in m of the pairs at the positions q (N, n), negative where shapes overlap."""
+        """(N, P) distances in m of the pairs at the positions q (N, n),
+        negative where shapes overlap.
+        """
         data, shapes = self.model.createData(), pin.GeometryData(self.geometry)
         found = np.empty((len(q), len(self.geometry.collisionPairs)))
         for k, qk in enumerate(np.ascontiguousarray(q)):
@@ -58,23 +66,39 @@ class Obstacles:
 
 
 def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles:
-    """The pairs of a robot's shapes, by described capsules, else by those of its URDF, and of the ground.
+    """The pairs of a robot's shapes, by described capsules, else by those of its
+    URDF, and of the ground.
 
-    Pairs that are nearer than `margin_m` at all `poses` (N, n) within the ranges are left out: their distance depends on the
-    shapes, not on the motion. Raises `BadInputError`: a mesh cannot be read.
+    Pairs that are nearer than `margin_m` at all `poses` (N, n) within the ranges are left
+    out: their distance depends on the shapes, not on the motion. Raises `BadInputError`:
+    a mesh cannot be read.
     """
-    robot, model, geometry, missing = dynamics.robot, dynamics.model, pin.GeometryModel(), list[str]()
+    robot, model, geometry, missing = (
+        dynamics.robot,
+        dynamics.model,
+        pin.GeometryModel(),
+        list[str](),
+    )
     if robot.ground_m is not None:
         g = robot.gravity
-        half = coal.Halfspace(-g / np.linalg.norm(g) if g.any() else np.array([0.0, 0.0, 1.0]), float(robot.ground_m))
+        half = coal.Halfspace(
+            -g / np.linalg.norm(g) if g.any() else np.array([0.0, 0.0, 1.0]), float(robot.ground_m)
+        )
         geometry.addGeometryObject(pin.GeometryObject("ground_0", 0, pin.SE3.Identity(), half))
-    capsules = [("base", robot.base_capsule), *((f"link of {j.name}", j.capsule) for j in robot.joints)]
+    capsules = [
+        ("base", robot.base_capsule),
+        *((f"link of {j.name}", j.capsule) for j in robot.joints),
+    ]
     for link, (name, capsule) in enumerate(capsules):
         if capsule is not None:
             start, along = np.array(capsule.from_m), np.array(capsule.to_m) - capsule.from_m
-            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
+            turn = pin.Quaternion.FromTwoVectors(
+                np.array([0.0, 0.0, 1.0]), along
+            ).toRotationMatrix()
             solid = coal.Capsule(capsule.radius_m, float(np.linalg.norm(along)))
-            geometry.addGeometryObject(pin.GeometryObject(f"{name}_0", link, pin.SE3(turn, start + along / 2), solid))
+            geometry.addGeometryObject(
+                pin.GeometryObject(f"{name}_0", link, pin.SE3(turn, start + along / 2), solid)
+            )
     if robot.urdf is not None and not any(capsule for _, capsule in capsules):
         _add_urdf_shapes(dynamics, geometry, find, missing)
     geometry.addAllCollisionPairs()
@@ -83,7 +107,9 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
     for (i, k), name, largest in zip(pairs, every.names, apart, strict=True):
         a, b = (geometry.geometryObjects[x].parentJoint for x in (i, k))
-        adjacent = geometry.geometryObjects[i].name != "ground_0" and (model.parents[a] == b or model.parents[b] == a)
+        adjacent = geometry.geometryObjects[i].name != "ground_0" and (
+            model.parents[a] == b or model.parents[b] == a
+        )
         if largest <= margin_m and not adjacent:
             near.append(name)
         if adjacent or largest <= margin_m:
@@ -92,7 +118,9 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
 
 
 def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing: list[str]) -> None:
-    """Add collision shapes of the URDF's links, meshes as convex hulls; those that are not found go to `missing`."""
+    """Add collision shapes of the URDF's links, meshes as convex hulls; those that are not
+    found go to `missing`.
+    """
     root = ET.fromstring(dynamics.robot.urdf or "")
     for link in root.iter("link"):
         for collision in link.findall("collision"):
@@ -113,4 +141,6 @@ def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing:
     except (RuntimeError, ValueError) as error:
         problem = f"a collision shape cannot be read: {error}"
         expected = "one that coal reads, or capsules in robot.toml"
-        raise BadInputError(problem, place=f"robot {dynamics.robot.name}: URDF", expected=expected) from error
+        raise BadInputError(
+            problem, place=f"robot {dynamics.robot.name}: URDF", expected=expected
+        ) from error

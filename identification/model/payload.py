@@ -14,21 +14,27 @@ BALL_RADIUS_M = 0.1  # of the ball that a payload is taken for: its inertia abou
 
 
 def payload_parameters(model: InverseModel, payload: Payload) -> Array:
-    """The payload's XX XY XZ YY YZ ZZ MX MY MZ M (10,) in the frame of the last link, about its origin: a ball.
+    """The payload's XX XY XZ YY YZ ZZ MX MY MZ M (10,) in the frame of the last link,
+    about its origin: a ball.
 
-    Without a centre of mass the ball is at the origin of the payload's frame. Raises `BadInputError` if the mass is
-    unknown, or the frame is no fixed link that the last joint carries.
+    Without a centre of mass the ball is at the origin of the payload's frame.
+    Raises `BadInputError` if the mass is unknown, or the frame is no fixed link
+    that the last joint carries.
     """
     if payload.mass_kg is None:
         raise BadInputError(key="payload", value=str(payload), expected="its mass")
     placement = pin.SE3.Identity()
     if payload.frame is not None:
         n, kind = model.robot.n, pin.FrameType.BODY
-        links = {f.name: f.placement for f in model.model.frames if f.parentJoint == n and f.type == kind}
+        links = {
+            f.name: f.placement for f in model.model.frames if f.parentJoint == n and f.type == kind
+        }
         if payload.frame not in links:
             place, joint = f"robot {model.robot.name}", model.robot.joints[-1].name
             expected = f"a link that {joint} carries: {listed(list(links))}"
-            raise BadInputError(place=place, key="payload.frame", value=payload.frame, expected=expected)
+            raise BadInputError(
+                place=place, key="payload.frame", value=payload.frame, expected=expected
+            )
         placement = links[payload.frame]
     ball = 0.4 * payload.mass_kg * BALL_RADIUS_M**2 * np.eye(3)
     body = pin.Inertia(payload.mass_kg, np.array(payload.center_of_mass_m or (0.0, 0.0, 0.0)), ball)
@@ -36,7 +42,9 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
 
 
 def add_payload(model: InverseModel, parameters: Array, payload: Payload) -> Array:
-    """Standard parameters (p,) of the robot with the payload, from those of the robot without it."""
+    """Standard parameters (p,) of the robot with the payload, from those
+    of the robot without it.
+    """
     last = [model.sources.index((model.robot.n - 1, place)) for place in range(len(LINK))]
     out = np.array(parameters, dtype=float)
     out[last] += payload_parameters(model, payload)

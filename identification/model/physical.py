@@ -1,9 +1,11 @@
-"""Conditions for physical standard parameters: links are bodies, rotor inertias are positive, friction dissipates energy.
+"""Conditions for physical standard parameters: links are bodies, rotor inertias are positive,
+friction dissipates energy.
 
-Rotor inertias: those of each motor and of each joint alone are positive: Ia5 - Ia6 if motor 6 also turns joint 5. Viscous
-friction: its matrix is positive over the joints that share motors. Coulomb friction: its power sum_k Fc_k |d_k dq| is linear
-between the planes d_k dq = 0, so it is positive at all speeds if it is at the corners where the planes meet: Fc5 + Fcm6,
-Fc6 + Fcm6 and Fc5 + Fc6 of a wrist whose motor 6 also turns joint 5, and Fc of a joint with its own motor. Both conditions are
+Rotor inertias: those of each motor and of each joint alone are positive: Ia5 - Ia6 if motor 6 also
+turns joint 5. Viscous friction: its matrix is positive over the joints that share motors. Coulomb
+friction: its power sum_k Fc_k |d_k dq| is linear between the planes d_k dq = 0, so it is positive
+at all speeds if it is at the corners where the planes meet: Fc5 + Fcm6, Fc6 + Fcm6 and Fc5 + Fc6 of
+a wrist whose motor 6 also turns joint 5, and Fc of a joint with its own motor. Both conditions are
 exact. With further friction terms, the power at recorded speeds must be positive instead.
 """
 
@@ -13,7 +15,13 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import BadInputError
-from ..estimation import Consistent, PhysicalParameters, consistent_parameters, link_parameters, pseudo_inertia
+from ..estimation import (
+    Consistent,
+    PhysicalParameters,
+    consistent_parameters,
+    link_parameters,
+    pseudo_inertia,
+)
 from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
@@ -30,19 +38,26 @@ RESISTING = ("rotor", "viscous", "coulomb")  # terms that simulators have
 MIN_SPEED = 0.04  # of a joint's peak speed, for the power of its friction to be checked
 
 
-def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tuple[Array, tuple[str, ...]]:
-    """A-priori links of `prior`, another description of the robot, or of the model's own description.
+def expected_links(
+    idm: InverseModel, prior: InverseModel | None = None
+) -> tuple[Array, tuple[str, ...]]:
+    """A-priori links of `prior`, another description of the robot, or of the
+    model's own description.
 
-    Returns parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the model's link frames, and the source of each link.
+    Returns parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the model's link frames, and
+    the source of each link.
 
-    A link is from the description's `[parameters]`, else its `URDF`, else `plausible`: a rod from its joint to the next. The
-    link frames of `prior` may differ, as those of a URDF from DH rows. Raises `BadInputError` if it has other joints or
-    its links move differently.
+    A link is from the description's `[parameters]`, else its `URDF`, else `plausible`: a rod from
+    its joint to the next. The link frames of `prior` may differ, as those of a URDF from DH rows.
+    Raises `BadInputError` if it has other joints or its links move differently.
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
     of_urdf = of.link_parameters()
-    found = [_expected_link(of, j, values[columns], of_urdf[j]) for j, columns in enumerate(link_columns(of))]
+    found = [
+        _expected_link(of, j, values[columns], of_urdf[j])
+        for j, columns in enumerate(link_columns(of))
+    ]
     links = np.array([link for link, _ in found])
     if prior is not None:
         T = _frames_of(idm, prior)
@@ -53,7 +68,9 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
 def base_prior(
     idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None
 ) -> tuple[dict[str, float], str]:
-    """A-priori base parameters K chi of links alone, by name, as `expected_links` without plausible values; their source."""
+    """A-priori base parameters K chi of links alone, by name, as `expected_links` without
+    plausible values; their source.
+    """
     (links, sources), chi = expected_links(idm, prior), np.full(idm.p, np.nan)
     chi[link_columns(idm)] = np.where((np.array(sources) == "plausible")[:, None], np.nan, links)
     known, beta = base.links & ~((base.K != 0) @ np.isnan(chi)), base.K @ np.nan_to_num(chi)
@@ -69,7 +86,8 @@ def link_columns(idm: InverseModel) -> NDArray[np.intp]:
 
 
 def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load: Array) -> Array:
-    """Power (k, b) dissipated per unit of the parameters `columns` (b,), divided by sum |dq|; zero for constant offsets.
+    """Power (k, b) dissipated per unit of the parameters `columns` (b,), divided by sum |dq|;
+    zero for constant offsets.
 
     `dq` (k, n) are the speeds, no row all zero, `load` (k, n) the sizes of the links' torques.
     """
@@ -82,21 +100,31 @@ def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load
     return np.asarray(G / np.abs(dq).sum(axis=1)[:, None])
 
 
-def friction_alone(idm: InverseModel, columns: NDArray[np.intp], j: int, v: Array, load: Array) -> Array:
-    """Friction (k, b) without offsets of joint j per unit of the parameters `columns` (b,), if only joint j moves.
+def friction_alone(
+    idm: InverseModel, columns: NDArray[np.intp], j: int, v: Array, load: Array
+) -> Array:
+    """Friction (k, b) without offsets of joint j per unit of the parameters `columns` (b,),
+    if only joint j moves.
 
     `v` (k,) are its speeds, not zero, `load` (k,) the sizes of the links' torque at it.
     """
     alone = np.eye(idm.robot.n)[j]
-    return np.asarray(np.sign(v)[:, None] * friction_power(idm, columns, np.outer(v, alone), np.outer(load, alone)))
+    return np.asarray(
+        np.sign(v)[:, None]
+        * friction_power(idm, columns, np.outer(v, alone), np.outer(load, alone))
+    )
 
 
 def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Array]:
-    """Speeds and loads (m, n) at which the power of further friction terms is checked, from those of some rows (k, n).
+    """Speeds and loads (m, n) at which the power of further friction terms is checked, from
+    those of some rows (k, n).
 
     Joints that share motors move together as recorded, and each joint alone.
     """
-    moving, found = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0), [(dq[:0], load[:0])]
+    moving, found = (
+        np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0),
+        [(dq[:0], load[:0])],
+    )
     for joints in _groups(idm, shaped=True):
         for subset in dict.fromkeys([joints, *((j,) for j in joints)]):
             at, these = moving[:, subset].any(axis=1), np.isin(np.arange(idm.robot.n), subset)
@@ -108,11 +136,12 @@ def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Arr
 def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointTerm, str]]:
     """Conditions for rotor inertias, viscous and Coulomb friction.
 
-    Matrices (s, s, p), mostly a single entry, whose product with chi must be positive definite; the first parameter of each,
-    with the kind and the unit of all; and a text such as `Fc5 + Fcm6`.
+    Matrices (s, s, p), mostly a single entry, whose product with chi must be positive definite; the
+    first parameter of each, with the kind and the unit of all; and a text such as `Fc5 + Fcm6`.
 
-    For joints with further friction terms: if `shaped`, friction must be positive without these terms, also of a joint's or
-    motor's own; else there is no condition here, and the power is checked.
+    For joints with further friction terms: if `shaped`, friction must be positive
+    without these terms, also of a joint's or motor's own; else there is no condition
+    here, and the power is checked.
     """
     found, (terms, A) = list[tuple[Array, JointTerm, str]](), own_shares(idm)
     alone = {j for joints in _groups(idm, shaped=False) if len(joints) == 1 for j in joints}
@@ -128,10 +157,23 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
                 matrix = np.zeros((len(across), len(across), idm.p))
                 for c, term in viscous.items():
                     matrix[..., c] = across @ term.matrix @ across.T
-                text = f"viscous friction of {' and '.join(idm.robot.joints[j].name for j in joints)}"
+                text = (
+                    f"viscous friction of {' and '.join(idm.robot.joints[j].name for j in joints)}"
+                )
                 found.append((matrix, next(iter(viscous.values())), text))
-            for speeds in corner_speeds(np.array([term.direction for term in coulomb.values()])) if coulomb else ():
-                found.append(_single(idm, np.asarray(np.bincount(list(coulomb), speeds, minlength=idm.p), dtype=float)))
+            for speeds in (
+                corner_speeds(np.array([term.direction for term in coulomb.values()]))
+                if coulomb
+                else ()
+            ):
+                found.append(
+                    _single(
+                        idm,
+                        np.asarray(
+                            np.bincount(list(coulomb), speeds, minlength=idm.p), dtype=float
+                        ),
+                    )
+                )
     return found
 
 
@@ -140,9 +182,10 @@ def physical_parameters(
 ) -> PhysicalParameters:
     """Conditions for the standard parameters of a physical robot.
 
-    Links have the prior of `expected_links`; rotors and friction the conditions of `requirements`. Further friction terms
-    need a positive `power` (m, p), per unit of each parameter at `shaped_states`; if no speeds are known, viscous and Coulomb
-    friction must be positive without the further terms.
+    Links have the prior of `expected_links`; rotors and friction the conditions of
+    `requirements`. Further friction terms need a positive `power` (m, p), per unit of each
+    parameter at `shaped_states`; if no speeds are known, viscous and Coulomb friction must be
+    positive without the further terms.
     """
     source = idm if prior is None else prior
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
@@ -168,30 +211,50 @@ def physical_parameters(
     )
 
 
-def _terms(idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...] | None = None) -> dict[int, JointTerm]:
+def _terms(
+    idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...] | None = None
+) -> dict[int, JointTerm]:
     """By column, the terms of these kinds that act on one of the joints, or on any."""
-    terms = {c: term for c, term in enumerate(idm.sources) if isinstance(term, JointTerm) and term.kind in kinds}
-    return {c: term for c, term in terms.items() if joints is None or not set(term.rows).isdisjoint(joints)}
+    terms = {
+        c: term
+        for c, term in enumerate(idm.sources)
+        if isinstance(term, JointTerm) and term.kind in kinds
+    }
+    return {
+        c: term
+        for c, term in terms.items()
+        if joints is None or not set(term.rows).isdisjoint(joints)
+    }
 
 
 def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
-    """Groups of joints that share motors: if `shaped`, those with further friction terms, else the others."""
+    """Groups of joints that share motors: if `shaped`, those with further friction
+    terms, else the others.
+    """
     joined = np.eye(idm.robot.n)
     for term in _terms(idm, DISSIPATING).values():
         joined[np.ix_(term.rows, term.rows)] = 1.0
     closed = np.linalg.matrix_power(joined, idm.robot.n)
     groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
     # If joints share motors, one-sided terms count as further terms.
-    one_sided = {source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side}
-    further = {g for g in groups if _terms(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))}
+    one_sided = {
+        source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side
+    }
+    further = {
+        g for g in groups if _terms(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))
+    }
     return [joints for joints in groups if (joints in further) == shaped]
 
 
 def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
-    """Rotors, viscous and Coulomb friction by column, and for each the combination (m, p) of its joint or motor alone."""
+    """Rotors, viscous and Coulomb friction by column, and for each the combination (m, p) of
+    its joint or motor alone.
+    """
     terms = _terms(idm, RESISTING)
     columns = list(terms)
-    own = {(s.kind, int(s.rows[0])): c for c, s in terms.items() if len(s.rows) == 1 and s.side == 0}
+    own = {
+        (s.kind, int(s.rows[0])): c for c, s in terms.items() if len(s.rows) == 1 and s.side == 0
+    }
     A = np.zeros((idm.p, idm.p))
     A[columns, columns] = 1.0
     for c, term in terms.items():
@@ -210,8 +273,12 @@ def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
     return row[None, None], terms[0], text
 
 
-def _expected_link(idm: InverseModel, j: int, described: Array, of_urdf: Array) -> tuple[Array, str]:
-    """Ten parameters of link j, described, from the URDF, or of a rod to the next joint; and their source."""
+def _expected_link(
+    idm: InverseModel, j: int, described: Array, of_urdf: Array
+) -> tuple[Array, str]:
+    """Ten parameters of link j, described, from the URDF, or of a rod to the next
+    joint; and their source.
+    """
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
         if is_a_body(parameters):
             return np.array(parameters), source
@@ -220,18 +287,23 @@ def _expected_link(idm: InverseModel, j: int, described: Array, of_urdf: Array) 
     length = float(np.linalg.norm(along))
     radius = float(np.clip(SLENDERNESS * length, *RADIUS_M))
     mass = DENSITY * np.pi * radius**2 * (length + 2 * radius)
-    spread = np.outer(along, along) / 12 + radius**2 / 4 * np.eye(3)  # second moments over the mass, about the middle
+    # second moments over the mass, about the middle
+    spread = np.outer(along, along) / 12 + radius**2 / 4 * np.eye(3)
     about_middle = mass * (np.trace(spread) * np.eye(3) - spread)
     rod = pin.Inertia(mass, along / 2, about_middle)
     return np.asarray(rod.toDynamicParameters())[list(FROM_PINOCCHIO)], "plausible"
 
 
 def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
-    """T (n, 4, 4) from the prior's link frames to the model's; it must be the same at all positions."""
+    """T (n, 4, 4) from the prior's link frames to the model's; it must be the
+    same at all positions.
+    """
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:
         where, expected = f"prior {prior.robot.name}", ", ".join(j.type for j in joints)
-        raise BadInputError(place=where, key="joints", value=", ".join(j.type for j in others), expected=expected)
+        raise BadInputError(
+            place=where, key="joints", value=", ".join(j.type for j in others), expected=expected
+        )
     q = np.random.default_rng(SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
     (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)
     back = turned.transpose(0, 1, 3, 2)
@@ -251,7 +323,9 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
 
 
 def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
-    """Whether a body of positive density can have these ten parameters: eigenvalues of its scaled pseudo-inertia > `least`."""
+    """Whether a body of positive density can have these ten parameters: eigenvalues of its scaled
+    pseudo-inertia > `least`.
+    """
     P = pseudo_inertia(parameters)
     diagonal = np.diag(P)
     if not (diagonal > 0).all():
@@ -260,9 +334,14 @@ def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
 
 
 def nearest_consistent(
-    model: InverseModel, base: BaseParameters, beta: Array, covariance: Array, power: Array | None = None
+    model: InverseModel,
+    base: BaseParameters,
+    beta: Array,
+    covariance: Array,
+    power: Array | None = None,
 ) -> Consistent:
-    """The physically consistent parameters nearest to base parameters beta (b,) of this covariance (b, b).
+    """The physically consistent parameters nearest to base parameters beta (b,) of
+    this covariance (b, b).
 
     `power` as in `physical_parameters`. Raises `BadInputError` if none are found.
     """

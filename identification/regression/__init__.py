@@ -49,6 +49,13 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
-from .states import LAG_ORDER, fast_for_lag, friction_states, recorded_power, rigid_torque_at_rows, row_states
+from .states import (
+    LAG_ORDER,
+    fast_for_lag,
+    friction_states,
+    recorded_power,
+    rigid_torque_at_rows,
+    row_states,
+)
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
 from .weights import refuse_standing_joints, sample_weights, weighted, weights_at

@@ -1,4 +1,6 @@
-"""A position loop whose bandwidth the description does not state: low-pass and simulated loop end where the motion does."""
+"""A position loop whose bandwidth the description does not state: low-pass and simulated loop end
+where the motion does.
+"""
 
 from dataclasses import replace
 
@@ -8,16 +10,19 @@ import numpy as np
 from ..data import Signals
 from .settings import MAX_CUTOFF_SHARE
 
-LOOP_PER_MOTION = 2.0  # of a simulated loop; one at its end itself lags: friction holds a UR5's wrist back by 30 %
+# of a simulated loop; one at its end itself lags: friction holds a UR5's wrist back by 30 %
+LOOP_PER_MOTION = 2.0
 _SAMPLES = 200_000  # most of a recording
-_FLOOR, _SEGMENTS = 10.0, 8  # power over that of the noise; parts of a recording whose spectra are averaged
+# power over that of the noise; parts of a recording whose spectra are averaged
+_FLOOR, _SEGMENTS = 10.0, 8
 
 
 def with_bandwidth(signals: Signals) -> Signals:
-    """The signals with a bandwidth of the position loop: that of the description, or one that follows the recorded motion.
+    """The signals with a bandwidth of the position loop: that of the description, or one that
+    follows the recorded motion.
 
-    The tracking of the reference does not show it: with speed fed forward the position follows without an error, and a
-    reference recorded some milliseconds early has one without a loop.
+    The tracking of the reference does not show it: with speed fed forward the position follows
+    without an error, and a reference recorded some milliseconds early has one without a loop.
     """
     robot, fs = signals.robot, signals.sample_rate_hz
     if robot.controller.bandwidth_hz is not None:

@@ -1,8 +1,10 @@
-"""The rows of a recording, equations (5) and (6): regressor of the model and torques, weighted and decimated alike.
+"""The rows of a recording, equations (5) and (6): regressor of the model and torques,
+weighted and decimated alike.
 
-Rows are stacked by joint. The columns are asked of any motion in the same way: W and Y along the measured motion, Z along that
-of the simulated robot. A long recording has QR factors of the rows of each span of time, with the same products of columns:
-whatever is a sum of its columns, such as W P, may be taken afterwards.
+Rows are stacked by joint. The columns are asked of any motion in the same way: W and Y along the
+measured motion, Z along that of the simulated robot. A long recording has QR factors of the rows of
+each span of time, with the same products of columns: whatever is a sum of its columns, such as W P,
+may be taken afterwards.
 """
 
 import math
@@ -35,7 +37,8 @@ class Rows:
 
     Attributes:
         system: weighted W and Y.
-        E: (r, n) weighted torque at the joints of each motor by its described gain; (r, 0) where no gain needs it.
+        E: (r, n) weighted torque at the joints of each motor by its described gain; (r, 0)
+            where no gain needs it.
         C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for.
         Z: (r, b + n) instruments in the rows of a long recording, those of E last; (r, 0) else.
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
@@ -67,14 +70,20 @@ class Rows:
         return self.share > 0
 
     def residual(self, x: Array, weights: Array) -> Array:
-        """Residual Y - J x (T, n), times `weights` (n,), for rows that are not reduced; 0 where rows do not count."""
+        """Residual Y - J x (T, n), times `weights` (n,), for rows that are not reduced; 0
+        where rows do not count.
+        """
         J, Y = self.system.weighted(weights)
         return np.asarray((Y - J @ x).reshape(len(weights), -1).T)
 
     def about(self, beta: Array, load: LoadFriction, columns: Array) -> "Rows":
-        """The same about beta (b,), by the columns (2, k, T) of load friction; for rows that are not reduced."""
+        """The same about beta (b,), by the columns (2, k, T) of load friction; for
+        rows that are not reduced.
+        """
         n, W, Y = self.tau.shape[1], self.system.W.copy(), self.system.Y.copy()
-        load.linearise(W.reshape(n, -1, len(beta)).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta)
+        load.linearise(
+            W.reshape(n, -1, len(beta)).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta
+        )
         return replace(self, system=replace(self.system, W=W, Y=Y))
 
     def without(self, names: Collection[str]) -> "Rows":
@@ -105,11 +114,15 @@ def rows_of_recording(
 ) -> Rows:
     """The rows of a recording, by blocks: the undecimated W is never whole in memory.
 
-    Columns of load friction are zero, or W and Y are linearised about the parameters `beta` (b,), as in `load`. Rows of more
-    than `most` numbers are reduced; those of several recordings have a share each, and may leave a joint standing. `further`
-    columns are C.
+    Columns of load friction are zero, or W and Y are linearised about the parameters `beta` (b,),
+    as in `load`. Rows of more than `most` numbers are reduced; those of several recordings have a
+    share each, and may leave a joint standing. `further` columns are C.
     """
-    blocks, of_rows, robot = list[tuple[Array, ...]](), sample_weights(problem).of_rows, problem.signals.robot
+    blocks, of_rows, robot = (
+        list[tuple[Array, ...]](),
+        sample_weights(problem).of_rows,
+        problem.signals.robot,
+    )
     if most is None:  # else another recording may move the joint
         names = tuple(joint.name for joint in robot.joints)
         refuse_standing_joints(of_rows, names, problem.signals.recording, robot.bandwidth_hz)
@@ -143,7 +156,9 @@ def rows_of_recording(
 
 
 def rows_of_factors(problem: Problem, factors: SpanFactors, instruments: int = 0) -> Rows:
-    """Rows [C Z W E Y] of a long recording with so many columns of instruments, without the measurements at its instants."""
+    """Rows [C Z W E Y] of a long recording with so many columns of instruments, without the
+    measurements at its instants.
+    """
     return _split(problem, *factors.rows(), instruments)
 
 
@@ -157,29 +172,44 @@ def _split(problem: Problem, rows: Array, followed: dict[str, Any], instruments:
 
 
 @one_thread
-def rows_again(problem: Problem, most: float, beta: Array | None = None, further: Term | None = None) -> Rows:
+def rows_again(
+    problem: Problem, most: float, beta: Array | None = None, further: Term | None = None
+) -> Rows:
     """`rows_of_recording` as a task."""
     return rows_of_recording(problem.with_samples(), most=most, beta=beta, further=further)
 
 
 @one_thread
 def torque_of_recording(problem: Problem, *betas: Array) -> tuple[Array, Array, Array]:
-    """Torque measured and predicted, and joint speed, each (T, n), decimated; without W, and no weights.
+    """Torque measured and predicted, and joint speed, each (T, n), decimated;
+    without W, and no weights.
 
     Each of `betas`, (b,) each, predicts one of as many equal spans of the rows.
     """
     problem = problem.with_samples()
-    parts, settings, decimation = list[tuple[Array, ...]](), problem.settings, problem.settings.decimator
+    parts, settings, decimation = (
+        list[tuple[Array, ...]](),
+        problem.settings,
+        problem.settings.decimator,
+    )
     rows, fs = decimation.rows(settings.stop - settings.start), problem.signals.sample_rate_hz
-    edges = settings.stop - settings.decimation * (rows - np.linspace(0, rows, len(betas) + 1).round().astype(int))
+    edges = settings.stop - settings.decimation * (
+        rows - np.linspace(0, rows, len(betas) + 1).round().astype(int)
+    )
     for motion, inside in motion_blocks(problem):
-        cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, len(motion.q)), len(motion.q)]
+        cuts = [
+            0,
+            *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, len(motion.q)),
+            len(motion.q),
+        ]
         pieces = [
             torque_of_model(problem, motion.part(slice(first, last)), beta)
             for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
             if first < last
         ]
-        measured, modelled = (decimation.filtered(tau.T)[:, inside].T for tau in (motion.tau, np.concatenate(pieces)))
+        measured, modelled = (
+            decimation.filtered(tau.T)[:, inside].T for tau in (motion.tau, np.concatenate(pieces))
+        )
         parts.append((measured, modelled, decimation.kept(motion.dq)[inside]))
     tau, tau_predicted, speed = ([part[i] for part in parts] for i in range(3))
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
@@ -187,24 +217,35 @@ def torque_of_recording(problem: Problem, *betas: Array) -> tuple[Array, Array, 
 
 @one_thread
 def with_torque(problem: Problem, rows: Rows) -> Rows:
-    """The rows of a recording, columns of load friction zero, with the torque of `problem`, of another lag or gains."""
+    """The rows of a recording, columns of load friction zero, with the torque of `problem`,
+    of another lag or gains.
+    """
     problem = problem.with_samples()
     if rows.reduced:
         return rows_of_recording(problem, most=REDUCED)
     settings, n = problem.settings, problem.signals.robot.n
     t_s = np.arange(settings.start, settings.stop) / problem.signals.sample_rate_hz
-    # Contiguous in time by joint: sums round otherwise along a column of a file than along one of another process.
+    # Contiguous in time by joint: sums round otherwise along a column of a file than along
+    # one of another process.
     torque = np.ascontiguousarray(problem.signals.torque[settings.start : settings.stop].T).T
-    Y, tau = weighted(problem, t_s, torque, settings.decimator), settings.decimator.filtered(torque.T)
+    Y, tau = (
+        weighted(problem, t_s, torque, settings.decimator),
+        settings.decimator.filtered(torque.T),
+    )
     E = rows.E
     if problem.needs_drives:
         E = torque_of_drives(problem, t_s, torque, settings.decimator).transpose(0, 2, 1)
-    return replace(rows, tau=tau.T, E=E.reshape(n * len(rows.tau), -1), system=replace(rows.system, Y=Y.reshape(-1)))
+    return replace(
+        rows,
+        tau=tau.T,
+        E=E.reshape(n * len(rows.tau), -1),
+        system=replace(rows.system, Y=Y.reshape(-1)),
+    )
 
 
 def torque_of_drives(problem: Problem, t_s: Array, torque: Array, decimation: Decimation) -> Array:
-    """Torques (n, n, rows) at the joints of each motor, weighted and decimated, of the `torque` (K, n) at joints, which has the
-    known one, at samples of the recording at `t_s` (K,).
+    """Torques (n, n, rows) at the joints of each motor, weighted and decimated, of the `torque` (K,
+    n) at joints, which has the known one, at samples of the recording at `t_s` (K,).
     """
     R, known = problem.signals.robot.R, problem.signals.known_torque
     if known is not None:
@@ -219,17 +260,23 @@ def torque_of_drives(problem: Problem, t_s: Array, torque: Array, decimation: De
 
 @one_thread
 def predicted_drives(problem: Problem, beta: Array) -> Array:
-    """`torque_of_drives` (r, n) that beta (b,) predicts along the measured motion; for rows that are not reduced."""
+    """`torque_of_drives` (r, n) that beta (b,) predicts along the measured motion; for
+    rows that are not reduced.
+    """
     problem, parts = problem.with_samples(), list[Array]()
     for motion, inside in motion_blocks(problem):
         torque = torque_of_model(problem, motion, beta)
-        parts.append(torque_of_drives(problem, motion.t_s, torque, problem.settings.decimator)[..., inside])
+        parts.append(
+            torque_of_drives(problem, motion.t_s, torque, problem.settings.decimator)[..., inside]
+        )
     E = np.concatenate(parts, axis=2)
     return np.ascontiguousarray(E.transpose(0, 2, 1)).reshape(-1, E.shape[1])
 
 
 def torque_of_model(problem: Problem, motion: Motion, beta: Array) -> Array:
-    """`predicted_torque` (N, n) along a block of the recorded motion; that of the last parameters is kept."""
+    """`predicted_torque` (N, n) along a block of the recorded motion; that of the
+    last parameters is kept.
+    """
     kept, key = problem.motion.torques, (motion.t_s[0], len(motion.t_s), problem.settings.cutoff_hz)
     if (found := kept.get(key)) is None or found[0] != beta.tobytes():
         if len(kept) > MAX_BLOCKS_KEPT:
@@ -241,18 +288,27 @@ def torque_of_model(problem: Problem, motion: Motion, beta: Array) -> Array:
 def predicted_torque(
     motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array, stride: int = 1
 ) -> Array:
-    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta; links' as `smooth`."""
+    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq)
+    beta; links' as `smooth`.
+    """
     model = direct_model(dynamics, base.standard_parameters(beta))
     rigid = smooth(model.torques_of_links, motion, stride)
     return model.torque(motion.q, motion.dq, motion.ddq, rigid=rigid)
 
 
 def columns_of_arm(
-    problem: Problem, motion: Motion, decimation: Decimation, *, beta: Array | None = None, stride: int = 1
+    problem: Problem,
+    motion: Motion,
+    decimation: Decimation,
+    *,
+    beta: Array | None = None,
+    stride: int = 1,
 ) -> tuple[Array, Array]:
-    """The regressor W (n, b, rows) along a motion, weighted and decimated, and the torque D beta (n, rows) that Y has more.
+    """The regressor W (n, b, rows) along a motion, weighted and decimated, and the torque D beta
+    (n, rows) that Y has more.
 
-    Columns of load friction are zero; with parameters `beta` (b,) it is linearised about them, as in `load`.
+    Columns of load friction are zero; with parameters `beta` (b,) it is linearised
+    about them, as in `load`.
     """
     w, load = weights_at(problem, motion.t_s), load_friction(problem.model, problem.base)
     W = _decimated(motion, w, problem.model, problem.base, decimation, stride)
@@ -274,10 +330,18 @@ def load_columns(problem: Problem, load: LoadFriction, beta: Array) -> Array:
 
 
 def _decimated(
-    motion: Motion, w: Array, dynamics: InverseModel, base: BaseParameters, decimation: Decimation, stride: int
+    motion: Motion,
+    w: Array,
+    dynamics: InverseModel,
+    base: BaseParameters,
+    decimation: Decimation,
+    stride: int,
 ) -> Array:
-    """Regressor (n, b, rows) with the weights w (n, N), link columns computed at every `stride`-th sample."""
-    N, W = len(motion.q), np.zeros((len(dynamics.robot.joints), len(base.names), decimation.rows(len(motion.q))))
+    """Regressor (n, b, rows) with weights w (n, N), link columns at every `stride`-th sample."""
+    N, W = (
+        len(motion.q),
+        np.zeros((len(dynamics.robot.joints), len(base.names), decimation.rows(len(motion.q)))),
+    )
     strided = stride > 1 and stride * decimation.end_samples < N  # else most of it is the ends
     links = base.links & strided
     if links.any():
@@ -294,28 +358,41 @@ def _decimated(
 
 
 def _series(
-    motion: Motion, dynamics: InverseModel, base: BaseParameters, places: NDArray[np.intp], spans: Sequence[slice]
+    motion: Motion,
+    dynamics: InverseModel,
+    base: BaseParameters,
+    places: NDArray[np.intp],
+    spans: Sequence[slice],
 ) -> tuple[NDArray[np.intp], list[Array]]:
-    """Entries (E, 2), joint and place in `base`, of parameters at `places`; and their series (E, N) in spans of a motion."""
+    """Entries (E, 2), joint and place in `base`, and their series (E, N) in spans of a motion."""
     columns = base.columns[places]
     entries = dynamics.entries(columns)
     entries[:, 1] = places[entries[:, 1]]
-    return entries, [dynamics.series(motion.q[at], motion.dq[at], motion.ddq[at], columns) for at in spans]
+    return entries, [
+        dynamics.series(motion.q[at], motion.dq[at], motion.ddq[at], columns) for at in spans
+    ]
 
 
-def columns_of_block(problem: Problem, at: RowBlock, beta: Array | None, motion: Motion | None = None) -> Array:
-    """[W E Y] (n, b + m + 1, rows) of the rows of a block, W and Y about `beta` (b,) if it is given."""
+def columns_of_block(
+    problem: Problem, at: RowBlock, beta: Array | None, motion: Motion | None = None
+) -> Array:
+    """[W E Y] (n, b + m + 1, rows) of the rows of a block; W and Y about `beta` (b,) if given."""
     motion = motion_of_block(problem, at) if motion is None else motion
     decimation = problem.settings.decimator
     W, D_beta = columns_of_arm(problem, motion, decimation, beta=beta, stride=_stride(problem))
     Y = decimation.filtered(weights_at(problem, motion.t_s) * motion.tau.T) + D_beta
-    E = [torque_of_drives(problem, motion.t_s, motion.tau, decimation)] if problem.needs_drives else []
+    E = (
+        [torque_of_drives(problem, motion.t_s, motion.tau, decimation)]
+        if problem.needs_drives
+        else []
+    )
     return np.concatenate([W, *E, Y[:, None]], axis=1)[..., at.inside]
 
 
 def _stride(problem: Problem) -> int:
     """Stride at which what links need is computed along the measured motion."""
-    # Beside columns that are not strided, such as those of drives, strided ones are not exact enough.
+    # Beside columns that are not strided, such as those of drives, strided ones
+    # are not exact enough.
     if problem.needs_drives or load_friction(problem.model, problem.base) is not None:
         return 1
     settings = problem.settings

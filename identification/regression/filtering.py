@@ -1,8 +1,10 @@
-"""Zero-phase filters: the low-pass of the position, and the parallel decimation of torque and regressor.
+"""Zero-phase filters: the low-pass of the position, and the parallel decimation
+of torque and regressor.
 
-Filters multiply the spectrum by the response of Butterworth or Chebyshev poles; forward and backward the gain is |H|², real.
-The low-pass treats the ends as MATLAB's `filtfilt`; decimation keeps the last sample, as its `decimate`. Decimation smooths
-the ends; MATLAB's own edge rule, used for published digits, is an option.
+Filters multiply the spectrum by the response of Butterworth or Chebyshev poles; forward and
+backward the gain is |H|², real. The low-pass treats the ends as MATLAB's `filtfilt`; decimation
+keeps the last sample, as its `decimate`. Decimation smooths the ends; MATLAB's own edge rule, used
+for published digits, is an option.
 """
 
 import math
@@ -22,11 +24,14 @@ CHEBYSHEV_RIPPLE_DB = 0.05
 MAX_PASS = 13  # a decimation by more is made in several passes
 MAX_ALIAS = 1e-3  # of the amplitude in the passband: most that may fold into it
 MIN_RESPONSE = 1e-14  # of an input: below rounding
-_IN_CACHE = 120_000  # numbers that are filtered at a time: twice as fast as more, which leave the cache
+# numbers that are filtered at a time: twice as fast as more, which leave the cache
+_IN_CACHE = 120_000
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
-    """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is of one direction."""
+    """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time);
+    `cutoff_hz` is of one direction.
+    """
     if not 0 < cutoff_hz < sample_rate_hz / 2:
         raise BadInputError(
             key="cut-off",
@@ -43,7 +48,9 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
 
 
 def forward_backward_3db_hz(cutoff_hz: float, sample_rate_hz: float) -> float:
-    """Frequency at which the filter, forward and backward, is down by 3 dB (a factor of sqrt(1/2))."""
+    """Frequency at which the filter, forward and backward, is down by 3 dB
+    (a factor of sqrt(1/2)).
+    """
     x = (np.sqrt(2.0) - 1.0) ** (1 / (2 * BUTTERWORTH_ORDER))
     return float(sample_rate_hz / np.pi * np.arctan(x * np.tan(np.pi * cutoff_hz / sample_rate_hz)))
 
@@ -66,13 +73,17 @@ class Decimation:
 
     def filtered(self, x: Array) -> Array:
         """x decimated along its last axis: low-pass, then every `factor`-th sample."""
-        y = _some_at_a_time(lambda x: decimate(x, self.factor, smooth_ends=self.smooth_ends), np.atleast_2d(x))
+        y = _some_at_a_time(
+            lambda x: decimate(x, self.factor, smooth_ends=self.smooth_ends), np.atleast_2d(x)
+        )
         return y.reshape(*x.shape[:-1], -1)
 
     def filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
-        """As `filtered`, of a series of which x is every `stride_behind`-th sample, counted from the last one.
+        """As `filtered`, of a series of which x is every `stride_behind`-th sample,
+        counted from the last one.
 
-        `head` and `tail` are all of its first and last samples: `end_samples`, and up to a stride more to reach one of x.
+        `head` and `tail` are all of its first and last samples: `end_samples`, and up to a stride
+        more to reach one of x.
         """
         return _some_at_a_time(self._filtered_strided, x, head, tail)
 
@@ -81,23 +92,30 @@ class Decimation:
         k, N = _chebyshev(r).reach // r + 1, x.shape[-1]
         size = _fast_size(N + 2 * k)
         extended = np.concatenate([x, np.repeat(x[..., -1:], size - N, -1)], axis=-1)
-        passed = np.fft.irfft(np.fft.rfft(extended) * _power(r, size * r)[: size // 2 + 1], size)[..., k : N - k]
-        y = np.concatenate([_decimated(head, r)[..., :k], passed, _decimated(tail, r)[..., -k:]], axis=-1)
+        passed = np.fft.irfft(np.fft.rfft(extended) * _power(r, size * r)[: size // 2 + 1], size)[
+            ..., k : N - k
+        ]
+        y = np.concatenate(
+            [_decimated(head, r)[..., :k], passed, _decimated(tail, r)[..., -k:]], axis=-1
+        )
         for r in others:
             y = _decimated(y, r)
         return np.ascontiguousarray(y)
 
     @property
     def end_samples(self) -> int:
-        """Number of samples at each end that `filtered_strided` needs: twice the reach of the first pass."""
+        """Number of samples at each end that `filtered_strided` needs: twice the
+        reach of the first pass.
+        """
         r = decimation_passes(self.factor)[0]
         return 2 * r * (_chebyshev(r).reach // r + 1)
 
     def stride_behind(self, cutoff_hz: float | None, sample_rate_hz: float) -> int:
-        """Stride at which a smooth function of the low-passed position needs computing: the first pass, or 1.
+        """Stride at which a smooth function of the low-passed position needs
+        computing: the first pass, or 1.
 
-        The noise of an acceleration rises with the square of frequency, up to the low-pass. The amplitude that folds into
-        the passband may be a thousandth of that in it.
+        The noise of an acceleration rises with the square of frequency, up to the low-pass. The
+        amplitude that folds into the passband may be a thousandth of that in it.
         """
         passes = decimation_passes(self.factor)
         if cutoff_hz is None or len(passes) < 2 or not self.smooth_ends:
@@ -106,14 +124,20 @@ class Decimation:
         passband_hz, size = 0.8 * 0.5 * sample_rate_hz / self.factor, 2 * (len(f) - 1)
         amplitude = f**2 * np.abs(_butterworth(cutoff_hz, sample_rate_hz).response(size)) ** 2
         folded = amplitude[f >= sample_rate_hz / passes[0] - passband_hz]
-        return passes[0] if folded.max(initial=0.0) <= MAX_ALIAS * amplitude[f <= passband_hz].max() else 1
+        return (
+            passes[0]
+            if folded.max(initial=0.0) <= MAX_ALIAS * amplitude[f <= passband_hz].max()
+            else 1
+        )
 
     def kept(self, x: Array) -> Array:
         """The samples of x (N, n) at the decimated instants, unfiltered."""
         return x[self.instants(len(x))]
 
     def instants(self, N: int) -> NDArray[np.intp]:
-        """Indices of the decimated instants in N samples: the last one, and every `factor`-th before it."""
+        """Indices of the decimated instants in N samples: the last one, and every
+        `factor`-th before it.
+        """
         return np.arange((N - 1) % self.factor, N, self.factor)
 
 
@@ -126,27 +150,37 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
     divisors = [d for d in range(2, MAX_PASS + 1) if factor % d == 0]
     if not divisors:
         return (factor,)
-    # The plan with the fewest passes, and of those the most even one: filters of similar, moderate cut-offs.
+    # The plan with the fewest passes, and of those the most even one: filters of
+    # similar, moderate cut-offs.
     plans = [(d, *decimation_passes(factor // d)) for d in divisors]
     return min(plans, key=lambda plan: (max(plan) > MAX_PASS, len(plan), max(plan)))
 
 
 def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
-    """Parallel decimation along the LAST axis: zero-phase Chebyshev low-pass, then every `factor`-th sample.
+    """Parallel decimation along the LAST axis: zero-phase Chebyshev low-pass, then
+    every `factor`-th sample.
 
-    Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's `decimate` does. The
-    paper's equation (6): the same filter for the torque and for every column of the regressor.
+    Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's
+    `decimate` does. The paper's equation (6): the same filter for the torque and for every
+    column of the regressor.
 
-    The ends are reflected at a line through the last samples, as far as the filter reaches. Without `smooth_ends` they are
-    reflected at the end samples themselves, as in MATLAB: the rows next to them have the noise of these two unfiltered.
+    The ends are reflected at a line through the last samples, as far as the filter reaches. Without
+    `smooth_ends` they are reflected at the end samples themselves, as in MATLAB: the rows next to
+    them have the noise of these two unfiltered.
     """
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER
         if x.shape[-1] <= padding:
             samples = x.shape[-1]
-            raise NoFitError(key=f"samples to decimate by {r}", value=samples, expected=f"more than {padding}")
+            raise NoFitError(
+                key=f"samples to decimate by {r}", value=samples, expected=f"more than {padding}"
+            )
         first = (x.shape[-1] - 1) % r
-        x = _decimated(x, r) if smooth_ends else _chebyshev(r).forward_backward(x, padding)[..., first::r]
+        x = (
+            _decimated(x, r)
+            if smooth_ends
+            else _chebyshev(r).forward_backward(x, padding)[..., first::r]
+        )
     return np.ascontiguousarray(x)
 
 
@@ -158,7 +192,10 @@ def _some_at_a_time(f: Callable[..., Array], *series: Array) -> Array:
 
 
 def _decimated(x: Array, r: int) -> Array:
-    """One pass by r with smooth ends. Taking every r-th sample sums the r equal parts of the spectrum."""
+    """One pass by r with smooth ends.
+
+    Taking every r-th sample sums the r equal parts of the spectrum.
+    """
     N, reach, near = x.shape[-1], _chebyshev(r).reach, min(6 * r, x.shape[-1])
     first_row = (N - 1) % r
     lead = reach + (-(reach + first_row)) % r  # a multiple of r before the first decimated sample
@@ -171,12 +208,18 @@ def _decimated(x: Array, r: int) -> Array:
     begin, end = lead - min(reach, N - 1), lead + N + min(reach, N - 1)
     extended[..., begin:lead] = 2 * first[..., None] - x[..., lead - begin : 0 : -1]
     extended[..., lead + N : end] = 2 * last[..., None] - x[..., -2 : N - 2 - end + lead : -1]
-    extended[..., :begin], extended[..., end:] = extended[..., begin, None], extended[..., end - 1, None]
+    extended[..., :begin], extended[..., end:] = (
+        extended[..., begin, None],
+        extended[..., end - 1, None],
+    )
     gain = _gain(r, rows)
     spectrum = np.fft.rfft(extended)[..., : len(gain)] * gain
     folded = np.zeros((*x.shape[:-1], rows // 2 + 1), dtype=complex)
     for start in range(0, len(gain), rows):
-        above, below = spectrum[..., start:][..., : rows // 2 + 1], spectrum[..., max(0, start - rows // 2) : start]
+        above, below = (
+            spectrum[..., start:][..., : rows // 2 + 1],
+            spectrum[..., max(0, start - rows // 2) : start],
+        )
         folded[..., : above.shape[-1]] += above
         folded[..., 1 : below.shape[-1] + 1] += below[..., ::-1].conj()
         folded[..., 0] += above[..., 0].conj() * (start > 0)
@@ -221,7 +264,9 @@ def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Filter:
-    """A discrete low-pass: the analogue one with cut-off 1 and these poles (n,), frequencies warped."""
+    """A discrete low-pass: the analogue one with cut-off 1 and these poles
+    (n,), frequencies warped.
+    """
 
     poles: NDArray[np.complexfloating]
     cutoff: float  # share of half the rate
@@ -245,8 +290,8 @@ class _Filter:
     def forward_backward(self, x: Array, padding: int) -> Array:
         """x (..., N) filtered forward and backward as by MATLAB's `filtfilt`.
 
-        The ends are reflected at the end samples for `padding` samples. Each direction starts in the steady state of its first
-        sample.
+        The ends are reflected at the end samples for `padding` samples. Each direction starts in
+        the steady state of its first sample.
         """
         N, lead = x.shape[-1], self.reach + padding
         size = _fast_size(lead + N + lead)
@@ -256,7 +301,8 @@ class _Filter:
         extended[..., lead : lead + N] = x
         extended[..., lead + N : end] = 2 * x[..., -1:] - x[..., -2 : -padding - 2 : -1]
         extended[..., : self.reach] = extended[..., self.reach, None]
-        extended[..., end:] = extended[..., self.reach, None]  # the spectrum is of a periodic signal
+        # the spectrum is of a periodic signal
+        extended[..., end:] = extended[..., self.reach, None]
         forward = np.fft.irfft(np.fft.rfft(extended) * H, size)
         forward[..., end:] = forward[..., end - 1, None]
         return np.asarray(np.fft.irfft(np.fft.rfft(forward) * H.conj(), size)[..., lead : lead + N])
@@ -270,7 +316,9 @@ def _butterworth(cutoff_hz: float, sample_rate_hz: float) -> _Filter:
 
 @lru_cache
 def _chebyshev(r: int) -> _Filter:
-    """The filter of one pass by r; of even order, it is at the minimum of its ripple at frequency 0."""
+    """The filter of one pass by r; of even order, it is at the minimum of its
+    ripple at frequency 0.
+    """
     n, floor = CHEBYSHEV_ORDER, 10 ** (-CHEBYSHEV_RIPPLE_DB / 20)
     a = np.arctanh(floor) / n  # sinh(n a) = 1/eps, eps² = 1/floor² - 1
     angles = np.pi * (2 * np.arange(1, n + 1) - 1) / (2 * n)

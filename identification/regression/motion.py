@@ -16,12 +16,15 @@ from .filtering import lowpass, lowpass_reach
 BLOCK_SAMPLES = 200_000  # of a recording that are processed at a time
 SPLINE_REACH = 40  # samples beyond which the end of a cubic spline has no influence
 _DIFFERENCES = 2  # samples to each side that two central differences reach
-_MAX_NUMBERS = 4_000_000  # of a filtered position, 32 MB; a longer recording is filtered again in each pass
+# of a filtered position, 32 MB; a longer recording is filtered again in each pass
+_MAX_NUMBERS = 4_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Joint motion and torque on one uniform grid: t_s (N,), q, dq, ddq, tau (N, n); rad or m, s, N m or N."""
+    """Joint motion and torque on one uniform grid: t_s (N,), q, dq, ddq, tau (N, n);
+    rad or m, s, N m or N.
+    """
 
     t_s: Array
     q: Array
@@ -32,26 +35,37 @@ class Motion:
     def __post_init__(self) -> None:
         for array in (self.q, self.dq, self.ddq, self.tau):
             if array.shape != self.q.shape or len(array) != len(self.t_s):
-                raise ValueError(f"shapes do not agree: {array.shape}, {self.q.shape}, {self.t_s.shape}")
+                raise ValueError(
+                    f"shapes do not agree: {array.shape}, {self.q.shape}, {self.t_s.shape}"
+                )
             array.flags.writeable = False
 
     def part(self, at: slice) -> "Motion":
         """The samples `at` of it."""
-        return Motion(t_s=self.t_s[at], q=self.q[at], dq=self.dq[at], ddq=self.ddq[at], tau=self.tau[at])
+        return Motion(
+            t_s=self.t_s[at], q=self.q[at], dq=self.dq[at], ddq=self.ddq[at], tau=self.tau[at]
+        )
 
 
 class FilteredMotion:
-    """Motion of a recording at any cut-off; each cut-off is filtered once, unless the recording is long."""
+    """Motion of a recording at any cut-off; each cut-off is filtered once, unless
+    the recording is long.
+    """
 
     def __init__(self, signals: Signals) -> None:
         self._signals = signals
         self._filtered: dict[float, Array] = {}
-        self.weights: dict[tuple[Any, ...], Any] = {}  # of samples, by settings: `weights.sample_weights`
-        self.predicted: dict[tuple[int, int], FilteredMotion] = {}  # by span: `simulation.predicted`
-        self.torques: dict[tuple[Any, ...], tuple[bytes, Array]] = {}  # by block: `equations.torque_of_model`
+        # of samples, by settings: `weights.sample_weights`
+        self.weights: dict[tuple[Any, ...], Any] = {}
+        # by span: `simulation.predicted`
+        self.predicted: dict[tuple[int, int], FilteredMotion] = {}
+        # by block: `equations.torque_of_model`
+        self.torques: dict[tuple[Any, ...], tuple[bytes, Array]] = {}
 
     def with_torque_of(self, signals: Signals) -> "FilteredMotion":
-        """The same position, with its filtered versions and weights, and the torque of other signals."""
+        """The same position, with its filtered versions and weights, and the
+        torque of other signals.
+        """
         other = FilteredMotion(signals)
         other._filtered, other.weights, other.torques = self._filtered, self.weights, self.torques
         other.predicted = self.predicted
@@ -64,7 +78,9 @@ class FilteredMotion:
             if cutoff_hz not in self._filtered:
                 self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, fs)
             q, cutoff_hz = self._filtered[cutoff_hz], None
-        motion = motion_between(q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop)
+        motion = motion_between(
+            q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop
+        )
         if q is s.q:
             release_pages(s.q)
             release_pages(s.torque)
@@ -77,7 +93,8 @@ def differentiate(x: Array, sample_rate_hz: float) -> Array:
 
 
 def sampled_at(at: Array, x: Array) -> Array:
-    """Samples x (N, n) at places (K,) counted in samples, such as 1.5: cubic spline between samples, no phase shift.
+    """Samples x (N, n) at places (K,) counted in samples, such as 1.5: cubic spline between
+    samples, no phase shift.
 
     Beyond the ends, the end samples are used.
     """
@@ -91,24 +108,33 @@ def sampled_at(at: Array, x: Array) -> Array:
 def on_spline(at: Array, c: Array) -> Array:
     """The cubic spline of coefficients c (N + 3, n) at places (K,) from 0 to N - 1."""
     i = at.astype(np.intp)
-    return np.asarray(sum(weight * c[i + k] for k, weight in enumerate(_spline_weights((at - i)[:, None]))))
+    return np.asarray(
+        sum(weight * c[i + k] for k, weight in enumerate(_spline_weights((at - i)[:, None])))
+    )
 
 
 def _spline_weights(u: Array) -> list[Array]:
     """Of four coefficients, by the place from 0 to 1 between samples."""
-    return [w / 6 for w in ((1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3)]
+    return [
+        w / 6
+        for w in ((1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3)
+    ]
 
 
 def spline_coefficients(x: Array) -> Array:
-    """Coefficients (N + 3, n) of the cubic B-splines about the samples -1 to N + 1 that go through x (N, n).
+    """Coefficients (N + 3, n) of the cubic B-splines about the samples -1 to N + 1
+    that go through x (N, n).
 
-    Unser, Aldroubi, Eden, IEEE Trans. Signal Processing 41 (1993): the inverse of the filter (1, 4, 1)/6 falls by 2 - sqrt(3)
-    from sample to sample, to rounding within `SPLINE_REACH`. Beyond the ends x is reflected at its end samples.
+    Unser, Aldroubi, Eden, IEEE Trans. Signal Processing 41 (1993): the inverse of the filter (1, 4,
+    1)/6 falls by 2 - sqrt(3) from sample to sample, to rounding within `SPLINE_REACH`. Beyond the
+    ends x is reflected at its end samples.
     """
     far, pole = min(SPLINE_REACH, len(x) - 1), np.sqrt(3.0) - 2.0
     beyond = far + 2
     around = ((beyond, beyond), (0, 0))
-    whole = np.pad(x, around, mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
+    whole = (
+        np.pad(x, around, mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
+    )
     N, c = len(x) + 3, np.zeros((len(x) + 3, *x.shape[1:]))
     for k in range(-far, far + 1):
         c += pole ** abs(k) * whole[beyond - 1 + k : beyond - 1 + k + N]
@@ -116,7 +142,9 @@ def spline_coefficients(x: Array) -> Array:
 
 
 def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
-    """f(q, dq, ddq) (N, ...) along a smooth motion: computed at every `stride`-th sample, on a cubic spline between them."""
+    """f(q, dq, ddq) (N, ...) along a smooth motion: computed at every `stride`-th sample, on a
+    cubic spline between them.
+    """
     stride = max(1, stride)
     last = (len(motion.q) - 1) // stride * stride
     if stride == 1 or last == 0:
@@ -125,17 +153,26 @@ def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
     x, count = f(motion.q[at], motion.dq[at], motion.ddq[at]), last // stride
     c = spline_coefficients(x[: count + 1].reshape(count + 1, -1))
     knots = np.stack([c[k : k + count] for k in range(4)]).reshape(4, -1)
-    between = (np.array(_spline_weights(np.arange(stride) / stride)).T @ knots).reshape(stride, count, -1)
+    between = (np.array(_spline_weights(np.arange(stride) / stride)).T @ knots).reshape(
+        stride, count, -1
+    )
     return np.concatenate([between.swapaxes(0, 1).reshape(last, *x.shape[1:]), x[count:]])
 
 
 def later(x: Array, by: float) -> Array:
-    """Samples x (N, n) `by` samples later, as `sampled_at`; block by block, on disk for a long recording."""
+    """Samples x (N, n) `by` samples later, as `sampled_at`; block by block, on
+    disk for a long recording.
+    """
     moved = allocate(x.shape)
     for first in range(0, len(x), BLOCK_SAMPLES):
         last = min(len(x), first + BLOCK_SAMPLES)
-        low, high = max(0, math.floor(first + by) - SPLINE_REACH), min(len(x), math.ceil(last + by) + SPLINE_REACH)
-        moved[first:last] = sampled_at(np.arange(first - low, last - low, dtype=np.float64) + by, x[low:high])
+        low, high = (
+            max(0, math.floor(first + by) - SPLINE_REACH),
+            min(len(x), math.ceil(last + by) + SPLINE_REACH),
+        )
+        moved[first:last] = sampled_at(
+            np.arange(first - low, last - low, dtype=np.float64) + by, x[low:high]
+        )
         release_pages(x)
         release_pages(moved)
     return moved
@@ -146,8 +183,8 @@ def motion_between(
 ) -> Motion:
     """Filtered motion of the samples `start` to `stop` of q, tau (N, n).
 
-    `cutoff_hz` None: no low-pass. Beyond the range only the samples that influence it are filtered: blocks give the same result
-    as one pass.
+    `cutoff_hz` None: no low-pass. Beyond the range only the samples that influence it are filtered:
+    blocks give the same result as one pass.
     """
     margin = _DIFFERENCES + (lowpass_reach(cutoff_hz, sample_rate_hz) if cutoff_hz else 0)
     low, high = max(0, start - margin), min(len(q), stop + margin)

@@ -1,4 +1,6 @@
-"""The columns of a motor's control law along the recorded reference and position, and its least squares."""
+"""The columns of a motor's control law along the recorded reference and position,
+and its least squares.
+"""
 
 import math
 from dataclasses import dataclass
@@ -17,8 +19,10 @@ if TYPE_CHECKING:
 
 FIRST_STEPS, STEPS, MAX_STEP, MIN_STEP = 3, 12, 2.0, 1e-2  # Gauss-Newton steps; samples of one
 PRIOR_WEIGHT = 5.0  # deviations of the residual, more than one: it is not white
-PASSBAND, SAMPLES_PER_ROW, EDGE_ROWS = 0.3, 8, 10  # low-pass over the rate of rows; of the paths; rows cut at each end
-SATURATED, MAX_SATURATED, SATURATED_ROWS = 0.995, 0.01, 3  # of a motor's limit; share of the samples this near to a row
+# low-pass over the rate of rows; of the paths; rows cut at each end
+PASSBAND, SAMPLES_PER_ROW, EDGE_ROWS = 0.3, 8, 10
+# of a motor's limit; share of the samples this near to a row
+SATURATED, MAX_SATURATED, SATURATED_ROWS = 0.995, 0.01, 3
 MAX_USED_S, MAX_ROWS, MAX_DELAY_S = 120.0, 600, 0.02
 HOPELESS_PERCENT = 20.0  # after the first steps
 MAX_RESIDUAL_PERCENT = 2.0  # of the effort's variation
@@ -26,7 +30,9 @@ MAX_RESIDUAL_PERCENT = 2.0  # of the effort's variation
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LawSolution:
-    """The law of a motor by some columns: values x of these, of the offset and others; d, L in s; the Jacobian [x d L]."""
+    """The law of a motor by some columns: values x of these, of the offset and others; d, L in
+    s; the Jacobian [x d L].
+    """
 
     x: Array
     d: float
@@ -37,25 +43,35 @@ class LawSolution:
 
 
 class MotorPaths:
-    """Reference and position of a motor as smooth paths, and the rows at which its effort is compared."""
+    """Reference and position of a motor as smooth paths, and the rows at which
+    its effort is compared.
+    """
 
-    def __init__(self, paths: tuple[Array, Array], u: Array, rest: Array, at: Array, most: float) -> None:
-        """`paths`: spline coefficients of r and q, each with two derivatives and the integral, at places `at`; `rest`: columns
-        beside them; `most`: delay. Times are in samples of the paths.
+    def __init__(
+        self, paths: tuple[Array, Array], u: Array, rest: Array, at: Array, most: float
+    ) -> None:
+        """`paths`: spline coefficients of r and q, each with two derivatives and the integral, at
+        places `at`; `rest`: columns beside them; `most`: delay. Times are in samples of the paths.
         """
         (self._r, self._q), self.u, self._rest, self._at, self._most = paths, u, rest, at, most
         self._size = max(float(np.linalg.norm(u - u.mean())) if len(u) else 0.0, 1e-300)
 
     def solve(self, letters: str, known: KnownLag, clock: tuple[float, float]) -> LawSolution:
-        """Least squares by the columns `letters`; `clock`: delay of the speed, period of the controller."""
+        """Least squares by the columns `letters`; `clock`: delay of the speed,
+        period of the controller.
+        """
         found = list[LawSolution]()
         for by in ("i", "e") if "i" in letters else ("e",):
-            found.append(self._refine(letters, self._first_delay(letters, by, known, clock), known, clock))
+            found.append(
+                self._refine(letters, self._first_delay(letters, by, known, clock), known, clock)
+            )
             if found[-1].percent < MAX_RESIDUAL_PERCENT:
                 break
         return min(found, key=lambda one: one.percent)
 
-    def _columns(self, letters: str, at: tuple[float, float], clock: tuple[float, float]) -> tuple[Array, ...]:
+    def _columns(
+        self, letters: str, at: tuple[float, float], clock: tuple[float, float]
+    ) -> tuple[Array, ...]:
         """Columns (rows, k) at d and L, and their derivatives by d and by L."""
         t = self._at - at[1]
         r, dr, ddr, ir = on_spline(t - at[0], self._r).T
@@ -72,19 +88,30 @@ class MotorPaths:
         }
         return tuple(np.column_stack(x) for x in zip(*(found[one] for one in letters), strict=True))
 
-    def _first_delay(self, letters: str, by: str, known: KnownLag, clock: tuple[float, float]) -> float:
-        """The delay by columns of what it adds to the error, -d dr, or to its integral, -d r, which grows without bound."""
+    def _first_delay(
+        self, letters: str, by: str, known: KnownLag, clock: tuple[float, float]
+    ) -> float:
+        """The delay by columns of what it adds to the error, -d dr, or to its integral, -d r,
+        which grows without bound.
+        """
         d, letter = 0.0, "w" if by == "e" and "w" in letters else by
         for _ in range(FIRST_STEPS):
             c, by_d, _ = self._columns(letters, (d, known.value_s), clock)
-            added = [by_d[:, letters.index(one)] for one in dict.fromkeys((letter if by == "e" else "e", letter))]
+            added = [
+                by_d[:, letters.index(one)]
+                for one in dict.fromkeys((letter if by == "e" else "e", letter))
+            ]
             x = scaled_solution(np.column_stack([c, self._rest, *added]), self.u)
             gain = x[letters.index(letter)]
             d = float(np.clip(d + x[-1] / gain, -self._most, self._most)) if gain else d
         return d
 
-    def _refine(self, letters: str, d: float, known: KnownLag, clock: tuple[float, float]) -> LawSolution:
-        """Gauss-Newton steps of the values, d and L, which is known within limits; a law far from the effort is left."""
+    def _refine(
+        self, letters: str, d: float, known: KnownLag, clock: tuple[float, float]
+    ) -> LawSolution:
+        """Gauss-Newton steps of the values, d and L, which is known within limits; a law far
+        from the effort is left.
+        """
         L, step, k = known.value_s, np.inf, len(letters)
         for number in range(STEPS):
             c, by_d, by_L = self._columns(letters, (d, L), clock)
@@ -96,8 +123,15 @@ class MotorPaths:
                 break
             weight = PRIOR_WEIGHT * rho.std() / max(known.sd_s, self._most / 10)
             A = np.vstack([J, np.r_[np.zeros(J.shape[1] - 1), weight]])
-            moves = np.clip(scaled_solution(A, np.r_[self.u, weight * (known.value_s - L)])[-2:], -MAX_STEP, MAX_STEP)
-            (d, L), step = np.clip([d + moves[0], L + moves[1]], -self._most, self._most).tolist(), np.abs(moves).max()
+            moves = np.clip(
+                scaled_solution(A, np.r_[self.u, weight * (known.value_s - L)])[-2:],
+                -MAX_STEP,
+                MAX_STEP,
+            )
+            (d, L), step = (
+                np.clip([d + moves[0], L + moves[1]], -self._most, self._most).tolist(),
+                np.abs(moves).max(),
+            )
         return LawSolution(x=x, d=d, L=L, J=J, rho=rho, percent=percent)
 
 
@@ -113,14 +147,22 @@ def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
     """The motors of a recording, and the rate of their paths."""
     s, settings, R = problem.recorded, problem.settings, problem.recorded.robot.R
     fs, n_d = s.sample_rate_hz, settings.decimation
-    stop, step = min(settings.stop, settings.start + round(MAX_USED_S * fs)), max(1, n_d // SAMPLES_PER_ROW)
+    stop, step = (
+        min(settings.stop, settings.start + round(MAX_USED_S * fs)),
+        max(1, n_d // SAMPLES_PER_ROW),
+    )
     used = slice(settings.start, stop)
     assert s.q_ref is not None
     u, first = s.robot.motor_effort(s.effort[used]), s.q_ref[used.start] @ R.T
-    limits = np.array([np.inf if m.saturation is None else SATURATED * m.saturation for m in s.robot.motors])
+    limits = np.array(
+        [np.inf if m.saturation is None else SATURATED * m.saturation for m in s.robot.motors]
+    )
     saturated = np.cumsum(np.abs(u) >= limits, axis=0)
     u = u if s.feedforward is None else u - s.feedforward[used]
-    r, q, u = (lowpass(x, PASSBAND * fs / n_d, fs) for x in (s.q_ref[used] @ R.T - first, s.q[used] @ R.T - first, u))
+    r, q, u = (
+        lowpass(x, PASSBAND * fs / n_d, fs)
+        for x in (s.q_ref[used] @ R.T - first, s.q[used] @ R.T - first, u)
+    )
     edge = EDGE_ROWS * n_d + math.ceil(MAX_DELAY_S * fs)
     apart = max(n_d, (len(u) - 2 * edge) // MAX_ROWS)
     at = np.arange(edge - edge % step, len(u) - edge, max(step, apart - apart % step))
@@ -131,19 +173,27 @@ def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
     held = np.zeros((len(at), s.robot.n, 0))
     if s.robot.controller.gravity_feedforward:
         inverse = np.linalg.inv(R)
-        still = problem.model.regressor((q[at] + first) @ inverse.T, 0 * q[at], 0 * q[at])[..., problem.base.columns]
+        still = problem.model.regressor((q[at] + first) @ inverse.T, 0 * q[at], 0 * q[at])[
+            ..., problem.base.columns
+        ]
         held = np.einsum("jm,ajp->amp", inverse, still)
     found = []
     for j in range(s.robot.n):
         own = held[:, j][:, held[:, j].any(axis=0)]
         rest = np.c_[np.ones(len(at)), own][free[:, j]]
         places, own_paths = at[free[:, j]] / step, (paths[0][j], paths[1][j])
-        found.append(MotorPaths(own_paths, u[at, j][free[:, j]], rest, places, MAX_DELAY_S * fs / step))
+        found.append(
+            MotorPaths(own_paths, u[at, j][free[:, j]], rest, places, MAX_DELAY_S * fs / step)
+        )
     return found, fs / step
 
 
 def _paths(x: Array, step: int) -> list[Array]:
-    """By motor the spline coefficients of a path (N, n), of its two derivatives and its integral; times in its samples."""
+    """By motor the spline coefficients of a path (N, n), of its two derivatives and its
+    integral; times in its samples.
+    """
     dx = differentiate(x, step)
-    series = np.stack([x, dx, differentiate(dx, step), (np.cumsum(x, axis=0) - 0.5 * x) / step], axis=-1)[::step]
+    series = np.stack(
+        [x, dx, differentiate(dx, step), (np.cumsum(x, axis=0) - 0.5 * x) / step], axis=-1
+    )[::step]
     return [spline_coefficients(series[:, j]) for j in range(x.shape[1])]

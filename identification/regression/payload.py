@@ -1,7 +1,8 @@
 """The payload of a recording as an addition to the base parameters of its robot.
 
-A payload fixed to the last link adds its ten standard parameters phi to those of the link, so it adds K_n phi to the base
-parameters beta = K chi: its columns are L = W K_n. What is weighed and measured of phi is known, the rest is estimated.
+A payload fixed to the last link adds its ten standard parameters phi to those of the link, so it
+adds K_n phi to the base parameters beta = K chi: its columns are L = W K_n. What is weighed and
+measured of phi is known, the rest is estimated.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,13 @@ from acquisition.robot import Payload
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import Estimate, PhysicalParameters, consistent_parameters, parameter_certainty, pseudo_inertia
+from ..estimation import (
+    Estimate,
+    PhysicalParameters,
+    consistent_parameters,
+    parameter_certainty,
+    pseudo_inertia,
+)
 from ..model import LINK, InverseModel, link_columns, payload_parameters
 from .problem import Problem
 
@@ -33,7 +40,8 @@ class PayloadColumns:
 
     Attributes:
         payload: as stated; `model`: of the robot.
-        names: (f,) of the parameters phi_f that are estimated, such as MX:loaded; with R if others are regrouped into it.
+        names: (f,) of the parameters phi_f that are estimated, such as MX:loaded; with R if others
+            are regrouped into it.
         grouping: (f, 10) phi_f = grouping phi.
         known: (b,) base parameters of what is known, `fixed` (10,).
         columns: (b, f) base parameters per unit of phi_f; `whole`: (b, 10) K_n.
@@ -50,40 +58,55 @@ class PayloadColumns:
 
     @cached_property
     def stated(self) -> dict[str, tuple[float, float]]:
-        """First moments that are estimated though the centre of mass is stated, kg m: values and half-widths."""
+        """First moments that are estimated though the centre of mass is stated, kg m:
+        values and half-widths.
+        """
         payload, of = self.payload, {LINK[i]: i for i in MOMENTS}
         if payload.mass_kg is None or payload.center_of_mass_m is None:
             return {}
-        phi, half = payload_parameters(self.model, payload), payload.mass_kg * payload.center_half_width_m
+        phi, half = (
+            payload_parameters(self.model, payload),
+            payload.mass_kg * payload.center_half_width_m,
+        )
         by_name = {name: of.get(name.partition(":")[0]) for name in self.names}
         return {name: (float(phi[i]), half) for name, i in by_name.items() if i is not None}
 
     def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
-        """By the half-width of the mass, and of each coordinate of a centre of mass that is not estimated: moves of the base
-        parameters (b,), and of what is stated of the unknowns `names` (p,), which moves them too.
+        """By the half-width of the mass, and of each coordinate of a centre of mass that is not
+        estimated: moves of the base parameters (b,), and of what is stated of the unknowns `names`
+        (p,), which moves them too.
         """
         payload, moments = self.payload, {name: value for name, (value, _) in self.stated.items()}
         mass, found = payload.mass_kg or 0.0, list[tuple[Array, Array]]()
         if mass and payload.mass_half_width_kg:
-            own, x = (np.array([moments.get(name, 0.0) for name in some]) for some in (self.names, names))
+            own, x = (
+                np.array([moments.get(name, 0.0) for name in some]) for some in (self.names, names)
+            )
             share = payload.mass_half_width_kg / mass
             found.append((share * (self.known + self.columns @ own), share * x))
         if mass and payload.center_of_mass_m is not None and not moments:
-            found += [(mass * payload.center_half_width_m * self.whole[:, i], np.zeros(len(names))) for i in MOMENTS]
+            found += [
+                (mass * payload.center_half_width_m * self.whole[:, i], np.zeros(len(names)))
+                for i in MOMENTS
+            ]
         return found
 
     def values(self, estimate: Estimate) -> Array:
         """(b,) base parameters of the payload by an estimate."""
         return self.known + self.columns @ estimate.values_of(self.names)
 
-    def nearest_body(self, phi: Array, covariance: Array | None) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """The body of positive density nearest to phi_f (f,) of this covariance (f, f), by the prior of a ball.
+    def nearest_body(
+        self, phi: Array, covariance: Array | None
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """The body of positive density nearest to phi_f (f,) of this covariance (f, f),
+        by the prior of a ball.
 
         Returns XX XY XZ YY YZ ZZ MX MY MZ M (10,), their deviations, and which come from the prior.
         """
         given, stated = dict(zip(self.names, phi, strict=True)), np.flatnonzero(self.fixed)
         by_place = [
-            next((x for n, x in given.items() if n.partition(":")[0] == LINK[i]), self.fixed[i]) for i in range(10)
+            next((x for n, x in given.items() if n.partition(":")[0] == LINK[i]), self.fixed[i])
+            for i in range(10)
         ]
         mass = self.payload.mass_kg or (by_place[MASS] if by_place[MASS] > 0 else 1.0)
         x, y, z = (float(by_place[i] / mass) for i in MOMENTS)
@@ -93,7 +116,11 @@ class PayloadColumns:
             sd = np.maximum(KNOWN_SHARE * np.abs(self.fixed[stated]), 1e-9)
             C = np.diag(np.r_[np.full(len(phi), 1e-12), sd**2])
             if covariance is None or not len(phi):
-                return np.where(self.fixed != 0, self.fixed, ball), np.zeros(len(LINK)), np.ones(len(LINK), dtype=bool)
+                return (
+                    np.where(self.fixed != 0, self.fixed, ball),
+                    np.zeros(len(LINK)),
+                    np.ones(len(LINK), dtype=bool),
+                )
             C[: len(phi), : len(phi)] = covariance
             body = PhysicalParameters(
                 links=np.arange(len(LINK))[None],
@@ -108,26 +135,38 @@ class PayloadColumns:
         return found.chi, sigma, share > PRIOR_SHARE
 
 
-def payload_columns(problems: Sequence[Problem], labels: Sequence[str], *, scale: bool) -> list[PayloadColumns | None]:
+def payload_columns(
+    problems: Sequence[Problem], labels: Sequence[str], *, scale: bool
+) -> list[PayloadColumns | None]:
     """The payload of each recording, None for none; equal payloads have the same parameters.
 
-    A stated centre of mass of some half-width is estimated, unless the mass alone would not determine the `scale` of gains.
+    A stated centre of mass of some half-width is estimated, unless the mass alone would not
+    determine the `scale` of gains.
 
-    If no recording is without payload, the unknown part of the lightest is left out: the base parameters are those of the
-    robot that carries it.
+    If no recording is without payload, the unknown part of the lightest is left out: the base
+    parameters are those of the robot that carries it.
     """
-    payloads, found = [problem.signals.payload for problem in problems], dict[Payload, PayloadColumns]()
+    payloads, found = (
+        [problem.signals.payload for problem in problems],
+        dict[Payload, PayloadColumns](),
+    )
     stated = [payload for payload in payloads if payload is not None]
     lightest = None
     if len(stated) == len(payloads):
-        lightest = min(stated, key=lambda payload: np.inf if payload.mass_kg is None else payload.mass_kg)
+        lightest = min(
+            stated, key=lambda payload: np.inf if payload.mass_kg is None else payload.mass_kg
+        )
     for problem, payload, label in zip(problems, payloads, labels, strict=True):
         if payload is not None and payload not in found:
-            found[payload] = _columns(problem, payload, label, estimated=payload != lightest, scale=scale)
+            found[payload] = _columns(
+                problem, payload, label, estimated=payload != lightest, scale=scale
+            )
     return [None if payload is None else found[payload] for payload in payloads]
 
 
-def _columns(problem: Problem, payload: Payload, label: str, *, estimated: bool, scale: bool) -> PayloadColumns:
+def _columns(
+    problem: Problem, payload: Payload, label: str, *, estimated: bool, scale: bool
+) -> PayloadColumns:
     model, base, fixed = problem.model, problem.base, np.zeros(len(LINK))
     P, known = base.K[:, link_columns(model)[-1]], list[int]()
     if payload.mass_kg is not None:
@@ -135,18 +174,24 @@ def _columns(problem: Problem, payload: Payload, label: str, *, estimated: bool,
         fixed[known] = payload_parameters(model, payload)[known]
     places = _independent(P, [i for i in ORDER if i not in known]) if estimated else []
     if estimated and len(known) > 1 and payload.center_half_width_m > 0:
-        free = _independent(P, [*places, *MOMENTS])  # last, so that nothing is regrouped into what is stated
+        # last, so that nothing is regrouped into what is stated
+        free = _independent(P, [*places, *MOMENTS])
         if not scale or MASS in _independent(P, [*free, MASS]):
             known, places = [i for i in known if i not in free], free
             fixed[free] = 0.0
-    grouping: Array = np.asarray(np.linalg.lstsq(P[:, places], P)[0]) if places else np.zeros((0, len(LINK)))
+    grouping: Array = (
+        np.asarray(np.linalg.lstsq(P[:, places], P)[0]) if places else np.zeros((0, len(LINK)))
+    )
     grouping[np.abs(grouping) < TOLERANCE] = 0.0
     grouping[:, known] = 0.0
     regrouped = np.count_nonzero(grouping, axis=1) > 1
     return PayloadColumns(
         payload=payload,
         model=model,
-        names=tuple(f"{LINK[place]}{'R' * int(r)}:{label}" for place, r in zip(places, regrouped, strict=True)),
+        names=tuple(
+            f"{LINK[place]}{'R' * int(r)}:{label}"
+            for place, r in zip(places, regrouped, strict=True)
+        ),
         grouping=grouping,
         fixed=fixed,
         known=P @ fixed,
@@ -171,4 +216,7 @@ def payload_of(problem: Problem) -> Array:
     payload = problem.signals.payload
     if payload is None:
         return np.zeros(problem.base.b)
-    return np.asarray(problem.base.K[:, link_columns(problem.model)[-1]] @ payload_parameters(problem.model, payload))
+    return np.asarray(
+        problem.base.K[:, link_columns(problem.model)[-1]]
+        @ payload_parameters(problem.model, payload)
+    )

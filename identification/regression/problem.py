@@ -18,9 +18,11 @@ from .law import Law
 from .motion import FilteredMotion, Motion, later
 from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
 
-MAX_CACHED_NUMBERS = 8_000_000  # of positions in the cache of a process: 64 MB, a few times as much in all
+# of positions in the cache of a process: 64 MB, a few times as much in all
+MAX_CACHED_NUMBERS = 8_000_000
 MARGIN_S = 5.0  # behind the beginning of a recording
-_SERIES_BLOCK = 12_000_000  # numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
+# numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
+_SERIES_BLOCK = 12_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,7 +34,8 @@ class Problem:
         motion: low-passed motion of the recording.
         source: where a task reads the recording, if the samples are left out.
         law: the control law of its drives, once looked for.
-        gains: (n,) factors on the described drive gains, in `signals`; 1 in `recorded`; None for those described.
+        gains: (n,) factors on the described drive gains, in `signals`; 1 in `recorded`;
+            None for those described.
     """
 
     signals: Signals
@@ -55,7 +58,9 @@ class Problem:
         return self.with_samples().signals.q[self.settings.start : self.settings.stop]
 
     def row_times_s(self) -> Array:
-        """(rows,) instants of the decimated rows, s: decimation keeps the last sample and every n_d-th before it."""
+        """(rows,) instants of the decimated rows, s: decimation keeps the last sample and
+        every n_d-th before it.
+        """
         s, t_s = self.settings, self.with_samples().signals.t_s
         return np.asarray(t_s[s.start + s.decimator.instants(s.stop - s.start)])
 
@@ -71,12 +76,18 @@ class Problem:
 
     @property
     def needs_drives(self) -> bool:
-        """Whether rows have the torque of each motor beside their sum: a gain is unknown, or known within limits."""
-        return self.gains is not None or any(motor.drive_gain_half_width for motor in self.signals.robot.motors)
+        """Whether rows have the torque of each motor beside their sum: a gain is unknown,
+        or known within limits.
+        """
+        return self.gains is not None or any(
+            motor.drive_gain_half_width for motor in self.signals.robot.motors
+        )
 
     @property
     def slip_cutoff_hz(self) -> float:
-        """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit has none or a higher one."""
+        """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit
+        has none or a higher one.
+        """
         settings = self.settings
         if settings.filtered and settings.cutoff_hz is not None:
             return settings.cutoff_hz
@@ -98,24 +109,36 @@ class Problem:
         key = f"{self.source.key} {self.settings.torque_lag_s} {self.gains}"
         if key not in _cache:
             _cache[key] = self._of(self.source.load())
-            while len(_cache) > 1 and sum(p.signals.q.size for p in _cache.values()) > MAX_CACHED_NUMBERS:
+            while (
+                len(_cache) > 1
+                and sum(p.signals.q.size for p in _cache.values()) > MAX_CACHED_NUMBERS
+            ):
                 _cache.popitem(last=False)
         _cache.move_to_end(key)
         found = _cache[key]
         return replace(self, signals=found.signals, recorded=found.recorded, motion=found.motion)
 
     def until(self, stop: int) -> "Problem":
-        """The beginning of the recording, up to a sample of its span, and some seconds more for the filters."""
+        """The beginning of the recording, up to a sample of its span, and some
+        seconds more for the filters.
+        """
         whole, N = self.recorded, stop + round(MARGIN_S * self.recorded.sample_rate_hz)
-        cut: dict[str, Any] = {name: np.array(x[:N]) for name in COLUMNS if (x := getattr(whole, name)) is not None}
+        cut: dict[str, Any] = {
+            name: np.array(x[:N]) for name in COLUMNS if (x := getattr(whole, name)) is not None
+        }
         recorded = replace(whole, **cut)
-        found = replace(self, signals=recorded, recorded=recorded, source=None, motion=FilteredMotion(recorded))
-        return replace(found, settings=replace(self.settings, stop=stop)).corrected(self.settings.torque_lag_s)
+        found = replace(
+            self, signals=recorded, recorded=recorded, source=None, motion=FilteredMotion(recorded)
+        )
+        return replace(found, settings=replace(self.settings, stop=stop)).corrected(
+            self.settings.torque_lag_s
+        )
 
     def _of(self, signals: Signals) -> "Problem":
         if self.gains is not None:
             signals = with_gains(signals, np.ones(len(self.gains)))
-        robot = replace(signals.robot, controller=self.signals.robot.controller)  # with its bandwidth
+        # with its bandwidth
+        robot = replace(signals.robot, controller=self.signals.robot.controller)
         signals = replace(signals, robot=robot, motion_hz=self.signals.motion_hz)
         found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
         return found.corrected(self.settings.torque_lag_s)
@@ -126,7 +149,9 @@ class Problem:
         return replace(self, gains=gains).corrected(self.settings.torque_lag_s)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
-        """The same without friction terms that are regrouped with nothing; warnings have the reasons."""
+        """The same without friction terms that are regrouped with nothing;
+        warnings have the reasons.
+        """
         settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
         return replace(self, base=self.base.without(left_out), settings=settings)
 
@@ -136,7 +161,9 @@ class Problem:
         if (by := lag_s * signals.sample_rate_hz) and len(signals.effort):
             signals = replace(signals, effort=later(signals.effort, by))
         settings = replace(self.settings, torque_lag_s=lag_s)
-        return replace(self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals))
+        return replace(
+            self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals)
+        )
 
 
 def with_gains(signals: Signals, factors: Array) -> Signals:
@@ -150,8 +177,13 @@ _cache: OrderedDict[str, Problem] = OrderedDict()  # of this process, in order o
 
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
-    """Refuse names in `gains` that are no motors, and motors that are not named and whose gain is not known."""
-    names, place = {motor.name: motor.gain for motor in signals.robot.motors}, f"robot {signals.robot.name}"
+    """Refuse names in `gains` that are no motors, and motors that are not named and
+    whose gain is not known.
+    """
+    names, place = (
+        {motor.name: motor.gain for motor in signals.robot.motors},
+        f"robot {signals.robot.name}",
+    )
     for name in gains:
         if name not in names:
             expected = f"one of {', '.join(names)}"
@@ -159,11 +191,17 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
     for name, gain in names.items():
         if gain is None and name not in gains:
             expected = f"drive_gain, or {name} among the gains to identify"
-            raise BadInputError(place=place, key=f"motor {name}: drive_gain", value=None, expected=expected)
+            raise BadInputError(
+                place=place, key=f"motor {name}: drive_gain", value=None, expected=expected
+            )
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
-    """The input of a fit. Raises `BadInputError` if the settings do not suit the recording, or the robot cannot be modelled."""
+    """The input of a fit.
+
+    Raises `BadInputError` if the settings do not suit the recording, or the
+    robot cannot be modelled.
+    """
     gains = None
     if overrides.gains:
         if "all" not in overrides.gains:
@@ -187,10 +225,11 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class RowBlock:
-    """Rows `first` to `last` of all decimated `rows`, and the rows `low` to `high` whose samples the filters need.
+    """Rows `first` to `last` of all decimated `rows`, and the rows `low` to `high` whose
+    samples the filters need.
 
-    The margins are as long as the reach of the filters: blocks give the same result as one pass. Samples are counted from
-    the end, since decimation keeps the last one.
+    The margins are as long as the reach of the filters: blocks give the same result as one pass.
+    Samples are counted from the end, since decimation keeps the last one.
     """
 
     first: int
@@ -239,7 +278,9 @@ def motion_of_block(problem: Problem, block: RowBlock) -> Motion:
     """The recorded motion, low-passed, of the samples that a block needs."""
     settings = problem.settings
     samples = block.samples(settings.stop - settings.start, settings.decimation)
-    return problem.motion.between(settings.start + samples.start, settings.start + samples.stop, settings.cutoff_hz)
+    return problem.motion.between(
+        settings.start + samples.start, settings.start + samples.stop, settings.cutoff_hz
+    )
 
 
 def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice]]:

@@ -21,7 +21,8 @@ from .motion import BLOCK_SAMPLES, FilteredMotion
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-STANDSTILL_SPEED = 0.01  # of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
+# of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
+STANDSTILL_SPEED = 0.01
 MIN_RATE_HZ = 1.0  # of samples that follow a robot
 MAX_CUTOFF_SHARE = 0.4  # of the sample rate, of the rule's cut-off
 ROWS = -1.0  # in place of L: no weights, but the rows in which the joint moves
@@ -32,7 +33,8 @@ NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of an unknown lag
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLag:
-    """The lag of a torque as known without a fit: value and deviation, s, positive if late; and source.
+    """The lag of a torque as known without a fit: value and deviation, s,
+    positive if late; and source.
 
     A value stated by the user has no deviation.
     """
@@ -50,7 +52,9 @@ class KnownLag:
         """Both combined, weighted by their variances."""
         own, others = self.sd_s**-2, other.sd_s**-2
         value = (own * self.value_s + others * other.value_s) / (own + others)
-        return KnownLag(value_s=value, sd_s=(own + others) ** -0.5, source=f"{self.source} and {other.source}")
+        return KnownLag(
+            value_s=value, sd_s=(own + others) ** -0.5, source=f"{self.source} and {other.source}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +66,11 @@ class Settings:
         decimation: samples per decimated row, n_d.
         filtered: whether the low-pass is that of the rule, or a lower one.
         edges: how the decimation treats the two ends (`filtering.decimate`).
-        low_speed: slower samples weigh nothing, by method; `low_speed_percent`: of the method of this fit (`weights`).
+        low_speed: slower samples weigh nothing, by method; `low_speed_percent`: of the method
+            of this fit (`weights`).
         ramp_rows: L of the weights, in rows.
-        torque_lag_s: lag of the recorded torque in s, positive if late, that is corrected; 0 for none.
+        torque_lag_s: lag of the recorded torque in s, positive if late, that is
+            corrected; 0 for none.
         known_lag: the lag as known without a fit, by user and recording.
         span: the samples `start` to `stop` in words; `span_rule`: the setting.
         overloads: recorded efforts beyond a limit of the description, each a warning too.
@@ -93,16 +99,23 @@ class Settings:
         return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
 
 
-def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion | None = None) -> Settings:
-    """Settings for a recording: rules from the position loop's bandwidth, then robot.toml, then options.
+def make_settings(
+    signals: Signals, overrides: Overrides, motion: FilteredMotion | None = None
+) -> Settings:
+    """Settings for a recording: rules from the position loop's bandwidth, then
+    robot.toml, then options.
 
-    Cut-off 5 times the bandwidth, or the end of the motion if no bandwidth is stated; decimation n_d = 0.8 (f_m / 2) / f_p
-    with f_p twice the bandwidth; the span between first and last motion, or the recording's tracking phase; 5 periods of the
-    cut-off cut where that span reaches an end of the recording. `motion` is that of the recording, if there is one.
+    Cut-off 5 times the bandwidth, or the end of the motion if no bandwidth is stated; decimation
+    n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between first and last motion,
+    or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end
+    of the recording. `motion` is that of the recording, if there is one.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
-    places = robot.check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
-    # A fit with --gains starts with gains of one where none is described: its efforts are no torques yet.
+    places = robot.check_recorded_positions(
+        signals.robot, signals.t_s, signals.q, signals.recording
+    )
+    # A fit with --gains starts with gains of one where none is described: its
+    # efforts are no torques yet.
     looked_for = signals.robot.identified_gain is not None
     overloads = () if looked_for else robot.check_recorded_efforts(signals.robot, signals.effort)
     warnings = [*signals.assumed, *places, *overloads]
@@ -111,8 +124,13 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     bandwidth_hz = signals.robot.bandwidth_hz
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
     if fs <= least_hz:
-        expected = f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a period"
-        raise BadInputError(place=signals.recording, key="sample_rate_hz", value=fs, expected=expected)
+        expected = (
+            f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, "
+            "not a period"
+        )
+        raise BadInputError(
+            place=signals.recording, key="sample_rate_hz", value=fs, expected=expected
+        )
     highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * bandwidth_hz
     cutoff_hz: float | None = highest_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):
@@ -127,17 +145,22 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
                 shown=f"{cutoff_hz:g} Hz",
                 expected=f"below {fs / 2:g} Hz, half the rate",
             )
-        warnings.append(f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, above half the rate, {fs / 2:g} Hz")
+        warnings.append(
+            f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, above half the rate, "
+            f"{fs / 2:g} Hz"
+        )
         cutoff_hz = None
     if signals.motion_hz is not None:
         lowpass = "no low-pass" if cutoff_hz is None else f"low-pass at {cutoff_hz:.3g} Hz"
         warnings.append(
-            f"controller.bandwidth_hz is not stated: {lowpass}, a PD of {bandwidth_hz:.3g} Hz simulated if no loop is "
+            f"controller.bandwidth_hz is not stated: {lowpass}, a PD of {bandwidth_hz:.3g} Hz "
+            "simulated if no loop is "
             f"described; {signals.recording} has only noise above {signals.motion_hz:.3g} Hz"
         )
     elif cutoff_hz is not None and cutoff_hz < highest_hz * (1 - 1e-9):
         warnings.append(
-            f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} Hz: it distorts the "
+            f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} "
+            "Hz: it distorts the "
             "accelerations and the estimates"
         )
     N = len(signals.q)
@@ -167,18 +190,23 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         least = f"twice the bandwidth of {bandwidth_hz:g} Hz"
         warnings.append(f"decimation by {decimation} keeps {passband_hz:g} Hz, less than {least}")
     span_rule = overrides.span or stored.span
-    start, stop, span, standing = _span(signals, motion or FilteredMotion(signals), cutoff_hz, span_rule)
+    start, stop, span, standing = _span(
+        signals, motion or FilteredMotion(signals), cutoff_hz, span_rule
+    )
     warnings += [f"joint {name} does not move" for name in standing]
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
     lag = known_lag(signals, overrides)
     early, late = (fs * (lag.value_s + way * LAG_REACH * lag.sd_s) for way in (-1, 1))
-    start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))  # others may have no torque
+    # others may have no torque
+    start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))
     filtered = cutoff_hz is not None and cutoff_hz <= highest_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
     low_speed = robot.low_speed_by_method(stored.low_speed if given is None else given)
-    by_instruments = signals.q_ref is not None if overrides.method is None else overrides.method == "iv"
+    by_instruments = (
+        signals.q_ref is not None if overrides.method is None else overrides.method == "iv"
+    )
     if stop - start < 30 * decimation:
         raise NoFitError(
             place=signals.recording,
@@ -206,10 +234,12 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
 
 
 def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
-    """The lag of a recording's torque as known without a fit; its value is corrected before the fit.
+    """The lag of a recording's torque as known without a fit; its value is
+    corrected before the fit.
 
-    A command held for a control period is half that period early: it is recorded at the tick and acts, on average, half a
-    period later. Without a described period it is that of the samples. `"none"` corrects nothing.
+    A command held for a control period is half that period early: it is recorded at the tick and
+    acts, on average, half a period later. Without a described period it is that of the samples.
+    `"none"` corrects nothing.
     """
     own, period_s = signals.robot.identification.torque_lag_s, 1 / signals.sample_rate_hz
     given = own if overrides.torque_lag_s is None else overrides.torque_lag_s
@@ -224,15 +254,28 @@ def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
 
 
 def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
-    """(n,) largest of the `values` (n,) of joints of the same type, or of all joints where that is zero."""
-    found = np.array([max(x for x, other in zip(values, joints, strict=True) if other.type == j.type) for j in joints])
+    """(n,) largest of the `values` (n,) of joints of the same type, or of all
+    joints where that is zero.
+    """
+    found = np.array(
+        [
+            max(x for x, other in zip(values, joints, strict=True) if other.type == j.type)
+            for j in joints
+        ]
+    )
     return np.where(found > 0, found, values.max())
 
 
 def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-    """Names of the joints whose `peak` speeds (n,) are small compared with that of the fastest joint of the same type."""
+    """Names of the joints whose `peak` speeds (n,) are small compared with that of the fastest
+    joint of the same type.
+    """
     limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
-    return tuple(joint.name for joint, speed, limit in zip(joints, peak, limits, strict=True) if not speed > limit)
+    return tuple(
+        joint.name
+        for joint, speed, limit in zip(joints, peak, limits, strict=True)
+        if not speed > limit
+    )
 
 
 def rule_cutoff_hz(signals: Signals) -> float:
@@ -242,7 +285,9 @@ def rule_cutoff_hz(signals: Signals) -> float:
 
 
 def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
-    """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; or the next lower number with small factors."""
+    """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; or the next lower
+    number with small factors.
+    """
     n_d = max(1, round(0.8 * (sample_rate_hz / 2) / (DECIMATED_PER_BANDWIDTH * bandwidth_hz)))
     while any(r > MAX_PASS for r in decimation_passes(n_d)):
         n_d -= 1
@@ -258,7 +303,8 @@ def _span(
         return 0, N, "all samples", ()
     if signals.track is not None:
         return *signals.track, "the recording's tracking phase", ()
-    if cutoff_hz is None:  # the filter of the rule separates motion from noise, also if the fit has none
+    # the filter of the rule separates motion from noise, also if the fit has none
+    if cutoff_hz is None:
         cutoff_hz = rule_cutoff_hz(signals)
     speed = np.empty(signals.q.shape, dtype=np.float32)
     for a in range(0, N, BLOCK_SAMPLES):
@@ -266,7 +312,9 @@ def _span(
         speed[a:b] = np.abs(filtered.between(a, b, cutoff_hz).dq)
     peak = speed.max(axis=0)
     if not peak.any():
-        raise NoFitError("no joint moves", place=signals.recording, expected="an exciting trajectory")
+        raise NoFitError(
+            "no joint moves", place=signals.recording, expected="an exciting trajectory"
+        )
     standing = standing_joints(peak, signals.robot.joints)
     moves = [joint.name not in standing for joint in signals.robot.joints]
     moving = np.flatnonzero((speed > MOVING * peak)[:, moves].any(axis=1))

@@ -1,4 +1,6 @@
-"""Some rows of a recording to evaluate link torque and friction power at, and rows in which joints are fast."""
+"""Some rows of a recording to evaluate link torque and friction power at, and rows in
+which joints are fast.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +16,16 @@ from .motion import Motion
 from .problem import Problem, motion_blocks
 
 MIN_LAG_SPEED_PERCENT = 20.0  # of the peak speed; a lag is looked for in faster rows
-LAG_ORDER = 6  # of its whitening filter: shorter, model error looks like a lag; longer, few rows are left
+# of its whitening filter: shorter, model error looks like a lag; longer, few rows are left
+LAG_ORDER = 6
 STATES = 300  # rows of a recording to evaluate friction at
 
 
 def fast_rows(speed: Array, directions: Array, percent: float, peak: Array) -> NDArray[np.bool_]:
     """Rows (rows, n) in which each joint is fast, by the joint speeds (rows, n).
 
-    A row is slow if a direction (c, n) of Coulomb friction that acts on its joint is slower than `percent` of its `peak` (c,).
+    A row is slow if a direction (c, n) of Coulomb friction that acts on its joint is slower than
+    `percent` of its `peak` (c,).
     """
     slow = np.abs(speed @ directions.T) < 0.01 * percent * peak
     return np.asarray(~(slow @ (directions != 0)))
@@ -38,33 +42,48 @@ class RowStates:
 
 
 def row_states(problem: Problem, *, always: bool = False) -> RowStates | None:
-    """About 300 rows of a recording, evenly spaced; None, if not `always`, where there is viscous and Coulomb friction only."""
+    """About 300 rows of a recording, evenly spaced; None, if not `always`, where there is viscous
+    and Coulomb friction only.
+    """
     joints, problem = problem.signals.robot.joints, problem.with_samples()
-    if not always and not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
+    if not always and not any(
+        joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints
+    ):
         return None
     settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
     rows = settings.decimator.rows(settings.stop - settings.start)
     rows_wanted = np.arange(0, rows, max(1, rows // STATES))
     for motion, inside in motion_blocks(problem):
-        here = rows_wanted[(rows_wanted >= first) & (rows_wanted < first + inside.stop - inside.start)] - first
-        parts.append(tuple(settings.decimator.kept(x)[inside][here] for x in (motion.q, motion.dq, motion.ddq)))
+        here = (
+            rows_wanted[(rows_wanted >= first) & (rows_wanted < first + inside.stop - inside.start)]
+            - first
+        )
+        parts.append(
+            tuple(
+                settings.decimator.kept(x)[inside][here] for x in (motion.q, motion.dq, motion.ddq)
+            )
+        )
         first += inside.stop - inside.start
     q, dq, ddq = (np.concatenate([part[i] for part in parts]) for i in range(3))
     return RowStates(rows=rows_wanted, q=q, dq=dq, ddq=ddq)
 
 
 def friction_states(problem: Problem, beta: Array, states: RowStates) -> tuple[Array, Array]:
-    """Speeds and loads (m, n), by states of a recording, to evaluate the power of further friction terms at."""
+    """Speeds and loads (m, n), by states of a recording, to evaluate the power of
+    further friction terms at.
+    """
     rigid = torque_of_links(problem.model, problem.base, beta, states.q, states.dq, states.ddq)
     return shaped_states(problem.model, states.dq, np.abs(rigid))
 
 
 def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
-    """Friction power (m, p) per unit of the standard parameters at recorded speeds, by the link torque of base parameters beta
-    (b,); None without further friction terms.
+    """Friction power (m, p) per unit of the standard parameters at recorded speeds, by the link
+    torque of base parameters beta (b,); None without further friction terms.
     """
     found = [
-        friction_power(problem.model, np.arange(problem.model.p), *friction_states(problem, beta, states))
+        friction_power(
+            problem.model, np.arange(problem.model.p), *friction_states(problem, beta, states)
+        )
         for problem in problems
         if (states := row_states(problem)) is not None
     ]
@@ -74,19 +93,26 @@ def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
 def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
     motion, inside = next(motion_blocks(problem))
-    q, dq, ddq = (problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq))
+    q, dq, ddq = (
+        problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq)
+    )
     return dq, torque_of_links(problem.model, problem.base, beta, q, dq, ddq)
 
 
-def fast_for_lag(problem: Problem, motion: Motion, decimation: Decimation, peak: Array) -> NDArray[np.bool_]:
-    """Rows (n, T) in which a lag shows, by the `peak` speeds (c,) along the directions of Coulomb friction."""
+def fast_for_lag(
+    problem: Problem, motion: Motion, decimation: Decimation, peak: Array
+) -> NDArray[np.bool_]:
+    """Rows (n, T) in which a lag shows, by the `peak` speeds (c,) along the
+    directions of Coulomb friction.
+    """
     percent = max(MIN_LAG_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
     fast = fast_rows(decimation.kept(motion.dq), problem.model.coulomb_directions, percent, peak)
     return _well_before_slow(fast.T)
 
 
 def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows (n, rows) not soon before a slow one, as zero-phase decimation spreads a reversal both ways.
+    """Rows (n, rows) not soon before a slow one, as zero-phase decimation
+    spreads a reversal both ways.
 
     The whitening leaves out rows soon after a slow one.
     """

@@ -1,10 +1,13 @@
 """The unknowns x of a fit, and the base parameters of each recording in them.
 
-    beta_k = P_k x + known_k,        columns of x in recording k: W P_k, and -E_m for the gain kappa_m of a drive
+    beta_k = P_k x + known_k
 
-P_k and known_k are constant. A shared base parameter, or one of recording k alone (Off1@A), is a unit column of P_k; the free
-part of a payload K_n phi are further columns, its known part is in known_k. E_m is the torque of motor m at the joints by its
-described gain: with the gain as an unknown its torque goes from Y to the columns.
+    columns of x in recording k: W P_k, and -E_m for the gain kappa_m of a drive
+
+P_k and known_k are constant. A shared base parameter, or one of recording k alone (Off1@A), is a
+unit column of P_k; the free part of a payload K_n phi are further columns, its known part is in
+known_k. E_m is the torque of motor m at the joints by its described gain: with the gain as an
+unknown its torque goes from Y to the columns.
 """
 
 from collections.abc import Sequence
@@ -21,11 +24,14 @@ from ..estimation import Estimate
 from .payload import PayloadColumns, payload_columns
 from .problem import Problem
 
-KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}  # of `own`, and of the terms of the model
+# of `own`, and of the terms of the model
+KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
 
 
 def base_places(names: Sequence[str]) -> NDArray[np.intp]:
-    """Places of the base parameters in names, some of which may be of payloads and gains: MX:loaded, K:motor_1."""
+    """Places of the base parameters in names, some of which may be of payloads and
+    gains: MX:loaded, K:motor_1.
+    """
     return np.flatnonzero([":" not in name for name in names])
 
 
@@ -53,8 +59,12 @@ class Arm:
 
     @property
     def own(self) -> set[str]:
-        """Names of the parameters that other recordings do not have; those of equal payloads are the same."""
-        return {name for name in self.names if "@" in name} | set(self.payload.names if self.payload else ())
+        """Names of the parameters that other recordings do not have; those of equal
+        payloads are the same.
+        """
+        return {name for name in self.names if "@" in name} | set(
+            self.payload.names if self.payload else ()
+        )
 
     def values(self, estimate: Estimate) -> Array:
         """(b,) base parameters by an estimate, in which unknowns that it lacks are zero."""
@@ -66,12 +76,15 @@ class Arm:
             return self
         carried = self.payload.values(estimate)
         of_arm = np.isin(self.unknowns, self.names)
-        return replace(self, P=self.P * of_arm, known=carried, payload=replace(self.payload, known=carried))
+        return replace(
+            self, P=self.P * of_arm, known=carried, payload=replace(self.payload, known=carried)
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Unknowns:
-    """The unknowns x of several recordings: base parameters, those of an own kind in sequence; payloads; gains of motors.
+    """The unknowns x of several recordings: base parameters, those of an own kind in sequence;
+    payloads; gains of motors.
 
     Attributes:
         names: (p,) of x.
@@ -105,21 +118,25 @@ class Unknowns:
         return np.asarray(self.arms[k].P @ x + self.arms[k].known)
 
     def simulated(self, x: Array, C: Array | None) -> list[tuple[Array, Array | None, Array]]:
-        """By recording what is simulated for x: base parameters (b,), their covariance without the payload, and the share (b,)
-        of the body nearest to the payload in them. C: covariance of x.
+        """By recording what is simulated for x: base parameters (b,), their covariance without the
+        payload, and the share (b,) of the body nearest to the payload in them. C: covariance of x.
         """
         found = []
         for arm in self.arms:
             at, carried = _places(self.names, arm.names), np.zeros(len(arm.names))
             if arm.payload is not None:
                 own = _places(self.names, arm.payload.names)
-                phi, _, _ = arm.payload.nearest_body(x[own], None if C is None else C[np.ix_(own, own)])
+                phi, _, _ = arm.payload.nearest_body(
+                    x[own], None if C is None else C[np.ix_(own, own)]
+                )
                 carried = arm.payload.whole @ phi
             found.append((x[at] + carried, None if C is None else C[np.ix_(at, at)], carried))
         return found
 
     def columns(self, k: int, WE: Array) -> Array:
-        """Columns (r, p) of x in recording k from [W E] (r, b + n): W P_k, and -E_m of the drives' torques."""
+        """Columns (r, p) of x in recording k from [W E] (r, b + n): W P_k, and -E_m
+        of the drives' torques.
+        """
         b = len(self.arms[k].names)
         if self.plain:
             return WE[:, :b]
@@ -136,11 +153,16 @@ class Unknowns:
         return x
 
 
-def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = (), friction: Sequence[str] = ()) -> Unknowns:
-    """The unknowns of several recordings, and the gains of `motors`. Own parameters are of the kinds that the first one's
-    description lists, or else of those of `friction` that stand alone.
+def make_unknowns(
+    problems: Sequence[Problem], motors: tuple[int, ...] = (), friction: Sequence[str] = ()
+) -> Unknowns:
+    """The unknowns of several recordings, and the gains of `motors`.
 
-    Raises `BadInputError` for a kind that the robot lacks, or that gravity or other parameters absorb.
+    Own parameters are of the kinds that the first one's description lists, or else of those of
+    `friction` that stand alone.
+
+    Raises `BadInputError` for a kind that the robot lacks, or that gravity or
+    other parameters absorb.
     """
     base, robot = problems[0].base, problems[0].signals.robot
     own = list[int]()
@@ -150,9 +172,16 @@ def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = (), fri
             with suppress(*[BadInputError] * (listed is None)):
                 own += _own_places(problems[0], kind)
     labels = _labels([problem.signals.recording for problem in problems])
-    of = [tuple(f"{n}@{label}" if i in own else n for i, n in enumerate(base.names)) for label in labels]
+    of = [
+        tuple(f"{n}@{label}" if i in own else n for i, n in enumerate(base.names))
+        for label in labels
+    ]
     carried = payload_columns(problems, labels, scale=bool(motors))
-    names = [name for i, name in enumerate(base.names) for name in ([one[i] for one in of] if i in own else [name])]
+    names = [
+        name
+        for i, name in enumerate(base.names)
+        for name in ([one[i] for one in of] if i in own else [name])
+    ]
     payloads = tuple(dict.fromkeys(one for one in carried if one is not None))
     names += [name for one in payloads for name in one.names]
     x = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
@@ -173,16 +202,26 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> NDArray[np.intp]:
 
 
 def _own_places(problem: Problem, kind: str) -> list[int]:
-    base, model, place, found = problem.base, problem.model, f"robot {problem.signals.robot.name}", list[int]()
+    base, model, place, found = (
+        problem.base,
+        problem.model,
+        f"robot {problem.signals.robot.name}",
+        list[int](),
+    )
     columns = [c for c, s in enumerate(model.sources) if getattr(s, "kind", None) == KINDS[kind]]
     if not columns:
         expected = "offset = true of a joint" if kind == "Off" else "joints with this friction"
-        raise BadInputError("no joint has it", place=place, key="identification.own", value=kind, expected=expected)
+        raise BadInputError(
+            "no joint has it", place=place, key="identification.own", value=kind, expected=expected
+        )
     for c in columns:
-        alone = [i for i in range(base.b) if base.columns[i] == c and np.count_nonzero(base.K[i]) == 1]
+        alone = [
+            i for i in range(base.b) if base.columns[i] == c and np.count_nonzero(base.K[i]) == 1
+        ]
         if not alone:
             raise BadInputError(
-                f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs an offset)",
+                f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs "
+                "an offset)",
                 place=place,
                 key="identification.own",
                 value=kind,

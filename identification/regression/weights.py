@@ -1,13 +1,15 @@
 """Weights of samples: those at which a joint stands weigh nothing.
 
-While a joint stands its friction is anything between -Fc and Fc, which no model says, and the decimation filter F carries it
-into the rows around. So torque and regressor of joint j are multiplied by the same weight w_j(t) before both are decimated,
+While a joint stands its friction is anything between -Fc and Fc, which no model says, and the
+decimation filter F carries it into the rows around. So torque and regressor of joint j are
+multiplied by the same weight w_j(t) before both are decimated,
 
     Y_j := F[w_j Y_j],    W_j := F[w_j W_j],    Z_j := F[w_j Z_j];
 
-Y = W beta at every sample with w > 0 gives F[w Y] = F[w W] beta, whatever the friction was where w = 0. w is 0 where a joint
-stands, 1/2 L samples away and 1 from 2 L samples on: an abrupt edge would fold noise above the low-pass into the band. Moves
-that are shorter than the filter leave nothing: such a joint has no weights, but only the rows at whose instants it moves.
+Y = W beta at every sample with w > 0 gives F[w Y] = F[w W] beta, whatever the friction was where w
+= 0. w is 0 where a joint stands, 1/2 L samples away and 1 from 2 L samples on: an abrupt edge would
+fold noise above the low-pass into the band. Moves that are shorter than the filter leave nothing:
+such a joint has no weights, but only the rows at whose instants it moves.
 """
 
 import numpy as np
@@ -20,10 +22,12 @@ from .motion import BLOCK_SAMPLES
 from .problem import Problem, row_blocks
 from .settings import RAMPS, ROWS
 
-LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
+# of the peak: slower joints stick and slip, which sign(dq) does not describe
+LOW_SPEED_PERCENT = 4.0
 LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed
 MIN_SHARE = 0.1  # weight of a row that counts
-MIN_ROWS_LEFT = 1 / 3  # of the rows in which a joint moves, by their weights; with fewer it gets the next shorter ramp
+# of the rows in which a joint moves, by their weights; with fewer it gets the next shorter ramp
+MIN_ROWS_LEFT = 1 / 3
 
 
 class SampleWeights:
@@ -31,7 +35,8 @@ class SampleWeights:
 
     Attributes:
         moves: (N, n) which joints move at its samples.
-        ramps: (n,) L in rows, or `ROWS`, by joint: shorter than asked where a joint's moves are short.
+        ramps: (n,) L in rows, or `ROWS`, by joint: shorter than asked where a
+            joint's moves are short.
         of_rows: (rows, n) weights of the decimated rows, 0 for those that do not count.
     """
 
@@ -45,14 +50,19 @@ class SampleWeights:
             few = (self.of_rows**2).sum(axis=0) < MIN_ROWS_LEFT * moving.sum(axis=0)
             if not few.any():
                 break
-            self.ramps = tuple(shorter if x else ramp for x, ramp in zip(few, self.ramps, strict=True))
+            self.ramps = tuple(
+                shorter if x else ramp for x, ramp in zip(few, self.ramps, strict=True)
+            )
             self._set_rows(problem, moving)
 
     def _set_rows(self, problem: Problem, moving: NDArray[np.bool_]) -> None:
-        """1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain below 1 at frequency 0."""
+        """1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain
+        below 1 at frequency 0.
+        """
         settings, parts = problem.settings, list[Array]()
         decimation, N = settings.decimator, settings.stop - settings.start
-        self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]  # negative for `ROWS`
+        # negative for `ROWS`
+        self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
         self._last = (0, 0), np.zeros((0, 0))  # samples, and their weights
         for at in row_blocks(problem):
             samples = at.samples(N, settings.decimation)
@@ -97,30 +107,45 @@ def weighted(problem: Problem, t_s: Array, x: Array, decimation: Decimation) -> 
     return decimation.filtered(weights_at(problem, t_s) * x.T)
 
 
-def refuse_standing_joints(share: Array, joints: tuple[str, ...], place: str, bandwidth_hz: float) -> None:
-    """Refuse recordings, named by `place`, in which no row of a joint counts; `share` (rows, n) weights of the rows."""
+def refuse_standing_joints(
+    share: Array, joints: tuple[str, ...], place: str, bandwidth_hz: float
+) -> None:
+    """Refuse recordings, named by `place`, in which no row of a joint counts; `share` (rows,
+    n) weights of the rows.
+    """
     for j, name in enumerate(joints):
         if not share[:, j].any():
             raise NoFitError(
-                f"joint {name} never moves for longer than a period of the filters between two stops, or is never faster than "
+                f"joint {name} never moves for longer than a period of the filters between two "
+                "stops, or is never faster than "
                 "the noise of its speed",
                 place=place,
-                expected=f"longer moves, a bandwidth_hz above {bandwidth_hz:.3g}, or low_speed_percent of [identification]",
+                expected=f"longer moves, a bandwidth_hz above {bandwidth_hz:.3g}, or "
+                "low_speed_percent of [identification]",
             )
 
 
 def _moves(problem: Problem) -> NDArray[np.bool_]:
-    """Which joints (N, n) move: no Coulomb direction that acts on a joint is slow within half a period of the cut-off.
+    """Which joints (N, n) move: no Coulomb direction that acts on a joint is slow within half a
+    period of the cut-off.
 
-    Slow: below 4 % of the peak in the span, or 4 deviations of the noise of the regressor's speed if that is more. Speeds have
-    the low-pass of the fit, or of the rule if the fit has none or a higher one; the noise is the difference. The low-pass
-    smears a speed by half a period of its cut-off, so a joint that sticks for a moment seems to creep.
+    Slow: below 4 % of the peak in the span, or 4 deviations of the noise of the regressor's speed
+    if that is more. Speeds have the low-pass of the fit, or of the rule if the fit has none or a
+    higher one; the noise is the difference. The low-pass smears a speed by half a period of its
+    cut-off, so a joint that sticks for a moment seems to creep.
     """
-    settings, percent, N = problem.settings, problem.settings.low_speed_percent, len(problem.signals.q)
+    settings, percent, N = (
+        problem.settings,
+        problem.settings.low_speed_percent,
+        len(problem.signals.q),
+    )
     directions, cutoff_hz = problem.model.coulomb_directions, problem.slip_cutoff_hz
     if percent == 0:
         return np.broadcast_to(True, (N, directions.shape[1]))
-    speed, noise = np.empty((N, len(directions)), dtype=np.float32), np.zeros((2, directions.shape[1]))
+    speed, noise = (
+        np.empty((N, len(directions)), dtype=np.float32),
+        np.zeros((2, directions.shape[1])),
+    )
     for a in range(0, N, BLOCK_SAMPLES):
         b = min(N, a + BLOCK_SAMPLES)
         dq = problem.motion.between(a, b, cutoff_hz).dq
@@ -149,7 +174,9 @@ def _nearby(x: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def _ramped(moves: NDArray[np.bool_], L: int) -> Array:
-    """w (N,) of a joint: Hann ramps of 2 L samples inside its moves, zero where it stands. Beyond the ends nothing changes.
+    """w (N,) of a joint: Hann ramps of 2 L samples inside its moves, zero where it stands.
+
+    Beyond the ends nothing changes.
 
     Ones for a negative L.
     """
@@ -157,7 +184,10 @@ def _ramped(moves: NDArray[np.bool_], L: int) -> Array:
         return np.ones(len(moves))
     if L == 0 or moves.all():
         return moves.astype(float)
-    inner, window = np.pad(~_nearby(~moves, L), L, mode="edge").astype(float), np.hanning(2 * L + 3)[1:-1]
+    inner, window = (
+        np.pad(~_nearby(~moves, L), L, mode="edge").astype(float),
+        np.hanning(2 * L + 3)[1:-1],
+    )
     window, steps = window / window.sum(), np.zeros(len(inner) + 2 * L)
     for k in np.flatnonzero(edges := np.diff(inner)):
         steps[k : k + 2 * L + 1] += edges[k] * window

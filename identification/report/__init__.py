@@ -1,7 +1,13 @@
 """Documents of sections and tables, their renderers, the JSON files of fits, comparisons."""
 
 from .comparison import Difference as Difference
-from .comparison import ParameterSet, comparison_document, comparison_section, differences, frame_lines
+from .comparison import (
+    ParameterSet,
+    comparison_document,
+    comparison_section,
+    differences,
+    frame_lines,
+)
 from .document import (
     Cell,
     Document,

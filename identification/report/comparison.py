@@ -1,4 +1,6 @@
-"""Comparison of two parameter sets: least squares and instrumental variables, a fit and the truth, two fits."""
+"""Comparison of two parameter sets: least squares and instrumental variables, a fit
+and the truth, two fits.
+"""
 
 import math
 import tomllib
@@ -28,8 +30,8 @@ class ParameterSet:
 class Difference:
     """A parameter of two sets; None where one of them has no such parameter.
 
-    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference of independent values: above 1.96
-    the difference is significant.
+    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference of
+    independent values: above 1.96 the difference is significant.
     """
 
     name: str
@@ -44,13 +46,16 @@ class Difference:
 def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """Differences by parameter: those of `a` first, then those that only `b` has.
 
-    Parameters are matched by their expressions in standard parameters; without expressions, by name. Raises
-    `BadInputError` where the two have nothing in common, or a parameter has different units.
+    Parameters are matched by their expressions in standard parameters; without
+    expressions, by name. Raises `BadInputError` where the two have nothing in common, or a
+    parameter has different units.
     """
     partners = _partners(a, b)
     if not partners:
         expected = "two fits of one robot, or of like robots"
-        raise BadInputError("no parameter in common", place=f"{a.label} and {b.label}", expected=expected)
+        raise BadInputError(
+            "no parameter in common", place=f"{a.label} and {b.label}", expected=expected
+        )
     rows = []
     for name, x in a.parameters.items():
         if name not in partners:
@@ -61,26 +66,45 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             expected = f"{x.unit}, as in {a.label}"
             raise BadInputError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
-        percent, in_sigma = 100 * off / abs(y.value) if y.value else None, off / sigma if sigma > 0 else None
-        rows.append(Difference(name=name, unit=x.unit, a=x, b=y, off=off, off_percent=percent, off_sigma=in_sigma))
+        percent, in_sigma = (
+            100 * off / abs(y.value) if y.value else None,
+            off / sigma if sigma > 0 else None,
+        )
+        rows.append(
+            Difference(
+                name=name, unit=x.unit, a=x, b=y, off=off, off_percent=percent, off_sigma=in_sigma
+            )
+        )
     for name, y in b.parameters.items():
         if name not in partners.values():
-            rows.append(Difference(name=f"{name} of {b.label}" if name in a.parameters else name, unit=y.unit, b=y))
+            rows.append(
+                Difference(
+                    name=f"{name} of {b.label}" if name in a.parameters else name, unit=y.unit, b=y
+                )
+            )
     return rows
 
 
 def _have_expressions(*sets: ParameterSet) -> bool:
-    return all(value.expression is not None for values in sets for value in values.parameters.values())
+    return all(
+        value.expression is not None for values in sets for value in values.parameters.values()
+    )
 
 
 def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
-    """Names in `b` of the parameters in `a`; a recording's own is that of the same recording, or else the shared one."""
+    """Names in `b` of the parameters in `a`; a recording's own is that of the same recording,
+    or else the shared one.
+    """
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
-    named = {(value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()}
+    named = {
+        (value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()
+    }
     found = dict[str, str]()
     for name, x in a.parameters.items():
-        if partner := named.get((x.expression, name.partition("@")[2]), named.get((x.expression, ""))):
+        if partner := named.get(
+            (x.expression, name.partition("@")[2]), named.get((x.expression, ""))
+        ):
             found[name] = partner
     return found
 
@@ -93,9 +117,17 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
     off = {row.name: abs(row.off_sigma) for row in rows if row.off_sigma is not None}
     if off:
         worst = max(off, key=lambda name: off[name])
-        shares = ", ".join(f"{sum(x <= k for x in off.values())} within {k} sigma" for k in (1, 2, 3))
-        lines.append(f"of {len(off)} parameters in both {shares}; largest difference {off[worst]:.2g} sigma, {worst}")
-    for values, missing in ((a, [r.name for r in rows if r.b is None]), (b, [r.name for r in rows if r.a is None])):
+        shares = ", ".join(
+            f"{sum(x <= k for x in off.values())} within {k} sigma" for k in (1, 2, 3)
+        )
+        lines.append(
+            f"of {len(off)} parameters in both {shares}; largest difference {off[worst]:.2g} "
+            f"sigma, {worst}"
+        )
+    for values, missing in (
+        (a, [r.name for r in rows if r.b is None]),
+        (b, [r.name for r in rows if r.a is None]),
+    ):
         if missing:
             lines.append(f"only in {values.label}: {', '.join(missing)}")
     return lines
@@ -104,12 +136,21 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 def comparison_document(
     a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = (), *, prior: bool = False
 ) -> Document:
-    """A comparison as a report with `warnings`, in short the largest differences in sigma; with a `prior` b, also a over b."""
+    """A comparison as a report with `warnings`, in short the largest differences in sigma; with a
+    `prior` b, also a over b.
+    """
     section, rows = comparison_section(a, b), differences(a, b)
     if prior:
-        both = [(row, row.a.value / row.b.value if row.b.value else None) for row in rows if row.a and row.b]
+        both = [
+            (row, row.a.value / row.b.value if row.b.value else None)
+            for row in rows
+            if row.a and row.b
+        ]
         heads = columns("name", "unit", numbers=("value", "±95%", "prior", "ratio"))
-        table = Table(columns=heads, rows=tuple((*_cells(row)[:5], Number(x, ".3g", most=1e6)) for row, x in both))
+        table = Table(
+            columns=heads,
+            rows=tuple((*_cells(row)[:5], Number(x, ".3g", most=1e6)) for row, x in both),
+        )
         section, rows = replace(section, table=table), [row for row, _ in both]
     largest = sorted(range(len(rows)), key=lambda k: -abs(rows[k].off_sigma or 0.0))
     shown = replace(section, title="", warnings=warnings).with_short_table(largest)
@@ -122,7 +163,10 @@ def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
     numbers = (a.label, "±95%", b.label, "±95%", "difference", "%", "in sigma")
     return Section(
         title=f"{a.label} and {b.label}",
-        table=Table(columns=columns("name", "unit", numbers=numbers), rows=tuple(_cells(row) for row in rows)),
+        table=Table(
+            columns=columns("name", "unit", numbers=numbers),
+            rows=tuple(_cells(row) for row in rows),
+        ),
         lines=tuple(difference_lines(a, b, rows)),
     )
 
@@ -130,7 +174,9 @@ def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
 def _cells(row: Difference) -> Row:
     known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]
     form = value_form(min(known, default=0.0))
-    values = [number for x in (row.a, row.b) for number in ((x.value, x.half) if x else (None, None))]
+    values = [
+        number for x in (row.a, row.b) for number in ((x.value, x.half) if x else (None, None))
+    ]
     return (
         row.name,
         row.unit,
@@ -142,7 +188,9 @@ def _cells(row: Difference) -> Row:
 
 
 def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
-    """One line if the link frames of two fits, named by `labels`, differ: equal names then mean different quantities."""
+    """One line if the link frames of two fits, named by `labels`, differ: equal names then
+    mean different quantities.
+    """
     if not a.description or not b.description:
         return []
     frames = [_frames(fit.description, label) for fit, label in zip((a, b), labels, strict=True)]
@@ -152,7 +200,9 @@ def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
     which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
     if kinds[0] != kinds[1]:
         which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
-    compared = "link parameters (XX to M) are comparable only where a link has the same frame in both"
+    compared = (
+        "link parameters (XX to M) are comparable only where a link has the same frame in both"
+    )
     return [f"the link frames differ: {which}; {compared}"]
 
 
@@ -164,4 +214,6 @@ def _frames(description: dict[str, str], place: str) -> str | list[object]:
         return [joint["dh"] for joint in tomllib.loads(description["robot.toml"])["joint"]]
     except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
         expected = "the robot.toml that was fitted"
-        raise BadInputError(place=place, key="description", value=str(error), expected=expected) from error
+        raise BadInputError(
+            place=place, key="description", value=str(error), expected=expected
+        ) from error

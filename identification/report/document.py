@@ -17,7 +17,9 @@ MAX_SHORT_ROWS = 20  # of a table that a terminal prints whole without `--all`
 
 @dataclass(frozen=True)
 class Number:
-    """A number and its format; shown as `-` if None or not finite, and as `> most` if larger than `most`."""
+    """A number and its format; shown as `-` if None or not finite, and as `> most`
+    if larger than `most`.
+    """
 
     value: float | None
     form: str = "g"
@@ -38,7 +40,8 @@ class Number:
 
 Cell = str | Number
 Row = tuple[Cell, ...]
-Columns = tuple[tuple[str, bool], ...]  # headings, and whether the column has numbers, aligned right
+# headings, and whether the column has numbers, aligned right
+Columns = tuple[tuple[str, bool], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +58,9 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise ValueError(f"a row of {len(row)} cells in a table of {len(self.columns)} columns")
+                raise ValueError(
+                    f"a row of {len(row)} cells in a table of {len(self.columns)} columns"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +77,9 @@ class Section:
     short: "Section | None" = None
 
     def with_short_table(self, order: Sequence[int], most: int = 10) -> "Section":
-        """The section, of whose table, if long, a terminal prints only the `most` rows that come first in `order`."""
+        """The section, of whose table, if long, a terminal prints only the `most` rows that
+        come first in `order`.
+        """
         if self.table is None or len(self.table.rows) <= MAX_SHORT_ROWS:
             return self
         table = replace(self.table, rows=tuple(self.table.rows[k] for k in sorted(order[:most])))
@@ -82,7 +89,9 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """A report: a headline and sections in reading order; of a fit its verdict as `badge`, and figures by what they are."""
+    """A report: a headline and sections in reading order; of a fit its verdict as `badge`, and
+    figures by what they are.
+    """
 
     title: str
     sections: tuple[Section, ...]
@@ -105,7 +114,9 @@ def columns(*texts: str, numbers: tuple[str, ...] = ()) -> Columns:
 
 
 def value_form(sigma: float) -> str:
-    """The format of a value with this deviation: four decimals, or more for three digits of the deviation."""
+    """The format of a value with this deviation: four decimals, or more for three
+    digits of the deviation.
+    """
     return f".{max(4, min(12, 2 - math.floor(math.log10(sigma)))) if sigma > 0 else 4}f"
 
 
@@ -115,14 +126,19 @@ def cell_text(cell: Cell) -> str:
 
 
 class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The base of the JSON files that are read again: the version of their format, which all have."""
+    """The base of the JSON files that are read again: the version of their
+    format, which all have.
+    """
 
     format: int = FORMAT
 
 
 def write_json(path: Path, content: ResultFile | Mapping[str, Any]) -> None:
-    """Write a result, or its keys, as a JSON file, whole or not at all; a number that is not finite is null."""
+    """Write a result, or its keys, as a JSON file, whole or not at all; a number that
+    is not finite is null.
+    """
     typed = content if isinstance(content, ResultFile) else {"format": FORMAT, **content}
-    plain = json.loads(msgspec.json.encode(typed, enc_hook=lambda numbers: numbers.tolist()))  # numpy's to Python's
+    # numpy's to Python's
+    plain = json.loads(msgspec.json.encode(typed, enc_hook=lambda numbers: numbers.tolist()))
     with atomic_write(path) as partial:
         partial.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

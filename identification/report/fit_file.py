@@ -35,10 +35,12 @@ NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 
 
 class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
-    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all, moving and standing rows; the torque's unit.
+    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all, moving and standing
+    rows; the torque's unit.
 
-    In moving rows the joint is faster than 2 % of its peak speed. None without such rows or torque. `autocorrelation` is of the
-    residual at a lag of one decimated sample, `residual_rms` in the unit.
+    In moving rows the joint is faster than 2 % of its peak speed. None without such rows or
+    torque. `autocorrelation` is of the residual at a lag of one decimated sample,
+    `residual_rms` in the unit.
     """
 
     name: str = ""
@@ -59,8 +61,8 @@ class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FTest(msgspec.Struct, frozen=True, kw_only=True):
-    """An F test: of leaving out all but the essential parameters, `names`, and those with an interval wider than the value; or
-    of sharing the own ones, `names`.
+    """An F test: of leaving out all but the essential parameters, `names`, and those with an
+    interval wider than the value; or of sharing the own ones, `names`.
 
     A small p rejects that. The effective values are corrected for the residual's correlation.
     """
@@ -81,7 +83,9 @@ class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The lag of a recording's torque, s, positive: late, corrected by the fit and included in its intervals."""
+    """The lag of a recording's torque, s, positive: late, corrected by the fit and
+    included in its intervals.
+    """
 
     value_s: float
     half_width_s: float
@@ -125,7 +129,9 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DirectModelResidual(msgspec.Struct, frozen=True, kw_only=True):
-    """Relative errors of a simulated joint: of |q - mean|, None where the joint is held, and of |tau|."""
+    """Relative errors of a simulated joint: of |q - mean|, None where the joint
+    is held, and of |tau|.
+    """
 
     name: str
     position_error_percent: float | None
@@ -149,8 +155,10 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
-    """One of several recordings of a fit or a validation. `held_out_error_percent` is that of the fit of the others; null where
-    these leave the parameters `undetermined`, and in a validation.
+    """One of several recordings of a fit or a validation.
+
+    `held_out_error_percent` is that of the fit of the others; null where these leave the parameters
+    `undetermined`, and in a validation.
     """
 
     recording: str
@@ -165,7 +173,9 @@ class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class OnRecording(ResultFile, frozen=True, kw_only=True):
-    """The keys common to a fit and a validation: torque errors of all and of each joint, settings, warnings."""
+    """The keys common to a fit and a validation: torque errors of all and of each
+    joint, settings, warnings.
+    """
 
     warnings: list[str] = msgspec.field(default_factory=list)
     relative_error_percent: float | None = None
@@ -189,10 +199,12 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of a fit, or of known values, with parameters only; earlier ones have no verdict and no covariance.
+    """The JSON file of a fit, or of known values, with parameters only; earlier ones have no
+    verdict and no covariance.
 
-    `left_out` are the base parameters that `--essential` leaves out; `consistent` and `standard_parameters` are those of
-    `--consistent`. The keys from `reason` on are those of instrumental variables.
+    `left_out` are the base parameters that `--essential` leaves out; `consistent` and
+    `standard_parameters` are those of `--consistent`. The keys from `reason` on are those of
+    instrumental variables.
     """
 
     parameters: list[Parameter]
@@ -235,26 +247,42 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     @property
     def summary(self) -> str:
         """What it is, in a line."""
-        error, total = self.moving_relative_error_percent, len(self.parameters) + len(self.left_out or ())
+        error, total = (
+            self.moving_relative_error_percent,
+            len(self.parameters) + len(self.left_out or ()),
+        )
         if not self.verdict or self.provenance is None:
             return f"{total} parameters"
         names = ", ".join(one.recording for one in self.recordings or (self.provenance,))
         moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
-        made = f"{self.provenance.robot}, {names}, {self.method}, {self.status}, verdict {self.verdict}"
-        return f"{made}: {total} parameters, {sum(p.essential for p in self.parameters)} essential, {moving}"
+        made = (
+            f"{self.provenance.robot}, {names}, {self.method}, {self.status}, verdict "
+            f"{self.verdict}"
+        )
+        return (
+            f"{made}: {total} parameters, {sum(p.essential for p in self.parameters)} "
+            f"essential, {moving}"
+        )
 
     def __repr__(self) -> str:
         return f"FitFile({self.summary})"
 
     def warnings_of(self, place: str) -> list[str]:
-        """Warnings with the file `place`: a status without a fixed point, physically impossible values."""
+        """Warnings with the file `place`: a status without a fixed point,
+        physically impossible values.
+        """
         unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")
         status = [f"its status is {self.status}"] if unsettled else []
-        return [f"{place}: {text}" for text in (*status, *(doubt.text for doubt in self.doubts if doubt.severe))]
+        return [
+            f"{place}: {text}"
+            for text in (*status, *(doubt.text for doubt in self.doubts if doubt.severe))
+        ]
 
 
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of `validate`: errors of the file `fit`, and of its consistent set, all joints last."""
+    """The JSON file of `validate`: errors of the file `fit`, and of its
+    consistent set, all joints last.
+    """
 
     fit: str
     consistent_errors: list[TorqueResidual] | UnsetType = UNSET
@@ -263,7 +291,8 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
 def read_fit(path: str | PathLike[str]) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
-    Raises `BadInputError` where it cannot be read, or is not a fit of this format; `place` is the file.
+    Raises `BadInputError` where it cannot be read, or is not a fit of this
+    format; `place` is the file.
     """
     try:
         stored = msgspec.json.decode(Path(path).read_bytes(), type=FitFile)

@@ -10,9 +10,11 @@ PER_INTERVAL = 1.96  # deviations in half a 95 % interval
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 for an exact value.
+    """A parameter with its 95 % interval and its deviation `sigma` by the
+    formula, 0 for an exact value.
 
-    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version. `prior`: a-priori.
+    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier
+    version. `prior`: a-priori.
     """
 
     name: str
@@ -48,21 +50,27 @@ class PhysicalWarning(msgspec.Struct, frozen=True):
 
 
 class Covariance(msgspec.Struct, frozen=True, kw_only=True):
-    """Covariance (b, b) of the parameters `names`: deviations of the intervals, correlations of the formula."""
+    """Covariance (b, b) of the parameters `names`: deviations of the intervals,
+    correlations of the formula.
+    """
 
     names: list[str]
     values: list[list[float]]
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
-    """A base parameter that `--essential` leaves out, with its deviation by least squares of all parameters."""
+    """A base parameter that `--essential` leaves out, with its deviation by least
+    squares of all parameters.
+    """
 
     name: str
     sigma: float
 
 
 class StandardParameter(msgspec.Struct, frozen=True):
-    """A parameter of the consistent set; `from_prior`: mostly from the prior; `move`: in half-widths of the fit."""
+    """A parameter of the consistent set; `from_prior`: mostly from the prior; `move`: in
+    half-widths of the fit.
+    """
 
     name: str
     value: float
@@ -73,8 +81,9 @@ class StandardParameter(msgspec.Struct, frozen=True):
 
 
 class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The consistent set: the prior, the distance from the estimate (chi², largest move in half-widths), the torque error, and
-    the Newton decrement. Files of earlier versions may have another weight of the prior.
+    """The consistent set: the prior, the distance from the estimate (chi², largest move in
+    half-widths), the torque error, and the Newton decrement. Files of earlier versions may have
+    another weight of the prior.
     """
 
     prior: str
@@ -102,8 +111,9 @@ class DriveGain(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
-    """The law u = Kp (r - q) + Kd (phi dr - dq) + Ki integral + offset of a motor, with half-widths of 95 % intervals: in
-    recorded effort per motor rad (or m); `clear` if this motor alone determines the structure.
+    """The law u = Kp (r - q) + Kd (phi dr - dq) + Ki integral + offset of a motor, with half-widths
+    of 95 % intervals: in recorded effort per motor rad (or m); `clear` if this motor alone
+    determines the structure.
     """
 
     motor: str
@@ -115,7 +125,9 @@ class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LawFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The control law of the recording: keys of `[controller]`, null if none is found, for the `reason`."""
+    """The control law of the recording: keys of `[controller]`, null if none is
+    found, for the `reason`.
+    """
 
     structure: str
     reason: str | None
@@ -124,7 +136,9 @@ class LawFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PayloadOfFit(msgspec.Struct, frozen=True, kw_only=True):
-    """A payload as `stated`, its nearest body, and its share of the base parameters; `recording`: the first with it."""
+    """A payload as `stated`, its nearest body, and its share of the base parameters;
+    `recording`: the first with it.
+    """
 
     recording: str
     stated: str

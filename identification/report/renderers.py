@@ -1,4 +1,6 @@
-"""Renders a report: in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for notebooks and pages."""
+"""Renders a report: in a terminal of any width, as Markdown for the text panel of a viewer, as HTML
+for notebooks and pages.
+"""
 
 import re
 import textwrap
@@ -20,16 +22,18 @@ from .document import Document, Section, Table, cell_text
 
 _MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
 _MAX_WIDTH = 10_000  # characters, for measuring
-BADGES = {"trust": "#007a59", "caution": "#946200", "do not use": "#b0301c"}  # with white text, 4.5 : 1
+# with white text, 4.5 : 1
+BADGES = {"trust": "#007a59", "caution": "#946200", "do not use": "#b0301c"}
 SHORT_WIDTH = 120  # characters of a line of a short report in a pipe
 
 
 def print_whole(*items: Document | str, short: bool = False) -> None:
     """Print reports and lines. No cell is truncated, and names are not interpreted as markup.
 
-    A table too wide for the terminal is compacted, with headings over several lines; if it is still too wide, the terminal
-    breaks its lines. A pipe or file gets whole lines. In `short`, what a report hides without `--all` is left out, tables have
-    no frames, and also a pipe or file gets lines of reports broken between words; longer words stay whole.
+    A table too wide for the terminal is compacted, with headings over several lines; if it is still
+    too wide, the terminal breaks its lines. A pipe or file gets whole lines. In `short`, what a
+    report hides without `--all` is left out, tables have no frames, and also a pipe or file gets
+    lines of reports broken between words; longer words stay whole.
     """
     console = Console(markup=False, emoji=False)
     width = _MAX_WIDTH if not short else console.width if console.is_terminal else SHORT_WIDTH
@@ -59,8 +63,11 @@ def _print_section(console: Console, section: Section, width: int) -> None:
 
 
 def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
-    whole = one_line(text).replace(" %", "\0%")  # no break between a number and its unit; a line has no NUL
-    lines = textwrap.wrap(whole, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    # no break between a number and its unit; a line has no NUL
+    whole = one_line(text).replace(" %", "\0%")
+    lines = textwrap.wrap(
+        whole, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
     for line in lines or [""]:
         console.print(Text(line.replace("\0", " "), style=style))
 
@@ -96,7 +103,9 @@ def _compact(column: Column) -> None:
     column.overflow = "fold"
     numbers, heading = column.justify == "right", str(column.header)
     cells = [str(cell) for cell in column.cells]
-    words = [word for text in ([heading] if numbers else [heading, *cells]) for word in text.split()]
+    words = [
+        word for text in ([heading] if numbers else [heading, *cells]) for word in text.split()
+    ]
     width = min(_MAX_WORD, max((cell_len(word) for word in words), default=1))
     if numbers:
         width = max(width, *(cell_len(cell) for cell in cells), 1)
@@ -118,9 +127,20 @@ def to_markdown(document: Document) -> str:
 
 
 def _markdown_table(table: Table) -> str:
-    rows = [[heading for heading, _ in table.columns], *([cell_text(cell) for cell in row] for row in table.rows)]
-    heading, *body = ["| " + " | ".join(_plain(text).replace("|", r"\|") for text in row) + " |" for row in rows]
-    return "\n".join([heading, f"|{'|'.join('--:' if numeric else '---' for _, numeric in table.columns)}|", *body])
+    rows = [
+        [heading for heading, _ in table.columns],
+        *([cell_text(cell) for cell in row] for row in table.rows),
+    ]
+    heading, *body = [
+        "| " + " | ".join(_plain(text).replace("|", r"\|") for text in row) + " |" for row in rows
+    ]
+    return "\n".join(
+        [
+            heading,
+            f"|{'|'.join('--:' if numeric else '---' for _, numeric in table.columns)}|",
+            *body,
+        ]
+    )
 
 
 def _plain(text: str) -> str:
@@ -129,8 +149,11 @@ def _plain(text: str) -> str:
 
 
 def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
-    """The report as HTML, with its text escaped; `figures` follow the first sections that have no table."""
-    title = document.title.split("; ")[0] if document.badge else document.title  # the tiles have the figures
+    """The report as HTML, with its text escaped; `figures` follow the first
+    sections that have no table.
+    """
+    # the tiles have the figures
+    title = document.title.split("; ")[0] if document.badge else document.title
     parts, sections = [_element(f"h{heading}", title), *_tiles(document)], list(document.sections)
     first = next((k for k, section in enumerate(sections) if section.table), len(sections))
     for section in sections[:first]:
@@ -145,11 +168,20 @@ def _tiles(document: Document) -> list[str]:
     """The badge and the figures of a report, styled here since a notebook has no style sheet."""
     if not document.badge:
         return []
-    badge = f"color:#fff;background:{BADGES[document.badge]};padding:.2em .8em;border-radius:1em;font-weight:700"
+    badge = (
+        f"color:#fff;background:{BADGES[document.badge]};padding:.2em "
+        ".8em;border-radius:1em;font-weight:700"
+    )
     tiles = [f'<span style="{badge}">{escape(document.badge)}</span>']
     for what, text in document.figures:
-        tiles.append(f'<span><b style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>')
-    return [f'<div style="display:flex;flex-wrap:wrap;gap:.6em 2em;align-items:center">{"".join(tiles)}</div>']
+        tiles.append(
+            "<span><b "
+            f'style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>'
+        )
+    return [
+        '<div style="display:flex;flex-wrap:wrap;gap:.6em '
+        f'2em;align-items:center">{"".join(tiles)}</div>'
+    ]
 
 
 def _html_section(section: Section, heading: int) -> list[str]:
@@ -163,10 +195,14 @@ def _html_section(section: Section, heading: int) -> list[str]:
 
 def _html_table(table: Table) -> str:
     kinds = ["n" if numeric else "" for _, numeric in table.columns]
-    heads = "".join(_element("th", head, kind) for (head, _), kind in zip(table.columns, kinds, strict=True))
+    heads = "".join(
+        _element("th", head, kind) for (head, _), kind in zip(table.columns, kinds, strict=True)
+    )
     body = ""
     for row in table.rows:
-        cells = (_element("td", cell_text(cell), kind) for cell, kind in zip(row, kinds, strict=True))
+        cells = (
+            _element("td", cell_text(cell), kind) for cell, kind in zip(row, kinds, strict=True)
+        )
         body += f"<tr>{''.join(cells)}</tr>\n"
     return f'<div class="scroll"><table><tr>{heads}</tr>\n{body}</table></div>'
 

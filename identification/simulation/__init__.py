@@ -1,4 +1,6 @@
-"""Closed-loop simulation: control laws, friction, replicas of recorded experiments, instruments, the plant of dry runs."""
+"""Closed-loop simulation: control laws, friction, replicas of recorded experiments, instruments,
+the plant of dry runs.
+"""
 
 from .closed_loop import ClosedLoop, RigidBodyPlant, described_robot, drive_loops
 from .control_law import Control, ControlLaw, Encoder, Reference, recorded_loop, surrogate_loop

@@ -1,7 +1,8 @@
-"""The simulated robot: the direct model with any base parameters, in closed loop or as the plant of simulated drives.
+"""The simulated robot: the direct model with any base parameters, in closed loop or as the
+plant of simulated drives.
 
-Friction is stepped implicitly with stick phases, so that light joints do not chatter. `described_robot` is the entry point in
-the group `robot_idim.plants` that dry runs use.
+Friction is stepped implicitly with stick phases, so that light joints do not chatter.
+`described_robot` is the entry point in the group `robot_idim.plants` that dry runs use.
 """
 
 import math
@@ -21,7 +22,8 @@ from .control_law import Control, ControlLaw, LoneControl, Reference, recorded_l
 if TYPE_CHECKING:
     from acquisition.simulated import LoopGains
 
-STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
+# of a direction's speed scale: Coulomb friction builds up linearly below this speed
+STICTION = 1e-3
 MAX_MODE_PASSES = 8  # to find the directions that stick; nearly always one or two suffice
 BRAKE = 1e9  # added to the inertia of a joint whose brake holds
 CHECK_EVERY = 64  # steps between checks of the tracking error
@@ -31,18 +33,27 @@ MAX_PLANT_STEP_S = 0.0005
 
 
 class Friction:
-    """The robot's equation of motion, its smooth part stepped explicitly and its friction implicitly.
+    """The robot's equation of motion, its smooth part stepped explicitly and
+    its friction implicitly.
 
-    A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), with viscous friction at the middle of the step.
-    A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The
-    modes of the previous step are tried first; a direction that would reverse sticks, one that exceeds v_s slips. Root
-    friction is linearised, below v_s with the slope at v_s, and taken at the middle of the step like viscous friction. Load
-    friction uses the links' torque of the previous step.
+    A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), with viscous friction
+    at the middle of the step. A direction slips at its full Coulomb level, or sticks: then its
+    friction grows linearly up to a creep speed `v_s`. The modes of the previous step are tried
+    first; a direction that would reverse sticks, one that exceeds v_s slips. Root friction is
+    linearised, below v_s with the slope at v_s, and taken at the middle of the step like viscous
+    friction. Load friction uses the links' torque of the previous step.
     """
 
     def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float) -> None:
-        """`fastest` (c,) are the maximum speeds of the directions, `v` (n,) the initial joint speeds, `h` the step in s."""
-        self._solve, self._model, self._h, self._S = cholesky_solver(len(v)), model, h, model.directions
+        """`fastest` (c,) are the maximum speeds of the directions, `v` (n,) the initial joint
+        speeds, `h` the step in s.
+        """
+        self._solve, self._model, self._h, self._S = (
+            cholesky_solver(len(v)),
+            model,
+            h,
+            model.directions,
+        )
         self._v_s = STICTION * np.maximum(fastest, 1e-9)
         self._shaped = bool(model.shapes)
         self._rigid: Array | None = None  # torque of the links in the previous step
@@ -53,7 +64,9 @@ class Friction:
         self.set_modes(np.sign(self._S @ v))
 
     def set_static_level(self, level: Array) -> None:
-        """Set the friction at rest, `level` (c,): half of the distance between its two directions."""
+        """Set the friction at rest, `level` (c,): half of the distance
+        between its two directions.
+        """
         self._resists = level > 0
         self._slope = np.where(self._resists, level / self._v_s, 0.0)
 
@@ -62,16 +75,24 @@ class Friction:
         model, S = self._model, self._S
         self._mode, self._forward = mode, mode[:, None] * S
         stuck = mode == 0
-        level = np.where(stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down))
+        level = np.where(
+            stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down)
+        )
         self._stuck, self._level = bool(stuck.any()), level @ S + model.offset
         self._creep = (S.T * (self._slope * stuck)) @ S
 
     def step(self, q: Any, v: Any, tau: Any, held: NDArray[np.bool_] | None = None) -> Any:
-        """Speed (n,) after a step under the torque tau, with brakes on the joints `held`; None if M is not positive."""
+        """Speed (n,) after a step under the torque tau, with brakes on the joints `held`;
+        None if M is not positive.
+        """
         h = self._h
         M, bias = self._model.inertia_and_bias(q, v)
         if self._one_sided:
-            self._V = self._model.viscous + self._model.viscous_up * (v > 0) + self._model.viscous_down * (v < 0)
+            self._V = (
+                self._model.viscous
+                + self._model.viscous_up * (v > 0)
+                + self._model.viscous_down * (v < 0)
+            )
             self._added = self._model.rotor + 0.5 * h * self._V
         M = M + self._added
         if held is not None:
@@ -98,7 +119,9 @@ class Friction:
             after, mode = self._S.dot(w), self._mode
             stuck = mode == 0
             found = np.where(stuck & (np.abs(after) > self._v_s), np.sign(after), mode)
-            found = np.where(~stuck & (mode * after < 0), np.where(self._resists, 0.0, -mode), found)
+            found = np.where(
+                ~stuck & (mode * after < 0), np.where(self._resists, 0.0, -mode), found
+            )
             if (found == mode).all():
                 break
             self.set_modes(found)
@@ -107,7 +130,9 @@ class Friction:
         return np.asarray(w)
 
     def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
-        """Further friction (c,) of directions that slip at the speeds v (n,), and its slope by the speed."""
+        """Further friction (c,) of directions that slip at the speeds v (n,), and
+        its slope by the speed.
+        """
         model, v_s = self._model, self._v_s
         along = self._S.dot(rigid)
         # Static friction equals the friction at the creep speed.
@@ -128,7 +153,8 @@ class LoneFriction(Friction):
         M, _ = model.inertia_and_bias(np.zeros(1), np.zeros(1))
         sides = ((x, (M + (model.rotor + 0.5 * h * x)).item()) for x in (V, V + up, V + down))
         (self._at_rest, self._forwards, self._backwards), self._bias = sides, model.lone_bias()
-        sizes = (model.up, model.down, self._slope, self._v_s)  # without a direction of friction zero
+        # without a direction of friction zero
+        sizes = (model.up, model.down, self._slope, self._v_s)
         up, down, self._lone_slope, self._lone_v_s = (x.sum().item() for x in sizes)
         offset, self._lone_mode = model.offset.item(), np.sign(v).item()
         self._levels = {1.0: up + offset, -1.0: -down + offset, 0.0: (up - down) / 2 + offset}
@@ -136,7 +162,12 @@ class LoneFriction(Friction):
     def step(self, q: Any, v: Any, tau: Any, held: NDArray[np.bool_] | None = None) -> Any:
         """See `Friction`."""
         V, M = self._forwards if v > 0.0 else self._backwards if v < 0.0 else self._at_rest
-        h, slope, mode, force = self._h, self._lone_slope, self._lone_mode, tau - self._bias(q) - V * v
+        h, slope, mode, force = (
+            self._h,
+            self._lone_slope,
+            self._lone_mode,
+            tau - self._bias(q) - V * v,
+        )
         for _ in range(MAX_MODE_PASSES):
             A, net = M, force - self._levels[mode]
             if not mode:
@@ -157,12 +188,21 @@ class LoneFriction(Friction):
 
 
 class ClosedLoop:
-    """A robot in closed loop, simulated span by span; the states of robot and controller continue from one to the next."""
+    """A robot in closed loop, simulated span by span; the states of robot and controller
+    continue from one to the next.
+    """
 
     def __init__(
-        self, model: DirectModel, loop: ControlLaw, start: tuple[Array, Array], *, fastest: Array, substeps: int = 1
+        self,
+        model: DirectModel,
+        loop: ControlLaw,
+        start: tuple[Array, Array],
+        *,
+        fastest: Array,
+        substeps: int = 1,
     ) -> None:
-        """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the directions of Coulomb friction.
+        """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the
+        directions of Coulomb friction.
 
         A controller period has `substeps` steps.
         """
@@ -178,9 +218,10 @@ class ClosedLoop:
     def follow(self, reference: Reference, bound: Array) -> tuple[Array, str | None]:
         """Follow the next span of a reference given once per controller period.
 
-        Returns q, dq, ddq, tau (4, N, n), `substeps` rows a period: the true motion and the controller's torque, held until
-        the next row, without encoder noise. And why it ended early, or None: the position differs from
-        the reference by more than `bound` (n,), or the inertia matrix is not positive. The state is never clipped.
+        Returns q, dq, ddq, tau (4, N, n), `substeps` rows a period: the true motion and the
+        controller's torque, held until the next row, without encoder noise. And why it ended early,
+        or None: the position differs from the reference by more than `bound` (n,), or the inertia
+        matrix is not positive. The state is never clipped.
         """
         h, substeps, q_ref = self._h, self._substeps, reference.q
         (N, n), known = q_ref.shape, reference.known_torque
@@ -209,7 +250,9 @@ class ClosedLoop:
                 reason = self._why_lost(q, q_ref[k], bound, k)
             if reason is not None:
                 break
-        far = np.flatnonzero(~(np.abs(out[0, :rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
+        far = np.flatnonzero(
+            ~(np.abs(out[0, :rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1)
+        )
         if reason is None and far.size:
             k = int(far[0])
             reason, rows = self._why_lost(out[0, k * substeps], q_ref[k], bound, k), k * substeps
@@ -223,17 +266,28 @@ class ClosedLoop:
 
 
 class RigidBodyPlant:
-    """The direct model stepped under given efforts, with white disturbance torque of `disturbance` (n,) rms.
+    """The direct model stepped under given efforts, with white disturbance torque of
+    `disturbance` (n,) rms.
 
-    Satisfies the plant protocol of the simulated drives: quantities at the joints, SI. The same seed gives the same run.
+    Satisfies the plant protocol of the simulated drives: quantities at the joints, SI. The same
+    seed gives the same run.
     """
 
     def __init__(
-        self, model: DirectModel, q: Array, *, speed_scale: Array, step_s: float, disturbance: Array, seed: int
+        self,
+        model: DirectModel,
+        q: Array,
+        *,
+        speed_scale: Array,
+        step_s: float,
+        disturbance: Array,
+        seed: int,
     ) -> None:
-        """`speed_scale` (n,) is the maximum speed, which sets the speed below which friction sticks.
+        """`speed_scale` (n,) is the maximum speed, which sets the speed below
+        which friction sticks.
 
-        `step_s` divides the durations of `step`: else the robot would move in another time than its drives.
+        `step_s` divides the durations of `step`: else the robot would move in
+            another time than its drives.
         """
         self._model, self._step_s = model, step_s
         self._q, self._dq = np.array(q, dtype=float), np.zeros(len(q))
@@ -260,29 +314,38 @@ class RigidBodyPlant:
             middle = self._q + 0.5 * self._step_s * self._dq
             after = self._friction.step(middle, self._dq, effort + noise, held=held)
             if after is None:
-                raise ArithmeticError("the inertia matrix of the simulated robot is not positive definite")
+                raise ArithmeticError(
+                    "the inertia matrix of the simulated robot is not positive definite"
+                )
             self._q, self._dq = middle + 0.5 * self._step_s * after, after
 
 
-def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[RigidBodyPlant, "LoopGains"]:
-    """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]` and a payload, and loops for the
-    inertias of the robot without it, as those of real drives.
+def described_robot(
+    robot: Robot, payload: Payload | None = None
+) -> tuple[RigidBodyPlant, "LoopGains"]:
+    """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]` and a
+    payload, and loops for the inertias of the robot without it, as those of real drives.
 
-    The robot is at rest in the middle of its ranges. Raises `BadInputError` if the parameters are not of this robot, its
-    inertia matrix is not positive, the payload's frame is not on its last link, or `[parameters]` are not in kg and N m.
+    The robot is at rest in the middle of its ranges. Raises `BadInputError` if the parameters are
+    not of this robot, its inertia matrix is not positive, the payload's frame is not on its last
+    link, or `[parameters]` are not in kg and N m.
     """
     from acquisition.simulated import SUBSTEPS, middle_of_range
 
     if payload is not None and not robot.gain_known:
         expected = "drive gains of the motors: in A or V a mass has no weight"
-        raise BadInputError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
+        raise BadInputError(
+            place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected
+        )
     inverse = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(inverse)
     parameters = base.standard_parameters(dynamics.described_parameters(inverse, base))
     model = loaded = dynamics.direct_model(inverse, parameters)
     if payload is not None:
         loaded = dynamics.direct_model(inverse, dynamics.add_payload(inverse, parameters, payload))
-    ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
+    ranges = np.array(
+        [joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints]
+    )
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     M = model.inertia(poses)
     reason = dynamics.why_not_positive(M)
@@ -301,7 +364,9 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
 
 
 def drive_loops(robot: Robot, J: Array) -> "LoopGains":
-    """The law of simulated drives: the description's, or cascaded loops of its bandwidth for joint inertias J (n,)."""
+    """The law of simulated drives: the description's, or cascaded loops of its bandwidth for
+    joint inertias J (n,).
+    """
     from acquisition.simulated import LoopGains, cascaded_loops
 
     law = recorded_loop(robot)

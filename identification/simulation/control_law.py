@@ -1,26 +1,35 @@
-"""The control law of the simulated robot: the described controller, the one found in the recording, or a surrogate.
+"""The control law of the simulated robot: the described controller, the one found in the
+recording, or a surrogate.
 
-Control acts on motor positions q_m = R q, once per controller period, and is held in between (sample and hold):
+Control acts on motor positions q_m = R q, once per controller period, and is held in
+between (sample and hold):
 
-    u = Kp (R (q_r - q)) + Kd (R (phi dq_r - dq)) + Ki integral(alpha R (q_r - q) - R dq (1 - phi)),   tau = Rᵀ G u
+    u = Kp (R (q_r - q)) + Kd (R (phi dq_r - dq)) + Ki integral(alpha R (q_r - q) - R dq (1 - phi)),
+    tau = Rᵀ G u
 
 | structure | Kp | Kd | phi | integral of |
 |---|---|---|---|---|
 | `pd` | position_gain | velocity_gain | 0 | - |
 | `pd_velocity_feedforward` | position_gain | velocity_gain | 1 | - |
 | `cascade_p_p` | position_gain · velocity_gain | velocity_gain | 0 | - |
-| `cascade_p_pi` | position_gain · velocity_gain | velocity_gain | 0 | velocity error, Ki = velocity_gain · integral_gain |
-| `pid` | position_gain | velocity_gain | 1 | position error, Ki = integral_gain |
-| `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration, Kp in 1/s², Kd in 1/s |
+| `cascade_p_pi` | position_gain · velocity_gain | velocity_gain | 0 | velocity error, Ki =
+velocity_gain · integral_gain | | `pid` | position_gain | velocity_gain | 1 | position
+error, Ki = integral_gain |
+| `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration,
+Kp in 1/s², Kd in 1/s |
 
-| with `gravity_feedforward` | as above | as above | as above | as above; gravity of the model at the measured q is added |
+| with `gravity_feedforward` | as above | as above | as above | as above; gravity of the model at
+the measured q is added |
 
-With a surrogate controller or reference, the model's gravity along the reference minus the known torque is added: a real loop
-compensates gravity by an integral or a model, and a measured position already contains the remaining sag.
+With a surrogate controller or reference, the model's gravity along the reference minus the known
+torque is added: a real loop compensates gravity by an integral or a model, and a measured position
+already contains the remaining sag.
 
-Recorded feed-forward is added to u. Known torques act on the joints in addition to those of the drives.
+Recorded feed-forward is added to u. Known torques act on the joints in addition
+to those of the drives.
 
-Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts in every structure.
+Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor
+efforts in every structure.
 """
 
 from dataclasses import KW_ONLY, dataclass, replace
@@ -40,7 +49,9 @@ SURROGATE_DAMPING = 0.8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Encoder:
-    """An imperfect encoder: `noise` (N, n) at the controller's instants and `step`, 0 for none, in rad or m at the joints."""
+    """An imperfect encoder: `noise` (N, n) at the controller's instants and `step`, 0 for none, in
+    rad or m at the joints.
+    """
 
     noise: Array
     step: float
@@ -55,8 +66,9 @@ class Encoder:
 class Reference:
     """The inputs of a loop at its instants: the reference q, dq, ddq (N, n) and any further inputs.
 
-    `known_torque` (N, n) acts on the joints, each held to the next instant; `feedforward` (N, n) is added to the controller's
-    output, in its units; `encoder` gives the positions that the controller acts on.
+    `known_torque` (N, n) acts on the joints, each held to the next instant; `feedforward` (N,
+    n) is added to the controller's output, in its units; `encoder` gives the positions that
+    the controller acts on.
     """
 
     q: Array
@@ -70,7 +82,9 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlLaw:
-    """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad (or m)."""
+    """A position loop in discrete time; gains (n,) per motor in recorded
+    effort per motor rad (or m).
+    """
 
     period_s: float
     R: Array
@@ -87,9 +101,11 @@ class ControlLaw:
     gravity_at_q: bool = False  # the same at the measured position
 
     def scaled(self, factor: Array) -> "ControlLaw":
-        """The gain update: the loop for other inertias, with gains and saturation times `factor` (n,).
+        """The gain update: the loop for other inertias, with gains and
+        saturation times `factor` (n,).
 
-        Gains of computed torque act on accelerations and stay: the model in the loop has the new inertias.
+        Gains of computed torque act on accelerations and stay: the model in the
+        loop has the new inertias.
         """
         gains = np.ones_like(factor) if self.computed_torque else factor
         Kp, Kd, Ki = (own * gains for own in (self.Kp, self.Kd, self.Ki))
@@ -102,21 +118,38 @@ class ControlLaw:
         """
         if self.computed_torque:
             return np.ones(len(self.Kp))
-        return np.asarray(((self.R**2).T @ (np.abs(self.G) * self.Kp)) / (2 * np.pi * bandwidth_hz) ** 2)
+        return np.asarray(
+            ((self.R**2).T @ (np.abs(self.G) * self.Kp)) / (2 * np.pi * bandwidth_hz) ** 2
+        )
 
 
 def recorded_loop(robot: Robot) -> ControlLaw | None:
-    """The loop of the description's `[controller]`, None if it states none. Raises `BadInputError` naming missing keys."""
+    """The loop of the description's `[controller]`, None if it states none.
+
+    Raises `BadInputError` naming missing keys.
+    """
     c = robot.controller
     integrates = c.structure in ("cascade_p_pi", "pid")
-    needed = ["structure", "sample_rate_hz", "position_gain", "velocity_gain", *["integral_gain"] * integrates]
-    stated = {key: getattr(c, key) for key in (*needed, "integral_gain") if getattr(c, key) is not None}
+    needed = [
+        "structure",
+        "sample_rate_hz",
+        "position_gain",
+        "velocity_gain",
+        *["integral_gain"] * integrates,
+    ]
+    stated = {
+        key: getattr(c, key) for key in (*needed, "integral_gain") if getattr(c, key) is not None
+    }
     if not stated:
         return None
     if missing := [key for key in needed if key not in stated]:
         where = f"robot {robot.name}"
-        expected = f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz is simulated)"
-        raise BadInputError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
+        expected = (
+            f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz is simulated)"
+        )
+        raise BadInputError(
+            place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected
+        )
     structure, gains = stated["structure"], described_gains(c)
     assert gains is not None
     Kp, Kd, Ki = gains
@@ -130,7 +163,9 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
         Ki=Ki,
         position_share=np.array(stated["position_gain"]) if cascade else np.ones(robot.n),
         feedforward=0.0 if cascade or structure == "pd" else 1.0,
-        saturation=np.array([m.saturation if m.saturation is not None else np.inf for m in robot.motors]),
+        saturation=np.array(
+            [m.saturation if m.saturation is not None else np.inf for m in robot.motors]
+        ),
         velocity_estimate=c.velocity_estimate or "backward_difference",
         computed_torque=structure == "computed_torque",
         gravity_at_q=c.gravity_feedforward,
@@ -138,7 +173,9 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
 
 
 def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
-    """A PD at the joints with velocity feed-forward and gravity: w_n = 2 pi bandwidth, zeta 0.8, inertias J (n,)."""
+    """A PD at the joints with velocity feed-forward and gravity: w_n = 2 pi bandwidth,
+    zeta 0.8, inertias J (n,).
+    """
     w, n = 2 * np.pi * bandwidth_hz, len(J)
     return ControlLaw(
         period_s=1.0 / rate_hz,
@@ -163,7 +200,10 @@ class Control:
         """`q`, `v` (n,) are the initial position and speed."""
         self._model, self._loop, self._T = model, loop, loop.period_s
         self._to_joints = loop.R.T * loop.G
-        self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
+        self._limited, self._integrates = (
+            bool(np.isfinite(loop.saturation).any()),
+            bool(loop.Ki.any()),
+        )
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
         self._start = q
         self._integral: Any = np.zeros(len(loop.Kp))  # of a lone joint a float
@@ -173,9 +213,13 @@ class Control:
     def take(self, reference: Reference) -> None:
         """Set the reference, or its next span; instants are counted from its start."""
         loop, self._reference = self._loop, reference
-        self._reference_part = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)
+        self._reference_part = reference.q @ self._P.T + loop.feedforward * (
+            reference.dq @ self._D.T
+        )
         if loop.gravity and not loop.computed_torque:
-            self._reference_part = self._reference_part + self._motor_effort(self._gravity(reference.q).T).T
+            self._reference_part = (
+                self._reference_part + self._motor_effort(self._gravity(reference.q).T).T
+            )
         self._added = reference.feedforward if loop.computed_torque else None
         if reference.feedforward is not None and not loop.computed_torque:
             self._reference_part = self._reference_part + reference.feedforward
@@ -197,7 +241,9 @@ class Control:
         return np.divide(held, loop.Ki, out=np.zeros_like(held), where=loop.Ki > 0)
 
     def torque(self, k: int, q: Any, v: Any) -> Any:
-        """The controller's joint torques (n,) at its instant k, at which the encoder reads the positions q."""
+        """The controller's joint torques (n,) at its instant k, at which the encoder
+        reads the positions q.
+        """
         if self._reference.encoder is not None:
             q = self._reference.encoder.seen(q, k)
         loop, dq = self._loop, v
@@ -224,14 +270,17 @@ class Control:
             if self._added is not None:
                 u = u + self._added[k]
         if self._limited:
-            limited = np.minimum(np.maximum(u, -loop.saturation), loop.saturation)  # np.clip takes three times as long
+            # np.clip takes three times as long
+            limited = np.minimum(np.maximum(u, -loop.saturation), loop.saturation)
             if self._integrates:
                 self._integral = np.where(limited != u, before, self._integral)  # no wind-up
             u = limited
         return np.asarray(self._to_joints.dot(u))
 
     def _gravity(self, q: Array) -> Array:
-        """Drive torques (N, n) that hold the robot at positions q (N, n) at the first N instants."""
+        """Drive torques (N, n) that hold the robot at positions q (N, n)
+        at the first N instants.
+        """
         known = self._reference.known_torque
         gravity = self._model.gravity(q)
         return gravity if known is None else gravity - known[: len(q)]
@@ -247,10 +296,22 @@ class LoneControl(Control):
     def __init__(self, model: DirectModel, loop: ControlLaw, q: Array, v: Array) -> None:
         """See `Control`."""
         super().__init__(model, loop, q, v)
-        self._lone_P, self._lone_D, self._lone_G = (x.item() for x in (self._P, self._D, self._to_joints))
-        self._lone_R, self._Ki, self._share = loop.R.item(), loop.Ki.item(), loop.position_share.item()
-        self._limit, self._offset, self._bias = loop.saturation.item(), model.offset.item(), model.lone_bias()
-        samples = {"exact": 0, "backward_difference": 1, "two_sample_mean": 2}[loop.velocity_estimate]
+        self._lone_P, self._lone_D, self._lone_G = (
+            x.item() for x in (self._P, self._D, self._to_joints)
+        )
+        self._lone_R, self._Ki, self._share = (
+            loop.R.item(),
+            loop.Ki.item(),
+            loop.position_share.item(),
+        )
+        self._limit, self._offset, self._bias = (
+            loop.saturation.item(),
+            model.offset.item(),
+            model.lone_bias(),
+        )
+        samples = {"exact": 0, "backward_difference": 1, "two_sample_mean": 2}[
+            loop.velocity_estimate
+        ]
         self._before, self._lag_s = [self._q1.item(), self._q2.item()][:samples], samples * self._T
 
     def take(self, reference: Reference) -> None:

@@ -1,4 +1,6 @@
-"""The robot's motion in the recorded experiment, block by block: simulated in closed loop, or predicted by the reference."""
+"""The robot's motion in the recorded experiment, block by block: simulated in closed loop, or
+predicted by the reference.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,11 +20,14 @@ from .control_law import surrogate_loop
 from .experiment import Experiment
 from .predicted import predicted_motion
 
-MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions at the instrument samples of each block of rows
+# motions at the instrument samples of each block of rows
+MotionBlocks = Iterator[tuple[RowBlock, Motion]]
 
 
 class NotSimulatedError(Exception):
-    """The robot cannot be simulated with these parameters, or leaves its reference; the text says why."""
+    """The robot cannot be simulated with these parameters, or leaves its
+    reference; the text says why.
+    """
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,11 +35,11 @@ class Replica:
     """The robot simulated in a whole recorded experiment.
 
     Attributes:
-        motion: at the instruments' instants, of a long recording at those of the rows: simulated, or if that could not be,
-            predicted by the reference; None once dropped.
+        motion: at the instruments' instants, of a long recording at those of the rows: simulated,
+            or if that could not be, predicted by the reference; None once dropped.
         q: measured positions at the same instants; `decimation` leads from there to the rows.
-        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint; None and empty if it
-            could not be simulated.
+        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by
+            joint; None and empty if it could not be simulated.
         reference_kind, J_known, controller, bandwidth_hz: as in `Experiment`.
     """
 
@@ -50,7 +55,9 @@ class Replica:
 
 
 def with_gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
-    """The model with beta (b,), factors (n,) on the gains for its inertias, and why it cannot be simulated, or None."""
+    """The model with beta (b,), factors (n,) on the gains for its inertias, and why it cannot
+    be simulated, or None.
+    """
     model = e.model(beta)
     M = model.inertia(e.poses)
     J = inertias(M)
@@ -59,11 +66,20 @@ def with_gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str 
     return model, J / e.J_prior if e.gain_update and known else np.ones(len(J)), why_not_positive(M)
 
 
-def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: str | None) -> MotionBlocks:
-    """Simulate the closed loop with the result of `with_gains_for`. Raises `NotSimulatedError`, also between blocks."""
+def simulated_blocks(
+    e: Experiment, model: DirectModel, gains: Array, reason: str | None
+) -> MotionBlocks:
+    """Simulate the closed loop with the result of `with_gains_for`.
+
+    Raises `NotSimulatedError`, also between blocks.
+    """
     if reason is not None:
         raise NotSimulatedError(reason)
-    loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / e.period_s)
+    loop = (
+        e.loop.scaled(gains)
+        if e.loop
+        else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / e.period_s)
+    )
     robot = ClosedLoop(model, loop, e.start, fastest=e.fastest, substeps=e.substeps)
     done, first = 0, 0
     rows = np.empty((4, 0, len(gains)))  # simulated, from row `first` on
@@ -81,7 +97,9 @@ def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: st
 
 
 def reference_blocks(e: Experiment, x: Array) -> MotionBlocks:
-    """The motion that the reference predicts, low-passed as the measured one, with the torque of base parameters x (b,)."""
+    """The motion that the reference predicts, low-passed as the measured one, with the torque of
+    base parameters x (b,).
+    """
     predicted, model = predicted_motion(e.problem), e.model(x)
     for block in e.blocks:
         motion = e.motion(e.samples(block), predicted).part(slice(None, None, e.stride))
@@ -96,7 +114,9 @@ class TrackingDeviation:
         self._position, self._rho, self._tau = np.zeros((3, len(e.held)))
 
     def add(self, block: RowBlock, motion: Motion) -> tuple[slice, Array]:
-        """Add a block; returns the samples that no other block has, and the measured positions there."""
+        """Add a block; returns the samples that no other block has, and the
+        measured positions there.
+        """
         e = self._e
         needed, own = e.samples(block), block.own_samples(e.N, e.decimation.factor)
         inside, q = slice(own.start - needed.start, own.stop - needed.start), e.measured(own)
@@ -106,7 +126,10 @@ class TrackingDeviation:
         measured = settings.decimator.filtered(effort[settings.start :][used].T)[:, block.inside]
         release_pages(effort)
         tau = e.decimation.filtered(motion.tau.T)[:, block.inside]
-        self._rho, self._tau = self._rho + ((measured - tau) ** 2).sum(axis=1), self._tau + (measured**2).sum(axis=1)
+        self._rho, self._tau = (
+            self._rho + ((measured - tau) ** 2).sum(axis=1),
+            self._tau + (measured**2).sum(axis=1),
+        )
         return inside, q
 
     @property
@@ -120,7 +143,10 @@ class TrackingDeviation:
         """Position and torque errors."""
         e = self._e
         position, torque = (
-            [100.0 * float(np.sqrt(x / whole)) if whole > 0 else None for x, whole in zip(errors, wholes, strict=True)]
+            [
+                100.0 * float(np.sqrt(x / whole)) if whole > 0 else None
+                for x, whole in zip(errors, wholes, strict=True)
+            ]
             for errors, wholes in ((self._position, e.scatter * ~e.held), (self._rho, self._tau))
         )
         return tuple(
@@ -130,8 +156,13 @@ class TrackingDeviation:
 
 
 def nearest(e: Experiment, beta: Array, covariance: Array, payload: Array | float) -> Array:
-    """Consistent base parameters (b,) nearest to beta, of which `payload` (b,) stays; beta itself if none are found."""
+    """Consistent base parameters (b,) nearest to beta, of which `payload` (b,) stays; beta
+    itself if none are found.
+    """
     try:
-        return nearest_consistent(e.problem.model, e.problem.base, beta - payload, covariance).beta + payload
+        return (
+            nearest_consistent(e.problem.model, e.problem.base, beta - payload, covariance).beta
+            + payload
+        )
     except NoFitError:
         return beta

@@ -1,6 +1,14 @@
-"""Simulated robots with known parameters: recordings, Monte-Carlo studies, the demo; fits of whole fleets."""
+"""Simulated robots with known parameters: recordings, Monte-Carlo studies, the
+demo; fits of whole fleets.
+"""
 
-from .demo import description, gains_document, record_gain_pair, record_simulated_session, truth_document
+from .demo import (
+    description,
+    gains_document,
+    record_gain_pair,
+    record_simulated_session,
+    truth_document,
+)
 from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
 from .sensitivity import VariedFit, moves_of, sensitivity_document, vary
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals

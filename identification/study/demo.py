@@ -1,7 +1,8 @@
 """The demo's session: simulated drives move a simulated robot, and a recording is made.
 
-Simulated CiA 402 drives on an in-process CAN bus move the rigid robot in simulated time. This is the only place where
-`identification` gives an object to `acquisition`: the plant that the drives move.
+Simulated CiA 402 drives on an in-process CAN bus move the rigid robot in simulated
+time. This is the only place where `identification` gives an object to `acquisition`:
+the plant that the drives move.
 """
 
 import re
@@ -14,7 +15,13 @@ from acquisition.bus import Master
 from acquisition.files import atomic_write
 from acquisition.robot import Payload, Robot, resolve, robot_from_files
 from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
-from acquisition.simulated import SUBSTEPS, DrivenPlant, LockStepLink, SimulatedDrives, describe_loops
+from acquisition.simulated import (
+    SUBSTEPS,
+    DrivenPlant,
+    LockStepLink,
+    SimulatedDrives,
+    describe_loops,
+)
 
 from ..arrays import Array
 from ..errors import BadInputError
@@ -40,10 +47,12 @@ def record_simulated_session(
     payload: Payload | None = None,
     described: Robot | None = None,
 ) -> None:
-    """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
+    """Record a session: simulated drives track a random exciting reference with the
+    robot of `[parameters]`.
 
-    `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of `robot`; the recording has
-    `described`, by default the same. Raises `BadInputError`: a description without `[bus]` or values, a failed session.
+    `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of
+    `robot`; the recording has `described`, by default the same. Raises `BadInputError`: a
+    description without `[bus]` or values, a failed session.
     """
     if robot.bus is None:
         raise BadInputError(place=place, key="[bus]", value=None, expected="the drives to simulate")
@@ -60,14 +69,18 @@ def record_simulated_session(
         disturbance=0.01 * noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
         seed=SEED if payload is None else SEED + 1,
     )
-    mechanism = DrivenPlant(plant=plant, loops=drive_loops(robot, inertias(model.inertia(q_ref[::50]))))
+    mechanism = DrivenPlant(
+        plant=plant, loops=drive_loops(robot, inertias(model.inertia(q_ref[::50])))
+    )
     bus = resolve(robot, place)
     source = "simulated drives with the rigid robot of [parameters]"
     recorded = describe_loops(described, mechanism.loops)
     log = InlineLog(Recorder(out, recorded, source=source, place=place, payload=payload))
     simulated = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
-        outcome = run_active(described, Master(simulated, bus), log, Task(reference=q_ref, place="reference"), Stop())
+        outcome = run_active(
+            described, Master(simulated, bus), log, Task(reference=q_ref, place="reference"), Stop()
+        )
         log.finish(simulated.now_ns())
     finally:
         log.close()
@@ -78,11 +91,17 @@ def record_simulated_session(
 def description(name: str) -> Path:
     """The description of a robot of this project: `scara` or `tx40`."""
     installed = Path(__file__).parents[1] / "robots" / name / "robot.toml"
-    return installed if installed.exists() else Path(__file__).parents[2] / "replay_data" / name / "robot.toml"
+    return (
+        installed
+        if installed.exists()
+        else Path(__file__).parents[2] / "replay_data" / name / "robot.toml"
+    )
 
 
 def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list[float]:
-    """Record sessions without and with the payload, of drives whose gains are not those described; returns the true ones."""
+    """Record sessions without and with the payload, of drives whose gains are not those described;
+    returns the true ones.
+    """
     described = CATALOGUE[: robot.n]
     true = [gain * factor for gain, factor in zip(described, TRUE_FACTORS, strict=False)]
     drives, stated = in_amperes(robot, true), in_amperes(robot, described)
@@ -95,15 +114,23 @@ def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list
 def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
     """A robot of this project whose drives report their current, with these gains in N m/A."""
     text, each = robot.files["robot.toml"].decode(), iter(gains)
-    text = re.sub("effort_unit = .*", lambda _: f'drive_gain = {next(each):.4g}\ndrive_gain_unit = "N m/A"', text)
+    text = re.sub(
+        "effort_unit = .*",
+        lambda _: f'drive_gain = {next(each):.4g}\ndrive_gain_unit = "N m/A"',
+        text,
+    )
     text = re.sub('reference = "6074"|actual = "6077"', 'actual = "6078"', text)
     rated = r"rated_torque_nm = ([\d.]+)"
-    text = re.sub(rated, lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text)
+    text = re.sub(
+        rated, lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text
+    )
     return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
 
 
 def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
-    """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values of a simulated recording."""
+    """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values
+    of a simulated recording.
+    """
     halves = [fit.intervals.half for fit in fits]
     rows: list[Row] = []
     for i, name in enumerate(fits[0].base.names):
@@ -111,7 +138,11 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
         cells: list[Number] = []
         for fit, half in zip(fits, halves, strict=True):
             off = float((fit.beta[i] - true[i]) / half[i]) if half[i] > 0 else None
-            cells += [Number(float(fit.beta[i]), form), Number(float(half[i]), form), Number(off, "+.2f")]
+            cells += [
+                Number(float(fit.beta[i]), form),
+                Number(float(half[i]), form),
+                Number(off, "+.2f"),
+            ]
         rows.append((name, Number(float(true[i]), form), *cells))
     lines = []
     for fit, half in zip(fits, halves, strict=True):
@@ -131,10 +162,14 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
 
 
 def gains_document(fit: Fit, true: Sequence[float]) -> Document:
-    """Identified drive gains beside those described and the true ones, each with its error in half-widths."""
+    """Identified drive gains beside those described and the true ones, each with
+    its error in half-widths.
+    """
     assert fit.gains is not None
     g, rows = fit.gains, []
-    for name, unit, *values, half in zip(g.motors, g.units, g.described, true, g.values, g.half, strict=True):
+    for name, unit, *values, half in zip(
+        g.motors, g.units, g.described, true, g.values, g.half, strict=True
+    ):
         form = value_form(float(half) / 2)
         off = Number(float((values[2] - values[1]) / half), "+.2f")
         rows.append((name, *(Number(float(x), form) for x in (*values, half)), off, unit))

@@ -1,4 +1,6 @@
-"""Fleets: a fit of every recording in folders, as a row of a table; fits of earlier runs are reused."""
+"""Fleets: a fit of every recording in folders, as a row of a table; fits of
+earlier runs are reused.
+"""
 
 import hashlib
 import textwrap
@@ -15,14 +17,28 @@ from acquisition.robot import load_robot
 from ..data import RecordingFile, Recordings, Work
 from ..methods import fitted_parameters, identify
 from ..regression import Overrides
-from ..report import Document, Method, Number, Parameter, ResultFile, Section, Table, columns, versions, write_json
+from ..report import (
+    Document,
+    Method,
+    Number,
+    Parameter,
+    ResultFile,
+    Section,
+    Table,
+    columns,
+    versions,
+    write_json,
+)
 
 MAX_WIDTH = 60  # characters of the changes in a line of the printed table
-Found = dict[Path, list[RecordingFile]]  # by the path of a recording, or of a folder of some, what is fitted
+# by the path of a recording, or of a folder of some, what is fitted
+Found = dict[Path, list[RecordingFile]]
 
 
 class FleetRow(ResultFile, frozen=True, kw_only=True):
-    """The fit of a recording, or of those of a folder together; `failed` for a `reason`; `changed` by `with_changes`."""
+    """The fit of a recording, or of those of a folder together; `failed` for a `reason`;
+    `changed` by `with_changes`.
+    """
 
     file: str
     sha256: str = ""
@@ -37,19 +53,27 @@ class FleetRow(ResultFile, frozen=True, kw_only=True):
     parameters: dict[str, Parameter] = msgspec.field(default_factory=dict)
 
 
-def found_recordings(folders: Sequence[Path], robot: Path | None = None, *, by_folder: bool = False) -> Found:
+def found_recordings(
+    folders: Sequence[Path], robot: Path | None = None, *, by_folder: bool = False
+) -> Found:
     """Every `*.mcap` under the folders; `by_folder` together with the others in its folder.
 
-    The file `robot` replaces the stored descriptions. Raises `BadInputError`: if one of `folders` has no recording.
+    The file `robot` replaces the stored descriptions. Raises `BadInputError`: if one of
+    `folders` has no recording.
     """
     files, found, described = set[Path](), Found(), load_robot(robot) if robot else None
     for folder in folders:
-        new = {x for x in folder.rglob("*.mcap") if x.is_file() and x.name[0] != "."}  # hidden ones are being written
+        # hidden ones are being written
+        new = {x for x in folder.rglob("*.mcap") if x.is_file() and x.name[0] != "."}
         if not new:
-            raise BadInputError("no recordings", place=str(folder), expected="a folder with files *.mcap")
+            raise BadInputError(
+                "no recordings", place=str(folder), expected="a folder with files *.mcap"
+            )
         files |= new
     for file in sorted(files):
-        found.setdefault(file.parent if by_folder else file, []).append(RecordingFile.at(file, described))
+        found.setdefault(file.parent if by_folder else file, []).append(
+            RecordingFile.at(file, described)
+        )
     return found
 
 
@@ -58,12 +82,18 @@ def run_fleet(
 ) -> list[FleetRow]:
     """A row for each entry of `found`, ordered by start; those without a start come last.
 
-    Each fit is stored in the folder `store`, and reused until a file, its description, the method or versions of packages
-    differ. A failure is a row with a `reason`. Raises `BadInputError` if a fit cannot be stored, or a worker ends early.
+    Each fit is stored in the folder `store`, and reused until a file, its description, the method
+    or versions of packages differ. A failure is a row with a `reason`. Raises `BadInputError` if a
+    fit cannot be stored, or a worker ends early.
     """
     rows, tasks = list[FleetRow](), dict[Path, tuple[object, ...]]()
     for path, sources in found.items():
-        made_from = sources, [Path(source.path).stat().st_mtime_ns for source in sources], method, versions()
+        made_from = (
+            sources,
+            [Path(source.path).stat().st_mtime_ns for source in sources],
+            method,
+            versions(),
+        )
         name = store / f"{hashlib.sha256(repr(made_from).encode()).hexdigest()[:32]}.json"
         try:
             stored = msgspec.json.decode(name.read_bytes(), type=FleetRow)
@@ -75,11 +105,17 @@ def run_fleet(
             write_json(name, row)
         rows.append(row)
         say(f"{len(rows)} of {len(found)}: {row.file}")
-    return with_changes(sorted(rows, key=lambda row: (row.start.timestamp() if row.start else float("inf"), row.file)))
+    return with_changes(
+        sorted(
+            rows, key=lambda row: (row.start.timestamp() if row.start else float("inf"), row.file)
+        )
+    )
 
 
 def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) -> FleetRow:
-    """The row with the fit of one recording, or of several of one robot together, or with the reason why there is none."""
+    """The row with the fit of one recording, or of several of one robot together, or with the
+    reason why there is none.
+    """
     try:
         loaded = tuple(source.load() for source in sources)
         fit = identify(Recordings(sources=loaded), Overrides(), method=method)
@@ -101,10 +137,12 @@ def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) 
 
 
 def with_changes(rows: Sequence[FleetRow]) -> list[FleetRow]:
-    """Name in `changed` the parameters whose 95 % interval does not overlap that of the fit before, in the order of `rows`.
+    """Name in `changed` the parameters whose 95 % interval does not overlap that of the fit before,
+    in the order of `rows`.
 
-    Compared are fits of one robot in one folder by one method with a known start, but for the verdict `do not use`. Of two
-    independent estimates of one value with equal intervals 0.6 % are marked: |a - b| > 2 * 1.96 sigma.
+    Compared are fits of one robot in one folder by one method with a known start, but for the
+    verdict `do not use`. Of two independent estimates of one value with equal intervals 0.6 % are
+    marked: |a - b| > 2 * 1.96 sigma.
     """
     marked, before = list[FleetRow](), dict[tuple[str, ...], FleetRow]()
     for row in rows:
@@ -121,10 +159,12 @@ def with_changes(rows: Sequence[FleetRow]) -> list[FleetRow]:
 
 
 def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
-    """Write the rows as a CSV file if `path` ends in .csv, else as a Parquet file, whole or not at all.
+    """Write the rows as a CSV file if `path` ends in .csv, else as a Parquet
+    file, whole or not at all.
 
-    Columns are the fields of `FleetRow`, and for each parameter its name, and name_half_width of its 95 % interval, with the
-    `unit` in the metadata of a Parquet column. Missing values are null, in CSV empty.
+    Columns are the fields of `FleetRow`, and for each parameter its name, and name_half_width
+    of its 95 % interval, with the `unit` in the metadata of a Parquet column. Missing values
+    are null, in CSV empty.
     """
     import pyarrow
     from pyarrow import csv, parquet
@@ -133,7 +173,10 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
     names = [name for name in FleetRow.__struct_fields__ if name not in ("format", "parameters")]
     fields = [pyarrow.field(name, kinds.get(name, pyarrow.string())) for name in names]
     for name, unit in {name: x.unit for row in rows for name, x in row.parameters.items()}.items():
-        fields += [pyarrow.field(name + end, pyarrow.float64(), metadata={"unit": unit}) for end in ("", "_half_width")]
+        fields += [
+            pyarrow.field(name + end, pyarrow.float64(), metadata={"unit": unit})
+            for end in ("", "_half_width")
+        ]
     cells = [msgspec.structs.asdict(row) for row in rows]
     for cell, row in zip(cells, rows, strict=True):
         for name, x in row.parameters.items():
@@ -144,13 +187,23 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
 
 
 def fleet_document(rows: Sequence[FleetRow]) -> Document:
-    """The printed table: a line per fit with what has changed since the one before; the reasons of what failed."""
+    """The printed table: a line per fit with what has changed since the one before; the
+    reasons of what failed.
+    """
     lines = []
     for row in rows:
-        start, error = f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-", Number(row.moving_error_percent, ".3g")
+        start, error = (
+            f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-",
+            Number(row.moving_error_percent, ".3g"),
+        )
         changed = textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...")
         lines.append((start, row.file, row.status, row.verdict or "-", error, changed or "-"))
-    head = columns("start, UTC", "recording", "status", "verdict", numbers=("moving error %",)) + columns("changed")
+    head = columns(
+        "start, UTC", "recording", "status", "verdict", numbers=("moving error %",)
+    ) + columns("changed")
     reasons = tuple(f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason)
     title = f"recordings: {len(rows)}, fitted: {sum(bool(row.parameters) for row in rows)}"
-    return Document(title=title, sections=(Section(table=Table(columns=head, rows=tuple(lines)), warnings=reasons),))
+    return Document(
+        title=title,
+        sections=(Section(table=Table(columns=head, rows=tuple(lines)), warnings=reasons),),
+    )

@@ -1,4 +1,5 @@
-"""How estimates depend on filter, decimation, position noise, start and gain update: the question of Janot2014.
+"""How estimates depend on filter, decimation, position noise, start and gain update: the
+question of Janot2014.
 
 Each variant changes one of them, and is fitted by least squares and by instrumental variables.
 """
@@ -21,15 +22,17 @@ CUTOFFS = {"2.5 x bandwidth": 2.5, "10 x bandwidth": 10.0, "none": 0.0}  # times
 DECIMATIONS = (0.5, 2.0)  # times that of the rules
 NOISES = (4e-6, 4e-5, 8e-5)  # of the position, times the travel of the joint that travels least
 STARTS = (0.001, 1000.0)  # inertias of the first pass, kg m² or kg
-Values = tuple[float, float, float, float]  # LS and its half-width of the 95 % interval, IV and its half-width
+# LS and its half-width of the 95 % interval, IV and its half-width
+Values = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
     """A fit by the rules in which one thing is `changed`, to the value `to`.
 
-    `noise` is white noise, rad or m rms, that is added to the recorded position after the control loop; `start` are the
-    inertias of the first pass, kg m² or kg. Without `gain_update` the simulated robot keeps the recorded gains.
+    `noise` is white noise, rad or m rms, that is added to the recorded position after the control
+    loop; `start` are the inertias of the first pass, kg m² or kg. Without `gain_update` the
+    simulated robot keeps the recorded gains.
     """
 
     changed: str
@@ -42,8 +45,9 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class VariedFit:
-    """The `values` of a variant by parameter, with `units`, empty without a fit; `ended` is the status of iv after so many
-    `passes`, or why there is no fit. `known`: whether the values of `[parameters]` are `true`, of a simulation, or `described`.
+    """The `values` of a variant by parameter, with `units`, empty without a fit; `ended` is the
+    status of iv after so many `passes`, or why there is no fit. `known`: whether the values of
+    `[parameters]` are `true`, of a simulation, or `described`.
     """
 
     variant: Variant
@@ -56,7 +60,9 @@ class VariedFit:
 
 
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
-    """The fit by the rules, and one per variant; `noises` of the position are in rad or m rms, None by the travel."""
+    """The fit by the rules, and one per variant; `noises` of the position are in rad or m
+    rms, None by the travel.
+    """
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
     if noises is None:
@@ -67,9 +73,15 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
         variants.append(Variant(changed="cut-off", to=to, overrides=overrides))
     for factor in DECIMATIONS:
         overrides = Overrides(decimation=max(1, round(factor * decimation)))
-        variants.append(Variant(changed="decimation", to=f"{overrides.decimation}", overrides=overrides))
-    units = " or ".join({"rad" if joint.type == "revolute" else "m": None for joint in robot.joints})
-    variants += [Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises]
+        variants.append(
+            Variant(changed="decimation", to=f"{overrides.decimation}", overrides=overrides)
+        )
+    units = " or ".join(
+        {"rad" if joint.type == "revolute" else "m": None for joint in robot.joints}
+    )
+    variants += [
+        Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises
+    ]
     variants += [Variant(changed="start", to=f"{x:g}", start=x) for x in STARTS]
     variants.append(Variant(changed="gain update", to="off", gain_update=False))
     fits = list(work.run(fit_variant, [(source, variant) for variant in variants]))
@@ -85,13 +97,17 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     noise = np.random.default_rng(0).standard_normal(signals.q.shape)
     signals = replace(signals, q=signals.q + variant.noise * noise)
     try:
-        iteration = Iteration(inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update)
+        iteration = Iteration(
+            inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update
+        )
         fit = identify_iv(signals, variant.overrides, iteration)
     except RobotIdimError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)
-    values = dict(zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True))
+    values = dict(
+        zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True)
+    )
     passes = len(fit.iv.passes) if fit.iv else 0
     base, model = fit.base, fit.problem.model
     described = described_parameters(model, base).tolist() if signals.robot.parameters else ()
@@ -108,7 +124,9 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
 
 
 def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
-    """(fits, 4) moves of LS and of IV from the fit by the rules, in half-widths of IV there, and in their own; NaN without."""
+    """(fits, 4) moves of LS and of IV from the fit by the rules, in half-widths of IV there, and in
+    their own; NaN without.
+    """
     ls, _, iv, half = fits[0].values[name]
     none = (np.nan,) * 4
     values = np.array([fit.values.get(name, none) for fit in fits])
@@ -117,9 +135,12 @@ def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
 
 
 def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
-    """The largest moves of both methods by variant, and all values; the title says where least squares moves most."""
+    """The largest moves of both methods by variant, and all values; the title says where
+    least squares moves most.
+    """
     names = fits[0].essential or tuple(fits[0].values)
-    moves = np.nan_to_num([moves_of(fits, name) for name in names])  # (parameters, fits, both methods twice)
+    # (parameters, fits, both methods twice)
+    moves = np.nan_to_num([moves_of(fits, name) for name in names])
     largest, of = moves.max(axis=0), moves.argmax(axis=0)
     rows, values = list[Row](), list[Row]()
     for k, fit in enumerate(fits):
@@ -133,16 +154,26 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
                 values.append((name, *what, *(Number(x, form) for x in fit.values[name])))
     worst = fits[k := int(largest[:, 0].argmax())].variant
     ls, iv = (f"{x:.2g}" for x in largest[k, :2])
-    title = f"{recording}: LS moves by up to {ls} half-widths with {worst.changed} {worst.to}, IV by {iv}"
-    heads = columns("changed", "to", numbers=("LS moves",)) + columns("at", numbers=("own", "IV moves"))
+    title = (
+        f"{recording}: LS moves by up to {ls} half-widths with {worst.changed} {worst.to}, IV "
+        f"by {iv}"
+    )
+    heads = columns("changed", "to", numbers=("LS moves",)) + columns(
+        "at", numbers=("own", "IV moves")
+    )
     lines = (
-        f"moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest of {len(names)} essential "
+        "moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest "
+        f"of {len(names)} essential "
         "parameters; own: in half-widths of the variant's own interval of the method",
-        "position noise is added to the recording, after the control loop; start: inertias of the first pass",
+        "position noise is added to the recording, after the control loop; start: inertias of the "
+        "first pass",
     )
     heads += columns("at", numbers=("own", "passes")) + columns("iv ended")
     moves_table = Table(columns=heads, rows=tuple(rows))
     whole = columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%"))
     table = Table(columns=whole, rows=tuple(values))
-    sections = Section(table=moves_table, lines=lines), Section(title="values", table=table, short=Section())
+    sections = (
+        Section(table=moves_table, lines=lines),
+        Section(title="values", table=table, short=Section()),
+    )
     return Document(title=title, sections=sections)

@@ -1,6 +1,7 @@
 """Recordings of a simulated robot whose parameters are known, those of `[parameters]`.
 
-It tracks a random exciting reference with the described controller, or else with a PD of the stated bandwidth.
+It tracks a random exciting reference with the described controller, or else with a PD
+of the stated bandwidth.
 """
 
 from dataclasses import replace
@@ -22,34 +23,47 @@ from ..simulation import ClosedLoop, Encoder, Reference, recorded_loop, surrogat
 
 PERIOD_S = 10.0  # of the reference, about; a very long period would be slow and excite little
 MIN_SAMPLES, MAX_SAMPLES = 100, 1_000_000  # of a simulated recording
-SUBSTEPS = 2  # of the plant per controller period; with more, motion and torque change by less than 0.1 %
+# of the plant per controller period; with more, motion and torque change by less than 0.1 %
+SUBSTEPS = 2
 AR = 0.98  # autocorrelation of coloured noise at lag 1
 # Separate random streams: one kind of noise does not change another.
 _POSITION, _EFFORT, _COLOURED = range(3)
 
 
 class Noise(CellOptions):
-    """Noise of a simulated cell; the controller sees encoder counts and noise, coloured noise is AR(0.98).
+    """Noise of a simulated cell; the controller sees encoder counts and noise,
+    coloured noise is AR(0.98).
 
-    The torque is recorded as the mean of the control periods before and after its instant, like a drive's filter.
+    The torque is recorded as the mean of the control periods before and after its instant,
+    like a drive's filter.
     """
 
     @property
     def text(self) -> str:
         """The fields that are not zero."""
-        return ", ".join(f"{name} {value:g}" for name, value in vars(self).items() if value) or "no noise"
+        return (
+            ", ".join(f"{name} {value:g}" for name, value in vars(self).items() if value)
+            or "no noise"
+        )
 
     def on_effort(self, held: Array, seed: int) -> Array:
-        """Recorded torques (N, n) from the controller's torques, which are held from sample to sample."""
+        """Recorded torques (N, n) from the controller's torques, which are held
+        from sample to sample.
+        """
         from scipy.signal import lfilter
 
         at = np.maximum(np.arange(len(held)) - self.lag_samples, 0)
         tau = 0.5 * (held[at] + held[np.maximum(at - 1, 0)])
         level = 0.01 * np.sqrt(np.mean(tau**2, axis=0))
-        white, slow = (np.random.default_rng([seed, k]).standard_normal(tau.shape) for k in (_EFFORT, _COLOURED))
+        white, slow = (
+            np.random.default_rng([seed, k]).standard_normal(tau.shape)
+            for k in (_EFFORT, _COLOURED)
+        )
         slow[1:] *= np.sqrt(1 - AR**2)
         slow = lfilter([1], [1, -AR], slow, axis=0)
-        return np.asarray(tau + level * (self.effort_percent * white + self.coloured_percent * slow))
+        return np.asarray(
+            tau + level * (self.effort_percent * white + self.coloured_percent * slow)
+        )
 
 
 def study_truth(robot: Robot) -> tuple[dynamics.BaseParameters, Array]:
@@ -68,8 +82,12 @@ def true_model(robot: Robot, payload: Payload | None = None) -> dynamics.DirectM
     return dynamics.direct_model(idm, base.standard_parameters(base.K @ chi))
 
 
-def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
-    """A random exciting reference of whole periods, each of about `period_s`, at rest after `duration_s`."""
+def periodic_reference(
+    robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S
+) -> FourierReference:
+    """A random exciting reference of whole periods, each of about `period_s`, at
+    rest after `duration_s`.
+    """
     periods = max(1, round(duration_s / period_s))
     return fourier_reference(robot, period_s=duration_s / periods, seed=seed)
 
@@ -77,10 +95,12 @@ def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: 
 def random_reference(
     robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int, period_s: float = PERIOD_S
 ) -> Array:
-    """A random exciting reference (N, n), rad or m: a Fourier series within the limits of the robot, at rest at both ends.
+    """A random exciting reference (N, n), rad or m: a Fourier series within the limits of the
+    robot, at rest at both ends.
 
-    The same seed gives the same reference. The length is a whole number of periods of about `period_s`, one if it is shorter.
-    Raises `BadInputError` for fewer than 100 or more than 1 000 000 samples.
+    The same seed gives the same reference. The length is a whole number of periods of
+    about `period_s`, one if it is shorter. Raises `BadInputError` for fewer than 100 or
+    more than 1 000 000 samples.
     """
     samples = duration_s * sample_rate_hz
     if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
@@ -91,12 +111,20 @@ def random_reference(
 
 
 def closed_loop(
-    robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int, payload: Payload | None = None
+    robot: Robot,
+    q_ref: Array,
+    sample_rate_hz: float,
+    *,
+    noise: Noise,
+    seed: int,
+    payload: Payload | None = None,
 ) -> Signals:
-    """Signals of the robot of `[parameters]`, simulated with a payload along the reference q_ref (N, n), rad or m.
+    """Signals of the robot of `[parameters]`, simulated with a payload along the reference
+    q_ref (N, n), rad or m.
 
-    `sample_rate_hz` is that of reference, recording and controller, which sees the noise of the encoder. Raises
-    `BadInputError` if the description has no values or another rate, or the robot does not follow.
+    `sample_rate_hz` is that of reference, recording and controller, which sees the noise of the
+    encoder. Raises `BadInputError` if the description has no values or another rate, or the
+    robot does not follow.
     """
     model, loop = true_model(robot, payload), recorded_loop(robot)
     if loop is None:
@@ -105,8 +133,13 @@ def closed_loop(
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
-        found, expected = f"{1 / loop.period_s:g}", f"{sample_rate_hz:g}, the rate of the simulated recording"
-        raise BadInputError(f"robot {robot.name}: controller.sample_rate_hz = {found}: expected {expected}")
+        found, expected = (
+            f"{1 / loop.period_s:g}",
+            f"{sample_rate_hz:g}, the rate of the simulated recording",
+        )
+        raise BadInputError(
+            f"robot {robot.name}: controller.sample_rate_hz = {found}: expected {expected}"
+        )
     dq = differentiate(q_ref, sample_rate_hz)
     fastest = np.abs(dq @ model.directions.T).max(axis=0, initial=0.0)
     white = np.random.default_rng([seed, _POSITION]).standard_normal(q_ref.shape)
@@ -130,10 +163,15 @@ def closed_loop(
 
 
 def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | None = None) -> None:
-    """Write simulated signals of a `source` as a recording, whole or not at all; `noise`: of the simulation, for metadata."""
+    """Write simulated signals of a `source` as a recording, whole or not at all; `noise`: of the
+    simulation, for metadata.
+    """
     provenance, notes = "simulated joint torque", {"simulated": "true"}
     if noise is not None:
-        provenance, notes["cell"] = f"{provenance}, the mean of the control periods before and after", noise.text
+        provenance, notes["cell"] = (
+            f"{provenance}, the mean of the control periods before and after",
+            noise.text,
+        )
     given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
     given |= {name: getattr(signals, name) for name in OPTIONAL}
     columns = {name: values for name, values in given.items() if values is not None}

@@ -1,4 +1,6 @@
-"""Monte-Carlo study: simulated recordings of a robot with known parameters, each fitted by both methods as users fit."""
+"""Monte-Carlo study: simulated recordings of a robot with known parameters, each fitted by
+both methods as users fit.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -22,15 +24,26 @@ from .simulated_cell import Noise, closed_loop, random_reference, study_truth, w
 
 @dataclass(frozen=True, kw_only=True)
 class Study(StudyOptions):
-    """Number, length, rate and noise of the simulated recordings; the seed of each follows from its number."""
+    """Number, length, rate and noise of the simulated recordings; the seed of each
+    follows from its number.
+    """
 
     noise: Noise = field(default_factory=Noise)
 
 
-def simulate_recording(robot: Robot, out: Path, study: Study, payload: Payload | None = None) -> None:
-    """Write a recording of the robot of `[parameters]`: length, rate, seed and noise are those of a study."""
+def simulate_recording(
+    robot: Robot, out: Path, study: Study, payload: Payload | None = None
+) -> None:
+    """Write a recording of the robot of `[parameters]`: length, rate, seed and
+    noise are those of a study.
+    """
     signals = _simulated(robot, study, study.seed, payload)
-    write_signals(out, signals, source=f"simulated: random reference and noise of seed {study.seed}", noise=study.noise)
+    write_signals(
+        out,
+        signals,
+        source=f"simulated: random reference and noise of seed {study.seed}",
+        noise=study.noise,
+    )
 
 
 def _simulated(robot: Robot, study: Study, seed: int, payload: Payload | None = None) -> Signals:
@@ -80,7 +93,10 @@ class Run:
 
 
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
-    """All runs in order; one that fails has a `reason`. Raises `BadInputError`: the description has no values."""
+    """All runs in order; one that fails has a `reason`.
+
+    Raises `BadInputError`: the description has no values.
+    """
     study_truth(robot)
     if robot.controller.structure is None:
         _ = robot.bandwidth_hz  # of the PD that is simulated: refused before any run
@@ -89,7 +105,9 @@ def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
 
 @one_thread
 def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
-    """Run `number` of a study of the robot described by `files`: the same number gives the same run."""
+    """Run `number` of a study of the robot described by `files`: the same
+    number gives the same run.
+    """
     robot, run = robot_from_files(files, "study"), Run(number=number)
     base, true = study_truth(robot)
 
@@ -106,7 +124,9 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         )
 
     try:
-        signals = _simulated(robot, study, int(np.random.default_rng([study.seed, number]).integers(2**31)))
+        signals = _simulated(
+            robot, study, int(np.random.default_rng([study.seed, number]).integers(2**31))
+        )
         run = replace(run, ls=result(identify_ls(signals, Overrides())))
         iv = identify_iv(signals, Overrides(), Iteration())
     except RobotIdimError as error:

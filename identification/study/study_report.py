@@ -23,14 +23,18 @@ FORMATS = ("d", ".3f", ".1f", ".2f", "d", "d")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Summary:
-    """Runs by one method: of wls those with an estimate, of iv those that converged. NaN if there are none.
+    """Runs by one method: of wls those with an estimate, of iv those that converged.
+
+    NaN if there are none.
 
     Attributes:
-        bias_percent: norm of the mean error over all parameters, in percent of the norm of the true ones.
+        bias_percent: norm of the mean error over all parameters, in percent of the
+            norm of the true ones.
         coverage_percent: true values inside their 95 % intervals, over all parameters.
-        spread_over_interval: median over the parameters of 1.96 observed deviations over the half-width.
-        trusted, false_trust: runs with the verdict `trust`; those of them in which an essential parameter is more than
-            `FALSE_TRUST` half-widths off or M is not positive.
+        spread_over_interval: median over the parameters of 1.96 observed
+            deviations over the half-width.
+        trusted, false_trust: runs with the verdict `trust`; those of them in which an essential
+            parameter is more than `FALSE_TRUST` half-widths off or M is not positive.
     """
 
     method: str
@@ -46,17 +50,28 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
     """One summary per method; `true` (b,) are the values simulated with."""
     rows = []
     for method, kind in METHODS:
-        fits = [fit for r in runs if (fit := getattr(r, kind)) and (method == "wls" or r.status == "converged")]
-        beta, low, high = (np.array([getattr(x, k) for x in fits] or [true * np.nan]) for k in ("beta", "low", "high"))
+        fits = [
+            fit
+            for r in runs
+            if (fit := getattr(r, kind)) and (method == "wls" or r.status == "converged")
+        ]
+        beta, low, high = (
+            np.array([getattr(x, k) for x in fits] or [true * np.nan])
+            for k in ("beta", "low", "high")
+        )
         spread = beta.std(axis=0, ddof=1) if len(fits) > 1 else true * np.nan
         inside = [fit.half_widths_off(true) <= 1 for fit in fits]
         rows.append(
             Summary(
                 method=method,
                 runs=len(fits),
-                bias_percent=float(100 * np.linalg.norm(beta.mean(axis=0) - true) / np.linalg.norm(true)),
+                bias_percent=float(
+                    100 * np.linalg.norm(beta.mean(axis=0) - true) / np.linalg.norm(true)
+                ),
                 coverage_percent=float(100 * np.mean(inside)) if inside else np.nan,
-                spread_over_interval=float(np.median(2 * NORMAL_QUANTILE * spread / np.median(high - low, axis=0))),
+                spread_over_interval=float(
+                    np.median(2 * NORMAL_QUANTILE * spread / np.median(high - low, axis=0))
+                ),
                 trusted=sum(fit.verdict == "trust" for fit in fits),
                 false_trust=sum(false_trust(fit, true) for fit in fits),
             )
@@ -65,14 +80,25 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
 
 
 def false_trust(fit: RunFit, true: Array) -> bool:
-    """Whether the verdict is wrongly `trust`: an essential parameter is far off, or M is not positive."""
+    """Whether the verdict is wrongly `trust`: an essential parameter is far
+    off, or M is not positive.
+    """
     wrong = not fit.positive or bool((fit.half_widths_off(true)[fit.essential] > FALSE_TRUST).any())
     return fit.verdict == "trust" and wrong
 
 
-def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> dict[str, Any]:
-    """The JSON file of a study: settings, names of the parameters, their true values (b,), summaries, every run."""
-    content = {"study": study, "parameters": base.names, "true": true, "summaries": summaries(runs, true)}
+def study_file(
+    study: Study, runs: Sequence[Run], base: BaseParameters, true: Array
+) -> dict[str, Any]:
+    """The JSON file of a study: settings, names of the parameters, their true values
+    (b,), summaries, every run.
+    """
+    content = {
+        "study": study,
+        "parameters": base.names,
+        "true": true,
+        "summaries": summaries(runs, true),
+    }
     return {**content, "runs": runs}
 
 
@@ -81,37 +107,59 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
     rows: list[Row] = []
     for method, *numbers in map(astuple, summaries(runs, true)):
         rows.append((method, *map(Number, numbers, FORMATS)))
-    fits = [(f"{method} in run {r.number}", getattr(r, kind)) for r in runs for method, kind in METHODS]
+    fits = [
+        (f"{method} in run {r.number}", getattr(r, kind)) for r in runs for method, kind in METHODS
+    ]
     false = [name for name, fit in fits if fit and false_trust(fit, true)]
     lines = (
-        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; cell: "
+        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed "
+        f"{study.seed}; cell: "
         f"{study.noise.text}; of iv, converged runs only",
-        f"false trust: verdict trust although an essential parameter is more than {FALSE_TRUST:g} half-widths off "
+        f"false trust: verdict trust although an essential parameter is more than {FALSE_TRUST:g} "
+        "half-widths off "
         f"or M is not positive: {', '.join(false) or 'no run'}",
     )
     table = Table(columns=columns("method", numbers=HEADINGS), rows=tuple(rows))
-    return Document(title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=lines),))
+    return Document(
+        title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=lines),)
+    )
 
 
 def border_line(robot: Robot) -> tuple[str, ...]:
-    """What the study simulated without friction or rotor, which no real robot is; nothing if all have values."""
+    """What the study simulated without friction or rotor, which no real robot is;
+    nothing if all have values.
+    """
     model = InverseModel(robot)
     zero = model.of_links | (known_parameters(model) != 0)
-    names = [name for name, skip in zip(model.names, zero, strict=True) if not skip and not name.startswith("Off")]
-    return (f"values at the border of the possible, 0 in [parameters] or absent: {', '.join(names)}",) * bool(names)
+    names = [
+        name
+        for name, skip in zip(model.names, zero, strict=True)
+        if not skip and not name.startswith("Off")
+    ]
+    return (
+        f"values at the border of the possible, 0 in [parameters] or absent: {', '.join(names)}",
+    ) * bool(names)
 
 
 def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
-    """The JSON file of base parameters, whose names end with a joint's number from 1, with the `true` values (b,) if known."""
+    """The JSON file of base parameters, whose names end with a joint's number from 1, with the
+    `true` values (b,) if known.
+    """
     rows = zip(base.names, base.expressions, base.units, strict=True)
     parameters = [dict(zip(("name", "expression", "unit"), row, strict=True)) for row in rows]
     for parameter, value in zip(parameters, () if true is None else true.tolist(), strict=False):
         parameter["value"] = value
-    return {"robot": robot.name, "joint_names": [joint.name for joint in robot.joints], "parameters": parameters}
+    return {
+        "robot": robot.name,
+        "joint_names": [joint.name for joint in robot.joints],
+        "parameters": parameters,
+    }
 
 
 def base_document(base: BaseParameters, robot: Robot) -> Document:
-    """The base parameters of a robot as sums of standard parameters, in short the regrouped ones; its joints by number."""
+    """The base parameters of a robot as sums of standard parameters, in short the regrouped
+    ones; its joints by number.
+    """
     rows = tuple(zip(base.names, base.expressions, base.units, strict=True))
     table = Table(columns=columns("name", "expression", "unit"), rows=rows)
     joints = Table(
@@ -120,5 +168,8 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
     )
     sums_first = sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k])
     parameters = Section(table=table).with_short_table(sums_first, 20)
-    sections = (parameters, Section(title="joints, by the number at the end of a name", table=joints))
+    sections = (
+        parameters,
+        Section(title="joints, by the number at the end of a name", table=joints),
+    )
     return Document(title=f"{robot.name}: {base.b} base parameters", sections=sections)

@@ -1,4 +1,6 @@
-"""Terms that the model may lack: as those that it has, they are asked for their columns along a motion."""
+"""Terms that the model may lack: as those that it has, they are asked for their
+columns along a motion.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,16 +13,33 @@ from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..model import DirectModel, JointTerm, direct_model, inertia_unit, torque_of_links
-from ..regression import Decimation, Motion, Problem, differentiate, fast_for_lag, predicted_torque, smooth, weights_at
+from ..regression import (
+    Decimation,
+    Motion,
+    Problem,
+    differentiate,
+    fast_for_lag,
+    predicted_torque,
+    smooth,
+    weights_at,
+)
 
 MIN_T = 5.0  # deviations, above chance
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
-MIN_SPRING_TAKEN_PERCENT = 10.0  # of a spring where nothing weighs: any slow error correlates with a slow position
-STRIBECK_SPEED_RATIO = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
-STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction", "offset", "spring"
+# of a spring where nothing weighs: any slow error correlates with a slow position
+MIN_SPRING_TAKEN_PERCENT = 10.0
+# of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
+STRIBECK_SPEED_RATIO = 0.2
+STRIBECK, ASYMMETRIC, OFFSET, SPRING = (
+    "Stribeck friction",
+    "asymmetric friction",
+    "offset",
+    "spring",
+)
 ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
 ROTOR, ZERO, CLOCKS = "rotor", "zero", "clock drift"
-SAMPLES_A_ROW = 4  # at which the torque of the links is computed: smooth, and low-passed to half a sample a row
+# at which the torque of the links is computed: smooth, and low-passed to half a sample a row
+SAMPLES_A_ROW = 4
 DRIVES_A_ROW = 20  # the same for the torque of the model, whose rate counts in the intervals
 SELECT_TERMS = "run `robot-identify friction`"
 
@@ -33,10 +52,12 @@ class MissingTerm:
         kind, where: the term, and its joint or axis.
         unit, advice: unit of the coefficient; what to do.
         value, t: its coefficient, also in deviations.
-        taken_percent: share of the residual's square that it explains; `together_percent`: all columns of its kind.
+        taken_percent: share of the residual's square that it explains; `together_percent`:
+            all columns of its kind.
         moves: largest shift of an essential parameter, in half-widths.
         least_percent: of `taken_percent`, to be large.
-        noticed: size of the coefficient that is noticed in nearly every recording; infinite in the span of the model.
+        noticed: size of the coefficient that is noticed in nearly every recording; infinite in
+            the span of the model.
     """
 
     kind: str
@@ -62,7 +83,10 @@ class MissingTerm:
     @property
     def finding(self) -> str:
         """What is wrong, in a few words."""
-        return f"{self.kind} {self.where}{'' if self.kind in (TILT, LAG, DRIFT, ZERO, CLOCKS) else ' missing'}"
+        return (
+            f"{self.kind} "
+            f"{self.where}{'' if self.kind in (TILT, LAG, DRIFT, ZERO, CLOCKS) else ' missing'}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,9 +94,12 @@ class Candidates:
     """Terms that are not in the model of a recording, asked for their columns along any motion.
 
     Attributes:
-        problem: of the recording, without samples; `beta`: (b,) its base parameters, about which the columns are.
-        peak, sliding: (n,) and (c,) largest speeds of the joints, and along the directions of Coulomb friction.
-        simulated: whether the motion has the torque of a simulated robot that follows a recorded reference.
+        problem: of the recording, without samples; `beta`: (b,) its base parameters, about
+            which the columns are.
+        peak, sliding: (n,) and (c,) largest speeds of the joints, and along the
+            directions of Coulomb friction.
+        simulated: whether the motion has the torque of a simulated robot that
+            follows a recorded reference.
         gains: whether drive gains are identified.
     """
 
@@ -90,29 +117,50 @@ class Candidates:
 
     @cached_property
     def places(self) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """By term its column (k,) and the joints (k, n) whose rows in it are its own: terms of other joints share a column."""
+        """By term its column (k,) and the joints (k, n) whose rows in it are its own: terms of
+        other joints share a column.
+        """
         acts = np.array([joints != 0 for _, joints, _ in self._still])
         columns, taken = list[int](), list[NDArray[np.bool_]]()
         for joints in acts:
-            free = next((i for i, other in enumerate(taken) if not (other & joints).any()), len(taken))
-            taken[free:] = [joints | (taken[free] if free < len(taken) else False), *taken[free + 1 :]]
+            free = next(
+                (i for i, other in enumerate(taken) if not (other & joints).any()), len(taken)
+            )
+            taken[free:] = [
+                joints | (taken[free] if free < len(taken) else False),
+                *taken[free + 1 :],
+            ]
             columns.append(free)
         return np.array(columns, dtype=np.intp), acts
 
     @cached_property
     def _still(self) -> list[tuple[MissingTerm, Array, Array]]:
         none = np.zeros((3, self.problem.signals.robot.n))
-        still = Motion(t_s=np.arange(3) / self.problem.signals.sample_rate_hz, q=none, dq=none, ddq=none, tau=none)
+        still = Motion(
+            t_s=np.arange(3) / self.problem.signals.sample_rate_hz,
+            q=none,
+            dq=none,
+            ddq=none,
+            tau=none,
+        )
         return list(self._torques(self.problem, still, none, 1))
 
     def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
-        """(n, k + 1, rows) torque per unit of the terms, weighted, decimated; last the rate of the drives' torque, per s."""
-        w, places, stride = weights_at(problem, motion.t_s), self.places[0], decimation.factor // SAMPLES_A_ROW
+        """(n, k + 1, rows) torque per unit of the terms, weighted, decimated; last the rate of the
+        drives' torque, per s.
+        """
+        w, places, stride = (
+            weights_at(problem, motion.t_s),
+            self.places[0],
+            decimation.factor // SAMPLES_A_ROW,
+        )
         drives = self._drives(problem, motion, decimation.factor // DRIVES_A_ROW)
         # Near reversals, friction that rises smoothly looks like a lag.
         fast = fast_for_lag(problem, motion, decimation, self.sliding)
         found = np.zeros((len(w), places.max() + 2, decimation.rows(len(motion.t_s))))
-        for place, (term, acts, torque) in zip(places, self._torques(problem, motion, drives, stride), strict=True):
+        for place, (term, acts, torque) in zip(
+            places, self._torques(problem, motion, drives, stride), strict=True
+        ):
             for j in np.flatnonzero(acts):
                 x = torque if torque.ndim == 1 else torque[:, j]
                 column = decimation.filtered(acts[j] * w[j] * x)
@@ -122,7 +170,9 @@ class Candidates:
 
     def _drives(self, problem: Problem, x: Motion, stride: int) -> Array:
         """The drives' torque (N, n) along a motion: the model's less the known one."""
-        drives = predicted_torque(x, problem.model, problem.base, self.beta, stride if problem.settings.filtered else 1)
+        drives = predicted_torque(
+            x, problem.model, problem.base, self.beta, stride if problem.settings.filtered else 1
+        )
         known = problem.signals.known_torque
         if known is None or not len(known):
             return drives
@@ -135,9 +185,16 @@ class Candidates:
     def _torques(
         self, problem: Problem, x: Motion, drives: Array, stride: int
     ) -> Iterator[tuple[MissingTerm, Array, Array]]:
-        """Each term, the factors (n,) by which it acts at the joints, and its torque (N,) or (N, n)."""
+        """Each term, the factors (n,) by which it acts at the joints, and its
+        torque (N,) or (N, n).
+        """
         robot, idm, base = problem.signals.robot, problem.model, problem.base
-        chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
+        chi, joints, n, efforts = (
+            np.zeros(idm.p),
+            robot.joints,
+            len(robot.joints),
+            robot.effort_units,
+        )
         chi[base.columns] = self.beta
         links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
         value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
@@ -148,20 +205,41 @@ class Candidates:
         fs, settings, each = problem.signals.sample_rate_hz, problem.settings, np.eye(n)
         for j, joint in enumerate(joints):
             terms, effort, v, where = joint.terms, efforts[j], x.dq[:, j], f"of joint {joint.name}"
-            if {"viscous", "coulomb"} & set(terms) and not joint.one_sided and "asymmetric" not in terms:
-                advice = _to_describe(joint, "asymmetric", 'friction = "asymmetric", which includes an offset')
+            if (
+                {"viscous", "coulomb"} & set(terms)
+                and not joint.one_sided
+                and "asymmetric" not in terms
+            ):
+                advice = _to_describe(
+                    joint, "asymmetric", 'friction = "asymmetric", which includes an offset'
+                )
                 Fc, Fv = (0.01 * value.get(f"{name}{j + 1}", 0.0) for name in ("Fc", "Fv"))
                 term = MissingTerm(kind=ASYMMETRIC, where=where, unit="% of it", advice=advice)
                 yield term, each[j], Fc + Fv * np.abs(v)
             if "offset" not in terms:
                 advice = _to_describe(joint, "offset", "offset = true")
-                yield MissingTerm(kind=OFFSET, where=where, unit=effort, advice=advice), each[j], np.ones_like(v)
+                yield (
+                    MissingTerm(kind=OFFSET, where=where, unit=effort, advice=advice),
+                    each[j],
+                    np.ones_like(v),
+                )
             advice = "warm the robot up, or record a shorter motion"
-            term = MissingTerm(kind=DRIFT, where=where, unit=f"{effort} over the recording", advice=advice)
-            yield term, each[j], (x.t_s * fs - settings.start) / (settings.stop - 1 - settings.start)
+            term = MissingTerm(
+                kind=DRIFT, where=where, unit=f"{effort} over the recording", advice=advice
+            )
+            yield (
+                term,
+                each[j],
+                (x.t_s * fs - settings.start) / (settings.stop - 1 - settings.start),
+            )
             advice = "record its torque (of a spring, a hose or a weight) as known_torque"
-            unit, least = f"{effort}/{joint.position_unit}", MIN_TAKEN_PERCENT if weighs else MIN_SPRING_TAKEN_PERCENT
-            term = MissingTerm(kind=SPRING, where=where, unit=unit, advice=advice, least_percent=least)
+            unit, least = (
+                f"{effort}/{joint.position_unit}",
+                MIN_TAKEN_PERCENT if weighs else MIN_SPRING_TAKEN_PERCENT,
+            )
+            term = MissingTerm(
+                kind=SPRING, where=where, unit=unit, advice=advice, least_percent=least
+            )
             yield term, each[j], x.q[:, j]
             if "stribeck" not in terms:
                 advice = "leave out slow samples by a larger low_speed_percent of [identification]"
@@ -174,7 +252,9 @@ class Candidates:
             yield term, np.ones(n), per * by_position[:, :, j]
             if not joint.rotor_inertia:
                 advice = "rotor_inertia = true"
-                term = MissingTerm(kind=ROTOR, where=where, unit=inertia_unit(robot, j), advice=advice)
+                term = MissingTerm(
+                    kind=ROTOR, where=where, unit=inertia_unit(robot, j), advice=advice
+                )
                 yield term, each[j], x.ddq[:, j]
             if "load" not in joint.terms:
                 term = MissingTerm(kind=LOAD, where=where, unit="", advice=SELECT_TERMS)
@@ -184,28 +264,45 @@ class Candidates:
             if (turned := np.cross(axis, np.array(robot.gravity))).any():
                 advice = "level the base, or set gravity_m_s2"
                 term = MissingTerm(kind=TILT, where=f"about {about}", unit="rad", advice=advice)
-                yield term, np.ones(n), smooth(lambda q, *_, g=turned: links.gravity(q, g), x, stride)
+                yield (
+                    term,
+                    np.ones(n),
+                    smooth(lambda q, *_, g=turned: links.gravity(q, g), x, stride),
+                )
         for along in idm.coulomb_directions:
             j = int(np.flatnonzero(along)[-1])
             if "root" not in joints[j].terms:
-                where = f"of{' the motor of' if np.count_nonzero(along) > 1 else ''} joint {joints[j].name}"
+                where = (
+                    f"of{' the motor of' if np.count_nonzero(along) > 1 else ''} joint "
+                    f"{joints[j].name}"
+                )
                 unit, v = f"{efforts[j]} ({joints[j].position_unit}/s)^-½", x.dq @ along
                 term = MissingTerm(kind=ROOT, where=where, unit=unit, advice=SELECT_TERMS)
                 yield term, along, np.sign(v) * np.sqrt(np.abs(v))
         advice = "stamp positions and efforts by one clock"
-        term = MissingTerm(kind=CLOCKS, where="between positions and efforts", unit="%", advice=advice)
+        term = MissingTerm(
+            kind=CLOCKS, where="between positions and efforts", unit="%", advice=advice
+        )
         middle_s = (settings.start + settings.stop - 1) / (2 * fs)
         yield term, np.ones(n), -0.01 * (x.t_s - middle_s)[:, None] * self._rate(x, drives)
         if n > 1 and self.simulated:
             advice = "check how its effort is filtered and stamped"
             for j in range(n):
-                term = MissingTerm(kind=LAG, where=f"of joint {joints[j].name}", unit="ms", advice=advice)
+                term = MissingTerm(
+                    kind=LAG, where=f"of joint {joints[j].name}", unit="ms", advice=advice
+                )
                 yield term, -1e-3 * each[j], self._rate(x, drives)
         if n > 1 and robot.gain_known and not self.gains:
-            # The predicted torque of a drive: the coefficient is its gain relative to the others, less 1.
+            # The predicted torque of a drive: the coefficient is its gain relative
+            # to the others, less 1.
             advice = "check its drive_gain and ratio against those of the other joints"
             for j in range(n):
-                term = MissingTerm(kind="relative gain", where=f"of joint {joints[j].name}", unit="%", advice=advice)
+                term = MissingTerm(
+                    kind="relative gain",
+                    where=f"of joint {joints[j].name}",
+                    unit="%",
+                    advice=advice,
+                )
                 yield term, 0.01 * each[j], drives
 
 
@@ -217,4 +314,8 @@ def _of_links(links: DirectModel, q: Array, dq: Array, ddq: Array) -> Array:
 
 def _to_describe(joint: Joint, term: str, otherwise: str) -> str:
     """How to describe a friction term, in a list of terms or by keys."""
-    return f'add "{term}" to its friction' if isinstance(joint.friction, tuple) else f"describe it as {otherwise}"
+    return (
+        f'add "{term}" to its friction'
+        if isinstance(joint.friction, tuple)
+        else f"describe it as {otherwise}"
+    )

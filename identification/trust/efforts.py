@@ -1,8 +1,10 @@
-"""Columns that are not what they are taken for: exchanged, of the wrong sign or unit, cut off by an unstated limit.
+"""Columns that are not what they are taken for: exchanged, of the wrong sign or unit, cut
+off by an unstated limit.
 
-A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of the drives' torques at joints
-Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint torques may have them exchanged by joint. Least squares
-shows which mistake fits. A wrong sign fits nearly as well, but its motor takes power from the robot: it brakes.
+A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of
+the drives' torques at joints Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint
+torques may have them exchanged by joint. Least squares shows which mistake fits. A wrong sign fits
+nearly as well, but its motor takes power from the robot: it brakes.
 """
 
 from collections.abc import Iterator
@@ -24,9 +26,13 @@ MAX_SPAN_S = 180.0  # of the first recording, that mistakes are tried on
 
 
 def signs_and_order_test(evidence: FitData) -> TrustLine | None:
-    """Whether a mistake undone halves the torque error, or, as a sign of a motor that brakes, lowers it."""
+    """Whether a mistake undone halves the torque error, or, as a sign of a motor
+    that brakes, lowers it.
+    """
     rows, R = evidence.observed, evidence.problem.signals.robot.R
-    rho, size = (np.linalg.norm(x * rows.counts, axis=0) for x in (rows.tau - evidence.predicted, rows.tau))
+    rho, size = (
+        np.linalg.norm(x * rows.counts, axis=0) for x in (rows.tau - evidence.predicted, rows.tau)
+    )
     power = rows.speed.T @ rows.tau  # of the speeds of joints and torques at joints
     brakes = np.diag(R @ power @ np.linalg.inv(R)) < 0
     if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
@@ -45,13 +51,18 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
             finding, error, least = mistake, tried, score
     if not finding:
         return None
-    text = f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in place of {100 * with_it:.2g} %"
+    text = (
+        f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in "
+        f"place of {100 * with_it:.2g} %"
+    )
     text += ": check columns and signs of the recording"
     return TrustLine("signs and order", "do not use", text, finding=finding)
 
 
 def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:
-    """Mistakes, the motor of a sign, and the maps (n, n) of torques at joints and of positions, None for that of efforts."""
+    """Mistakes, the motor of a sign, and the maps (n, n) of torques at joints and of positions,
+    None for that of efforts.
+    """
     robot, one = problem.signals.robot, np.eye(problem.signals.robot.n)
     by_motors, to_motors = robot.R.T * robot.gain, np.linalg.inv(robot.R.T * robot.gain)
     for i, j in combinations(range(robot.n), 2):
@@ -61,17 +72,24 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
     for m, motor in enumerate(robot.motors):
         S = one - 2 * np.diag(one[m])
         yield f"the effort of {motor.name} has the wrong sign", m, by_motors @ S @ to_motors, None
-        yield f"the position of {motor.name} has the wrong sign", m, one, np.linalg.solve(robot.R, S @ robot.R)
+        yield (
+            f"the position of {motor.name} has the wrong sign",
+            m,
+            one,
+            np.linalg.solve(robot.R, S @ robot.R),
+        )
 
 
 def _decimated(problem: Problem) -> tuple[list[Array], Array]:
-    """The decimated motion q, dq, ddq (rows, n) from the zeros, and by joint (n, rows, n + 1) all drives' torques and the known
-    one. Columns are of this motion, not decimated themselves: ten times as fast, and as good for errors of this size.
+    """The decimated motion q, dq, ddq (rows, n) from the zeros, and by joint (n, rows, n + 1) all
+    drives' torques and the known one. Columns are of this motion, not decimated themselves: ten
+    times as fast, and as good for errors of this size.
     """
     signals, s = problem.signals, problem.settings
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     moved = [
-        s.decimator.filtered(x.T).T / s.decimator.gain for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
+        s.decimator.filtered(x.T).T / s.decimator.gain
+        for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
     ]
     known = np.zeros_like(signals.q) if signals.known_torque is None else signals.known_torque
     drives, known = (s.decimator.filtered(x[s.start : s.stop].T) for x in (signals.effort, known))
@@ -79,15 +97,21 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
 
 
 def _factors(problem: Problem, decimated: tuple[list[Array], Array], B: Array) -> Array:
-    """QR factors (n, k, b + n + 1) of each joint's rows, positions mapped by B: columns, and torques of `decimated`."""
+    """QR factors (n, k, b + n + 1) of each joint's rows, positions mapped by B: columns, and
+    torques of `decimated`.
+    """
     (q, dq, ddq), torques = [x @ B.T for x in decimated[0]], decimated[1]
-    W = problem.model.regressor(q + problem.signals.robot.zero, dq, ddq)[..., problem.base.columns].transpose(1, 0, 2)
+    W = problem.model.regressor(q + problem.signals.robot.zero, dq, ddq)[
+        ..., problem.base.columns
+    ].transpose(1, 0, 2)
     share = sample_weights(problem).of_rows.T[..., None]
     return np.asarray(np.linalg.qr(share * np.concatenate([W, torques], axis=2), mode="r"))
 
 
 def _error(factors: Array, A: Array) -> float:
-    """Relative torque error, rms of the joints, of least squares weighted by it, where the drives' torques are mapped by A."""
+    """Relative torque error, rms of the joints, of least squares weighted by it, where the drives'
+    torques are mapped by A.
+    """
     b = factors.shape[2] - len(A) - 1
     Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])
     weight = 1 / np.maximum(np.linalg.norm(Y, axis=1, keepdims=True), 1e-300)
@@ -97,14 +121,23 @@ def _error(factors: Array, A: Array) -> float:
 
 
 def saturation_test(evidence: FitData) -> TrustLine | None:
-    """Whether drives saturate at a limit that is not stated, where controller or simulated robot are not confirmed."""
+    """Whether drives saturate at a limit that is not stated, where controller or simulated
+    robot are not confirmed.
+    """
     confirmed = evidence.fixed_point and evidence.unconfirmed is None
     if confirmed and all(line.level not in LEVELS[:2] for line in evidence.replays):
         return None
-    found = list(dict.fromkeys(text for one in evidence.problems for text in unstated_limits(one.with_samples())))
+    found = list(
+        dict.fromkeys(
+            text for one in evidence.problems for text in unstated_limits(one.with_samples())
+        )
+    )
     if not found:
         return None
-    text, level = f"{'; '.join(found)}: state saturation of the motor", LEVELS[1 if evidence.fixed_point else 0]
+    text, level = (
+        f"{'; '.join(found)}: state saturation of the motor",
+        LEVELS[1 if evidence.fixed_point else 0],
+    )
     return TrustLine("saturation", level, text, finding=found[0].split(" in ")[0])
 
 
@@ -112,13 +145,20 @@ def positions_test(evidence: FitData) -> TrustLine | None:
     """Whether positions look like radians that were declared as degrees."""
     if all(RADIANS_AS_DEGREES not in problem.settings.warnings for problem in evidence.problems):
         return None
-    return TrustLine("positions", "caution", RADIANS_AS_DEGREES, finding="radians declared as degrees?")
+    return TrustLine(
+        "positions", "caution", RADIANS_AS_DEGREES, finding="radians declared as degrees?"
+    )
 
 
 def effort_test(evidence: FitData) -> TrustLine | None:
     """Recorded efforts beyond a limit of the description, which no drive gives."""
-    overloads = dict.fromkeys(text for problem in evidence.problems for text in problem.settings.overloads)
+    overloads = dict.fromkeys(
+        text for problem in evidence.problems for text in problem.settings.overloads
+    )
     if not overloads:
         return None
-    text = f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct the limit"
+    text = (
+        f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct "
+        "the limit"
+    )
     return TrustLine("effort", "caution", text, finding="effort beyond its limit")

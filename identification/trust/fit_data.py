@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals, Scores, Spans, scores_of_recordings, spans_of, stacked_columns
+from ..estimation import (
+    Estimate,
+    Intervals,
+    Scores,
+    Spans,
+    scores_of_recordings,
+    spans_of,
+    stacked_columns,
+)
 from ..regression import Arm, Decimation, KnownLag, Motion, Problem, Rows, base_places
 from ..report import Method
 from ..simulation import Replica
@@ -23,10 +31,13 @@ class Lag:
     """The lag of the torque of recordings of equal timing, s, positive: late.
 
     Attributes:
-        value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval is `reach` deviations.
+        value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval
+            is `reach` deviations.
         source: where the value comes from; `prior`: the lag as known without a fit.
-        found: value, deviation and its degrees of freedom by the instruments alone; None where they do not determine it.
-        delay_s: time from command to torque and half its interval, where the described controller was replayed.
+        found: value, deviation and its degrees of freedom by the instruments alone; None where
+            they do not determine it.
+        delay_s: time from command to torque and half its interval, where the described
+            controller was replayed.
         moved: (b,) shift of each parameter by one deviation of the lag.
         recordings: their names.
     """
@@ -52,23 +63,29 @@ class FitData:
     """An estimate and its data.
 
     Attributes:
-        problems: the recordings, in the order of the rows, without samples where several are long; `arms`: their parameters.
+        problems: the recordings, in the order of the rows, without samples where several are long;
+            `arms`: their parameters.
         replays: by recording, the described control law against the recorded effort.
         observed: W and Y of all decimated rows about the estimate; QR factors for long recordings.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
-        by_reference: why the instruments are along the motion that the reference predicts; None where the robot is simulated.
+        by_reference: why the instruments are along the motion that the reference predicts; None
+            where the robot is simulated.
         estimate: of the base parameters, or of the essential ones only.
         predicted: (rows, n) predicted torque, not weighted.
         least_squares: weighted least squares of all base parameters on the same recordings.
         candidates: terms that are not in the model, by recording.
         replicas: the robot simulated in each recording; empty after least squares.
-        position_noise: whether position noise biases least squares; None for instrumental variables.
+        position_noise: whether position noise biases least squares; None for
+            instrumental variables.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
-        held_out: blocks of time, or recordings, predicted by the fit of the others; empty where that is not made.
-        prior, prior_source: a-priori base parameters of links, by name, of the `URDF` or `[parameters]`.
-        prior_error_percent: held-out torque error of these links with all else fitted to the other blocks, or recordings.
+        held_out: blocks of time, or recordings, predicted by the fit of the others; empty
+            where that is not made.
+        prior, prior_source: a-priori base parameters of links, by name, of the
+            `URDF` or `[parameters]`.
+        prior_error_percent: held-out torque error of these links with all else fitted to the other
+            blocks, or recordings.
     """
 
     problems: tuple[Problem, ...]
@@ -106,7 +123,9 @@ class FitData:
 
     @cached_property
     def gains(self) -> tuple[str, ...]:
-        """Names of the estimated gains; one is 1 where the drive gain of the problem's robot is the identified one."""
+        """Names of the estimated gains; one is 1 where the drive gain of the problem's robot
+        is the identified one.
+        """
         return tuple(name for name in self.estimate.names if name.startswith("K:"))
 
     @cached_property
@@ -115,9 +134,14 @@ class FitData:
         return base_places(self.estimate.names)
 
     def spans(self, count: int) -> list[Span]:
-        """Equal spans of time of the recordings together; of each recording, if a span alone must determine drive gains."""
+        """Equal spans of time of the recordings together; of each recording, if a span alone must
+        determine drive gains.
+        """
         parts = spans_of(self.observed.parts) if self.gains else [slice(0, len(self.observed.tau))]
-        edges = [np.linspace(one.start, one.stop, count + 1).round().astype(int).tolist() for one in parts]
+        edges = [
+            np.linspace(one.start, one.stop, count + 1).round().astype(int).tolist()
+            for one in parts
+        ]
         return [tuple(slice(own[k], own[k + 1]) for own in edges) for k in range(count)]
 
     @property
@@ -128,13 +152,18 @@ class FitData:
     @cached_property
     def weight(self) -> Array:
         """(r,) 1/s_j of the rows of the system, zero where they do not count."""
-        return np.asarray(self.estimate.weights[self.observed.system.joint_of_row] * self.observed.system.used)
+        return np.asarray(
+            self.estimate.weights[self.observed.system.joint_of_row] * self.observed.system.used
+        )
 
     @cached_property
     def W(self) -> Array:
         """(r, b) weighted columns of the estimated parameters."""
         names = self.observed.system.names
-        return self.observed.system.W[:, [names.index(name) for name in self.estimate.names]] * self.weight[:, None]
+        return (
+            self.observed.system.W[:, [names.index(name) for name in self.estimate.names]]
+            * self.weight[:, None]
+        )
 
     @cached_property
     def Y(self) -> Array:
@@ -147,9 +176,13 @@ class FitData:
         return self.Y - self.W @ self.estimate.beta
 
     def part(self, part: Span) -> tuple[Array, Array, Array, float]:
-        """Q, W (r_k, b) and Y (r_k,) of a span of time, and its number of rows: the sum of the squares of their weights."""
+        """Q, W (r_k, b) and Y (r_k,) of a span of time, and its number of rows: the sum of the
+        squares of their weights.
+        """
         instants, rows = self.aligned(part)
-        Q, W, Y = (part_of(x, self.observed.tau.shape[1], rows) for x in (self.estimate.Q, self.W, self.Y))
+        Q, W, Y = (
+            part_of(x, self.observed.tau.shape[1], rows) for x in (self.estimate.Q, self.W, self.Y)
+        )
         return Q, W, Y, float(np.sum(self.observed.share[instants] ** 2))
 
     def error(self, part: Span, beta: Array) -> float:
@@ -159,21 +192,31 @@ class FitData:
         return float(np.linalg.norm((Y - W @ beta)[weight > 0] / weight[weight > 0]))
 
     def scores(self, part: Span, beta: Array, bread: Array, basis: Array) -> list[Scores]:
-        """Scores, by recording, of an estimate beta (b,) of a span of time with the orthonormal columns Q `basis`."""
+        """Scores, by recording, of an estimate beta (b,) of a span of time with the
+        orthonormal columns Q `basis`.
+        """
         Q, W, Y, _ = self.part(part)
-        each = [own.between(self._rounded(one)[0], start) for one in part for own, start in self._spans]
+        each = [
+            own.between(self._rounded(one)[0], start) for one in part for own, start in self._spans
+        ]
         rho = (Y - W @ beta).reshape(self.observed.tau.shape[1], -1)
         return scores_of_recordings(Q @ basis, bread, rho, [own for own in each if own.count])
 
     def aligned(self, part: Span) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The instants of a span of time, rounded to the nearest borders of the recordings' spans, and the rows of a joint."""
+        """The instants of a span of time, rounded to the nearest borders of the recordings' spans,
+        and the rows of a joint.
+        """
         each = zip(*map(self._rounded, part), strict=True)
-        instants, rows = (np.concatenate([np.arange(one.start, one.stop) for one in slices]) for slices in each)
+        instants, rows = (
+            np.concatenate([np.arange(one.start, one.stop) for one in slices]) for slices in each
+        )
         return instants, rows
 
     def _rounded(self, part: slice) -> tuple[slice, slice]:
         edges = np.concatenate([start + own.edges for own, start in self._spans])
-        rows = np.cumsum(np.concatenate([np.r_[0, np.full(own.count, own.rows)] for own, _ in self._spans]))
+        rows = np.cumsum(
+            np.concatenate([np.r_[0, np.full(own.count, own.rows)] for own, _ in self._spans])
+        )
         first, last = (int(np.abs(edges - at).argmin()) for at in (part.start, part.stop))
         return slice(int(edges[first]), int(edges[last])), slice(int(rows[first]), int(rows[last]))
 
@@ -187,13 +230,17 @@ class FitData:
 def measured_motion(problem: Problem) -> tuple[Motion, Decimation]:
     """The measured motion of a recording and its decimation."""
     settings = problem.settings
-    return problem.motion.between(settings.start, settings.stop, settings.cutoff_hz), settings.decimator
+    return problem.motion.between(
+        settings.start, settings.stop, settings.cutoff_hz
+    ), settings.decimator
 
 
 def further_columns(
     problems: Sequence[Problem], candidates: Sequence[Candidates], replicas: Sequence[Replica]
 ) -> Array:
-    """Columns (r, k + 1) of the candidates in the rows of the recordings: along the simulated motion, or the measured one."""
+    """Columns (r, k + 1) of the candidates in the rows of the recordings: along the simulated
+    motion, or the measured one.
+    """
     found = list[Array]()
     for k, (problem, terms) in enumerate(zip(problems, candidates, strict=True)):
         motion, decimation = measured_motion(problem)
@@ -209,8 +256,12 @@ def part_of(x: Array, n: int, part: slice | NDArray[np.intp]) -> Array:
     return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
 
 
-def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:
-    """C = D R D (b, b) of all base parameters; those that are not in the estimate are zero with the deviations of `full`."""
+def covariance_of_all(
+    names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate
+) -> Array:
+    """C = D R D (b, b) of all base parameters; those that are not in the estimate are zero with
+    the deviations of `full`.
+    """
     variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
     covariance = np.diag([variances.get(name, 0.0) for name in names])
     indices = np.array([names.index(name) for name in estimate.names])

@@ -1,4 +1,6 @@
-"""Drive gains and payloads: what identified gains look like when something is wrong, and what they assume."""
+"""Drive gains and payloads: what identified gains look like when something is
+wrong, and what they assume.
+"""
 
 from collections.abc import Iterator
 
@@ -13,12 +15,15 @@ from .lines import Figure, TrustLine
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
 MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
-LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6  # no smaller one is reported; larger where 3 deviations of the median show it
+# no smaller one is reported; larger where 3 deviations of the median show it
+LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6
 MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 
 
 def gains_test(evidence: FitData) -> TrustLine | None:
-    """Whether identified gains are positive, determined, and not all off by one factor beyond the catalogue's own scatter."""
+    """Whether identified gains are positive, determined, and not all off by one factor beyond the
+    catalogue's own scatter.
+    """
     if not evidence.gains:
         return None
     name, robot, names = "gains", evidence.problem.signals.robot, evidence.estimate.names
@@ -27,42 +32,72 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     K, labels = robot.gain[motors], [robot.motors[m].name for m in motors]
     described = np.array([np.nan if (g := robot.motors[m].gain) is None else g for m in motors])
     beside = zip(labels, K, half, np.where(np.isfinite(described), described, K), strict=True)
-    figures = tuple(Figure(name=n, value=k, half_width=abs(k) * h / 100, expected=d) for n, k, h, d in beside)
+    figures = tuple(
+        Figure(name=n, value=k, half_width=abs(k) * h / 100, expected=d) for n, k, h, d in beside
+    )
     unsure = [f"{n} ±{h:.2g} %" for n, h in zip(labels, half, strict=True) if h >= MAX_HALF_PERCENT]
     worst = float(half.max())
 
     def line(level: Level, text: str, finding: str = "") -> TrustLine:
-        return TrustLine(name, level, text, worst, finding=finding, figures=figures, unit="N m per unit of effort")
+        return TrustLine(
+            name,
+            level,
+            text,
+            worst,
+            finding=finding,
+            figures=figures,
+            unit="N m per unit of effort",
+        )
 
     if (K < 0).all() and half.min() <= MAX_USABLE_PERCENT:
-        text = "all drive gains are negative: the recordings are exchanged, the payload belongs to another"
+        text = (
+            "all drive gains are negative: the recordings are exchanged, the payload belongs "
+            "to another"
+        )
         return line("do not use", text, "recordings exchanged")
-    wrong = [n for n, k, h in zip(labels, K, half, strict=True) if k < 0 and h <= MAX_USABLE_PERCENT]
+    wrong = [
+        n for n, k, h in zip(labels, K, half, strict=True) if k < 0 and h <= MAX_USABLE_PERCENT
+    ]
     if wrong and (half[K <= 0] <= MAX_USABLE_PERCENT).all():
         finding = f"wrong sign of {' and '.join(wrong)}"
-        text = f"{finding}: its drive gain is negative, others are positive: check the sign of its effort and of its position"
+        text = (
+            f"{finding}: its drive gain is negative, others are positive: check the sign of "
+            "its effort and of its position"
+        )
         return line("do not use", text, finding)
     if (K <= 0).any() or half.min() > MAX_USABLE_PERCENT:
         why = ", ".join(unsure) or "one is negative"
         text = f"no drive gain is usable ({why}): check which recording has the payload"
         return line("do not use", text, "drive gains not determined")
     if len(unsure) == len(motors):
-        text = f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a heavier payload"
+        text = (
+            f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a "
+            "heavier payload"
+        )
         return line("caution", text, "drive gains not determined")
-    if (common := _common_factor((K / described)[(half < MAX_HALF_PERCENT) & np.isfinite(described)])) is not None:
+    if (
+        common := _common_factor(
+            (K / described)[(half < MAX_HALF_PERCENT) & np.isfinite(described)]
+        )
+    ) is not None:
         text = f"drive gains are {common[0]:.3g} times those described (median), which scatter by "
         text += f"{100 * common[1]:.2g} %: check the payload's mass, or peak against rms"
         return line("caution", text, "drive gains off by one factor")
     text = f"known to {half.min():.2g} to {worst:.2g} %"
     text += f"; not determined: {', '.join(unsure)}" if unsure else ""
     ratios = np.abs(np.diag(robot.R))[motors]
-    if any((np.abs(np.abs(K * by) - 1) < 0.01 * MAX_OFF_ONE_PERCENT).all() for by in (np.ones(len(K)), ratios)):
+    if any(
+        (np.abs(np.abs(K * by) - 1) < 0.01 * MAX_OFF_ONE_PERCENT).all()
+        for by in (np.ones(len(K)), ratios)
+    ):
         text += "; all are 1 N m per unit: the recorded effort is a torque already"
     return line("ok", text)
 
 
 def _common_factor(factors: Array) -> tuple[float, float] | None:
-    """Median of factors (m,) and their scatter, by robust deviations of logarithms; None if there is no common factor."""
+    """Median of factors (m,) and their scatter, by robust deviations of logarithms; None if
+    there is no common factor.
+    """
     if len(factors) < 2:
         return None
     of = np.log(factors)
@@ -70,18 +105,27 @@ def _common_factor(factors: Array) -> tuple[float, float] | None:
     limit = np.clip(MAX_SCATTERS * scatter, np.log(LEAST_FACTOR), np.log(SURE_FACTOR))
     off = abs(float(np.median(of)))
     of_median = scatter * np.sqrt(0.5 * np.pi / len(of))  # its deviation
-    return (float(np.exp(np.median(of))), scatter) if off > max(limit, MAX_SCATTERS * of_median) else None
+    return (
+        (float(np.exp(np.median(of))), scatter)
+        if off > max(limit, MAX_SCATTERS * of_median)
+        else None
+    )
 
 
 def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
-    """How far the centre of mass by the recordings alone is from the stated one; the line of the worst payload."""
+    """How far the centre of mass by the recordings alone is from the stated one; the
+    line of the worst payload.
+    """
     names, lines = evidence.estimate.names, list[TrustLine]()
     for one in dict.fromkeys(arm.payload for arm in evidence.arms):
         stated = {name: of for name, of in one.stated.items() if name in names} if one else {}
         if not one or not stated or not one.payload.mass_kg:
             continue
         alone = by_rows_alone(evidence.estimate, evidence.W, evidence.Y)
-        found, at = intervals_of(evidence.observed.system, alone), [names.index(name) for name in stated]
+        found, at = (
+            intervals_of(evidence.observed.system, alone),
+            [names.index(name) for name in stated],
+        )
         value, half = np.array(list(stated.values())).T
         off, C = alone.beta[at] - value, found.covariance[np.ix_(at, at)]
         mm = 1e3 / one.payload.mass_kg
@@ -90,11 +134,18 @@ def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
         beyond = differs(off, C + np.diag((half / found.reach) ** 2), found.freedom)
         text = f"centre of mass by the data {far:.2g} ± {width:.2g} mm from the stated one"
         if beyond:
-            text += f", beyond its ± {1e3 * one.payload.center_half_width_m:g} mm, and not used: check centre, frame and mass"
+            text += (
+                f", beyond its ± {1e3 * one.payload.center_half_width_m:g} mm, and not used: "
+                "check centre, frame and mass"
+            )
         figures = (Figure(name="distance", value=far, half_width=width, expected=0.0),)
         level: Level = "caution" if beyond else "ok"
         finding = "centre of mass differs" if beyond else ""
-        lines.append(TrustLine("centre of mass", level, text, far, finding=finding, figures=figures, unit="mm"))
+        lines.append(
+            TrustLine(
+                "centre of mass", level, text, far, finding=finding, figures=figures, unit="mm"
+            )
+        )
     return max(lines, key=lambda line: (line.level == "caution", line.value or 0.0), default=None)
 
 
@@ -110,6 +161,9 @@ def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
             scaled = "drive gains and all parameters scale with its mass"
             whys.append(scaled if evidence.gains else "it is taken off the arm")
         if None not in found:
-            whys.append("no recording is without payload: the parameters include what is not stated of the lightest")
+            whys.append(
+                "no recording is without payload: the parameters include what is not stated of the "
+                "lightest"
+            )
         if whys:
             yield Assumed("payload", one.payload.describe(joint), "; ".join(whys))

@@ -1,8 +1,9 @@
-"""Cross-validation: each block of time of one recording, or each of several recordings, predicted by a fit of the others.
+"""Cross-validation: each block of time of one recording, or each of several recordings, predicted
+by a fit of the others.
 
 A block adds A_k = Q_kᵀW_k and Q_kᵀY_k to A = QᵀW and QᵀY, so that the estimate of the others solves
-(A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have these sums instead of rows. With several recordings the others may leave
-parameters undetermined, so they are factored again.
+(A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have these sums instead of rows. With several
+recordings the others may leave parameters undetermined, so they are factored again.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -21,14 +22,16 @@ BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 
-Predict = Callable[..., Array]  # decimated torque (rows, n) by estimates, in as many equal spans of each recording
+# decimated torque (rows, n) by estimates, in as many equal spans of each recording
+Predict = Callable[..., Array]
 
 
 def held_out_parts(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
     """Five blocks of time of one recording, or each of several, predicted by the fit of the others.
 
-    With drive gains the blocks are of each recording: none alone determines them. Empty where too few rows are outside a block.
-    Errors in percent are of the torque; where the model does not hold, joints stand: those of weighted rows leave that out.
+    With drive gains the blocks are of each recording: none alone determines them. Empty where too
+    few rows are outside a block. Errors in percent are of the torque; where the model does not
+    hold, joints stand: those of weighted rows leave that out.
     """
     if len(evidence.names) > 1 and not evidence.gains:
         return _recordings(evidence, predict)
@@ -54,32 +57,51 @@ def held_out_parts(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
 
 
 def _recordings(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
-    """Each of several recordings; its own parameters are fitted to it, as the others do not contain them."""
+    """Each of several recordings; its own parameters are fitted to it, as the
+    others do not contain them.
+    """
     names, weights, estimate = evidence.estimate.names, evidence.estimate.weights, evidence.estimate
     parts = spans_of(evidence.observed.parts)
     rows = [_rows_of(evidence, k) for k in range(len(parts))]
     weighted = [np.c_[Z, W, Y] * weights[joint][:, None] for Z, W, Y, joint in rows]
     by_others = predictions_by_others(weighted, names, [arm.own for arm in evidence.arms])
-    betas, found = [estimate.beta if beta is None else beta for beta, _ in by_others], list[HeldOut]()
+    betas, found = (
+        [estimate.beta if beta is None else beta for beta, _ in by_others],
+        list[HeldOut](),
+    )
     predicted = predict(*(replace(estimate, beta=beta) for beta in betas), by_recording=True)
-    for k, (part, (_, W, Y, _), (beta, lost)) in enumerate(zip(parts, rows, by_others, strict=True)):
+    for k, (part, (_, W, Y, _), (beta, lost)) in enumerate(
+        zip(parts, rows, by_others, strict=True)
+    ):
         held, trained = (float(np.linalg.norm(Y - W @ x)) for x in (betas[k], estimate.beta))
         name, shown = evidence.names[k], None if beta is None else predicted
-        found.append(_held_out(evidence, name, part, shown, held=held, trained=trained, undetermined=tuple(lost)))
+        found.append(
+            _held_out(
+                evidence, name, part, shown, held=held, trained=trained, undetermined=tuple(lost)
+            )
+        )
     return tuple(found)
 
 
 def _held_out(
-    evidence: FitData, name: str, part: slice | NDArray[np.intp], predicted: Array | None, **known: Any
+    evidence: FitData,
+    name: str,
+    part: slice | NDArray[np.intp],
+    predicted: Array | None,
+    **known: Any,
 ) -> HeldOut:
-    """With the torque errors of some instants, whose torque `predicted` (rows, n) the others predict."""
+    """With the torque errors of some instants, whose torque `predicted` (rows,
+    n) the others predict.
+    """
     tau, counts = evidence.observed.tau[part], evidence.observed.counts[part]
     percents = [
         None if x is None else relative_error_percent(tau[counts], (tau - x[part])[counts])
         for x in (predicted, evidence.predicted)
     ]
     torque = float(np.linalg.norm(tau[counts]))
-    return HeldOut(name=name, error_percent=percents[0], trained_percent=percents[1], torque=torque, **known)
+    return HeldOut(
+        name=name, error_percent=percents[0], trained_percent=percents[1], torque=torque, **known
+    )
 
 
 def held_out_test(evidence: FitData) -> TrustLine:
@@ -88,22 +110,46 @@ def held_out_test(evidence: FitData) -> TrustLine:
     several = len(evidence.names) > 1 and not evidence.gains
     if not found:
         b = len(evidence.estimate.beta)
-        return TrustLine(name, "not made", f"not made: too few rows outside a block for {b} parameters; record longer")
-    made = [one for one in found if one.error_percent is not None and one.trained_percent is not None]
+        return TrustLine(
+            name,
+            "not made",
+            f"not made: too few rows outside a block for {b} parameters; record longer",
+        )
+    made = [
+        one for one in found if one.error_percent is not None and one.trained_percent is not None
+    ]
     without = [
         f"{one.name} cannot be predicted by the others: "
-        + (f"{', '.join(one.undetermined[:8])} undetermined" if one.undetermined else "it has no torque")
+        + (
+            f"{', '.join(one.undetermined[:8])} undetermined"
+            if one.undetermined
+            else "it has no torque"
+        )
         for one in found
         if one not in made and several
     ]
     if not made:
-        return TrustLine(name, "cannot tell" if several else "not made", "; ".join(without) or "not made: no torque")
-    of_tau = np.array([[x.error_percent, x.trained_percent, 1.0] for x in made]) * np.array([[x.torque] for x in made])
+        return TrustLine(
+            name,
+            "cannot tell" if several else "not made",
+            "; ".join(without) or "not made: no torque",
+        )
+    of_tau = np.array([[x.error_percent, x.trained_percent, 1.0] for x in made]) * np.array(
+        [[x.torque] for x in made]
+    )
     squares, of_weighted = (of_tau**2).sum(axis=0), np.array([[x.held, x.trained] for x in made])
     held, trained = (of_weighted**2).sum(axis=0)
     error, training = (float(np.sqrt(x / squares[2])) for x in squares[:2])
-    text = "; ".join([f"error {error:.3g} %{' of recordings' * several} held out, {training:.3g} % trained", *without])
-    figures = tuple(Figure(name=x.name, value=x.error_percent or 0.0, expected=x.trained_percent or 0.0) for x in made)
+    text = "; ".join(
+        [
+            f"error {error:.3g} %{' of recordings' * several} held out, {training:.3g} % trained",
+            *without,
+        ]
+    )
+    figures = tuple(
+        Figure(name=x.name, value=x.error_percent or 0.0, expected=x.trained_percent or 0.0)
+        for x in made
+    )
     ratio = float(np.sqrt(held / trained)) if trained > 0 else 1.0
     if ratio <= MAX_HELD_OUT_RATIO:
         return TrustLine(name, "ok", text, error, figures=figures, unit="%")
@@ -119,14 +165,21 @@ def held_out_test(evidence: FitData) -> TrustLine:
 def predictions_by_others(
     parts: Sequence[Array], names: tuple[str, ...], own: Sequence[Collection[str]]
 ) -> list[tuple[Array | None, list[str]]]:
-    """Parameters (b,) to predict each part by the fit of the others, its `own` ones fitted to it, from weighted rows [Z W Y].
+    """Parameters (b,) to predict each part by the fit of the others, its `own` ones fitted to it,
+    from weighted rows [Z W Y].
 
     Where the others do not determine them: None, and the names of those.
     """
-    factors, found, b = [r_factor(rows) for rows in parts], list[tuple[Array | None, list[str]]](), len(names)
+    factors, found, b = (
+        [r_factor(rows) for rows in parts],
+        list[tuple[Array | None, list[str]]](),
+        len(names),
+    )
     for k, its in enumerate(own):
         alone = np.array([name in its for name in names])
-        others = np.concatenate([R for i, R in enumerate(factors) if i != k])[:, ~np.r_[alone, alone, False]]
+        others = np.concatenate([R for i, R in enumerate(factors) if i != k])[
+            :, ~np.r_[alone, alone, False]
+        ]
         shared, undetermined = _solve(others, tuple(name for name in names if name not in its))
         beta = None
         if shared is not None:
@@ -138,7 +191,9 @@ def predictions_by_others(
 
 
 def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters; zero in rows that do not count."""
+    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters; zero in
+    rows that do not count.
+    """
     observed, n = evidence.observed, evidence.observed.tau.shape[1]
     indices = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
     system = observed.system

@@ -1,12 +1,14 @@
-"""The lag of the recorded torque behind the motion: one per group of recordings, estimated with instruments.
+"""The lag of the recorded torque behind the motion: one per group of recordings,
+estimated with instruments.
 
-To first order, equation (G), tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It is
-that of the simulated torque, as column and as instrument, so that position noise does not bias it; least squares would
-find a false lag. Rows slower than a fifth of the peak are left out: after a reversal friction rises smoothly where the
-model has a step, which looks like a lag. Residuals are whitened, as position noise grows with frequency and would hide
-a lag.
+To first order, equation (G), tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the
+coefficient L. It is that of the simulated torque, as column and as instrument, so that position
+noise does not bias it; least squares would find a false lag. Rows slower than a fifth of the peak
+are left out: after a reversal friction rises smoothly where the model has a step, which looks like
+a lag. Residuals are whitened, as position noise grows with frequency and would hide a lag.
 
-Prior information (effort timing of the recording, replay of the described controller) is combined with it by variances.
+Prior information (effort timing of the recording, replay of the described controller) is
+combined with it by variances.
 """
 
 from collections.abc import Sequence
@@ -17,7 +19,15 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import LEVEL, Estimate, System, instrumental_variables, intervals, t_quantile, whitened
+from ..estimation import (
+    LEVEL,
+    Estimate,
+    System,
+    instrumental_variables,
+    intervals,
+    t_quantile,
+    whitened,
+)
 from ..regression import LAG_ORDER, KnownLag, Problem, Rows, differentiate, fast_for_lag, weighted
 from ..report import Level
 from ..simulation import Replica
@@ -34,16 +44,21 @@ Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one
 def lags_in(
     rows: Rows, along: tuple[Array, Array, Sequence[NDArray[np.bool_]]], weights: Array
 ) -> tuple[Array, Array, int]:
-    """Lags (K,) of the torques in s besides those already corrected, deviations (K,) and their degrees of freedom.
+    """Lags (K,) of the torques in s besides those already corrected, deviations (K,) and
+    their degrees of freedom.
 
-    `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of `by_group`, and by recording
-    which rows (n, T) are fast. Raises `NoFitError` where the instruments do not determine the lags.
+    `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of
+    `by_group`, and by recording which rows (n, T) are fast. Raises `NoFitError` where the
+    instruments do not determine the lags.
     """
     Z, columns, fast = along
     system, b, lengths = rows.system, len(rows.system.names), [one.shape[1] for one in fast]
     names = (*system.names, *(f"lag {k}" for k in range(columns.shape[1])))
     used = np.concatenate(fast, axis=1).reshape(-1).astype(float)
-    system, Z = replace(system, W=np.c_[system.W, columns], names=names).with_rows(used), np.c_[Z, columns]
+    system, Z = (
+        replace(system, W=np.c_[system.W, columns], names=names).with_rows(used),
+        np.c_[Z, columns],
+    )
     first = instrumental_variables(system, Z, weights)
     system, Z = whitened(system, Z, system.Y - system.W @ first.beta, LAG_ORDER, tuple(lengths))
     rho = (system.Y - system.W @ first.beta) * system.used
@@ -57,13 +72,20 @@ def lags_in(
 
 
 def by_group(rates: Sequence[Array], groups: Groups) -> Array:
-    """Torque per second of lag (r, K) of each group: -d/dt tau by the `rates` (n, rows) of recordings, zero in other rows."""
-    whole, recording = -np.concatenate(rates, axis=1), np.repeat(range(len(rates)), [rate.shape[1] for rate in rates])
+    """Torque per second of lag (r, K) of each group: -d/dt tau by the `rates` (n, rows) of
+    recordings, zero in other rows.
+    """
+    whole, recording = (
+        -np.concatenate(rates, axis=1),
+        np.repeat(range(len(rates)), [rate.shape[1] for rate in rates]),
+    )
     return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 
 
 def simulated_rates(problem: Problem, replica: Replica) -> tuple[Array, NDArray[np.bool_]]:
-    """d/dt of the simulated torque of a recording, per second, weighted; and which rows are fast; (n, T) each."""
+    """d/dt of the simulated torque of a recording, per second, weighted; and which rows
+    are fast; (n, T) each.
+    """
     simulated, decimation = replica.motion, replica.decimation
     assert simulated is not None
     rate = differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0]))
@@ -73,26 +95,38 @@ def simulated_rates(problem: Problem, replica: Replica) -> tuple[Array, NDArray[
 
 
 def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag:
-    """The lag of a group from its prior and the data, `found` as in `Lag`, compared by Student's t as of Welch (1947)."""
+    """The lag of a group from its prior and the data, `found` as in `Lag`, compared by
+    Student's t as of Welch (1947).
+    """
     counted, reach = prior, 2.0
     if found is not None and not prior.stated:
         value, sd, freedom = found
-        data, both = KnownLag(value_s=value, sd_s=sd, source="data"), float(np.hypot(sd, prior.sd_s))
+        data, both = (
+            KnownLag(value_s=value, sd_s=sd, source="data"),
+            float(np.hypot(sd, prior.sd_s)),
+        )
         reach = t_quantile(0.5 + LEVEL / 2, freedom)
-        far = abs(value - prior.value_s) > t_quantile(1 - CHANCE / 2, freedom * (both / sd) ** 4) * both
+        far = (
+            abs(value - prior.value_s)
+            > t_quantile(1 - CHANCE / 2, freedom * (both / sd) ** 4) * both
+        )
         counted = data if far else prior.with_other(data)
     value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
     return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
 
 
 def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
-    """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known that the estimate holds."""
+    """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
+    that the estimate holds.
+    """
     weight = estimate.weights[system.joint_of_row] * system.used
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
 def lag_test(evidence: FitData) -> TrustLine:
-    """Whether torque and motion are synchronous, or the cost of not knowing it; the line of the worst group."""
+    """Whether torque and motion are synchronous, or the cost of not knowing it; the
+    line of the worst group.
+    """
     lines = [_line(evidence, lag) for lag in evidence.lags]
     return max(lines, key=lambda line: (line.level == "caution", abs(line.value or 0.0)))
 
@@ -111,9 +145,15 @@ def _line(evidence: FitData, lag: Lag) -> TrustLine:
     cost = f"±{moved[worst]:.2g} half-widths at {names[worst]}"
     if lag.prior.stated:
         text = f"{lag.value_s:.4g} s, as torque_lag_s states"
-        if lag.found is not None and abs(lag.found[0] - lag.value_s) > MAX_DEVIATIONS_FROM_STATED * lag.found[1]:
+        if (
+            lag.found is not None
+            and abs(lag.found[0] - lag.value_s) > MAX_DEVIATIONS_FROM_STATED * lag.found[1]
+        ):
             level = "caution"
-            text += f"; the data give {lag.found[0]:.4g} ± {lag.found[1] * lag.reach:.2g} s: leave torque_lag_s out"
+            text += (
+                f"; the data give {lag.found[0]:.4g} ± {lag.found[1] * lag.reach:.2g} s: leave "
+                "torque_lag_s out"
+            )
     elif lag.found is None:
         known = f"{lag.value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms by {lag.prior.source}"
         if lag.prior.source == "nothing":
@@ -124,11 +164,16 @@ def _line(evidence: FitData, lag: Lag) -> TrustLine:
     else:
         text += ": corrected, included in the intervals"
         if lag.source == "data":
-            text += f"; {lag.prior.source} gives {lag.prior.value_s * fs:.2f}, which contradicts it and is not used"
+            text += (
+                f"; {lag.prior.source} gives {lag.prior.value_s * fs:.2f}, which contradicts "
+                "it and is not used"
+            )
         if lag.delay_s is not None:
             delay, off = lag.delay_s[0] * fs, lag.delay_s[1] * fs
             text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
             if delay < -MAX_EARLY_SAMPLES - off:
                 level = "caution"
-                text += ", which is impossible: check sample_rate_hz of [controller] and time stamps"
+                text += (
+                    ", which is impossible: check sample_rate_hz of [controller] and time stamps"
+                )
     return TrustLine("lag", level, text, late, figures=figures, unit="samples")

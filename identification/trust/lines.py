@@ -4,12 +4,15 @@ from dataclasses import dataclass
 
 from ..report import Assumed, Level, Verdict
 
-LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
+# worst first
+LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """The result of a test at one joint, motor or block of time: value, half-width of the 95 % interval, expected value."""
+    """The result of a test at one joint, motor or block of time: value, half-width of the 95 %
+    interval, expected value.
+    """
 
     name: str
     value: float
@@ -23,7 +26,8 @@ class HeldOut:
 
     Attributes:
         name: of the block or recording.
-        error_percent: its torque error, in percent of its torque; None where the others do not determine the parameters.
+        error_percent: its torque error, in percent of its torque; None where the others do not
+            determine the parameters.
         trained_percent: the same for the fit of all.
         torque: norm of its torque.
         held, trained: norms of both errors of its weighted rows, in which nothing stands.
@@ -50,7 +54,8 @@ class TrustLine:
         value: its figure, None where there is none.
         finding: the same in a few words, for the first line of a report.
         figures: figures by joint, motor or block, for a plot, in `unit`.
-        fails_held_out: whether held-out errors are so large that, with M not positive, the fit is not to be used.
+        fails_held_out: whether held-out errors are so large that, with M not positive, the
+            fit is not to be used.
         assumed: what the test cannot check.
     """
 
@@ -67,7 +72,10 @@ class TrustLine:
 
 @dataclass(frozen=True, kw_only=True)
 class Trust:
-    """All tests of a fit, worst first, and the assumptions that no test covers. A test that was not made does not count."""
+    """All tests of a fit, worst first, and the assumptions that no test covers.
+
+    A test that was not made does not count.
+    """
 
     lines: tuple[TrustLine, ...]
     assumed: tuple[Assumed, ...] = ()
@@ -85,7 +93,13 @@ class Trust:
     def verdict(self) -> Verdict:
         """The worst level."""
         levels = {line.level for line in self.lines}
-        return "do not use" if "do not use" in levels else "caution" if "caution" in levels else "trust"
+        return (
+            "do not use"
+            if "do not use" in levels
+            else "caution"
+            if "caution" in levels
+            else "trust"
+        )
 
     @property
     def finding(self) -> str:

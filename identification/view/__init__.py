@@ -1,4 +1,7 @@
-"""Pictures of recordings, fits and studies, as Rerun files or HTML. The only room that imports rerun, to write its files."""
+"""Pictures of recordings, fits and studies, as Rerun files or HTML.
+
+The only room that imports rerun, to write its files.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -22,12 +22,16 @@ class Axis:
     def place(self, x: ArrayLike, left: float, right: float) -> Array:
         """Positions between two edges; what is beyond the ends is drawn there."""
         low, high = self.by(np.array([self.low, self.high]))
-        share = np.clip((self.by(np.asarray(x, dtype=float)) - low) / ((high - low) or 1.0), 0.0, 1.0)
+        share = np.clip(
+            (self.by(np.asarray(x, dtype=float)) - low) / ((high - low) or 1.0), 0.0, 1.0
+        )
         return np.asarray(left + (right - left) * share)
 
 
 def linear(low: float, high: float, most: int) -> Axis:
-    """Between two ends, with at most `most` ticks at multiples of 1, 2 or 5 times a power of ten."""
+    """Between two ends, with at most `most` ticks at multiples of 1, 2 or
+    5 times a power of ten.
+    """
     if not high > low:
         return Axis(low=low, high=high, ticks={low: f"{low:.3g}"})
     least = (high - low) / most
@@ -42,11 +46,15 @@ def logarithmic(low: float, high: float, most: int) -> Axis:
     """Between two ends above zero, with ticks at powers of ten."""
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     powers = range(first, last + 1, max(1, math.ceil((last - first) / most)))
-    ticks = {10.0**power: f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}" for power in powers}
+    ticks = {
+        10.0**power: f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}" for power in powers
+    }
     return Axis(low=low, high=high, ticks=ticks, by=lambda x: np.log10(np.maximum(x, low)))
 
 
 def decades(values: ArrayLike, most: int) -> Axis:
     """A logarithmic axis of whole powers of ten around values above zero."""
     low, high = float(np.min(values)), float(np.max(values))
-    return logarithmic(10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high)), most)
+    return logarithmic(
+        10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high)), most
+    )

@@ -1,4 +1,6 @@
-"""Charts of parameters, tests, gains, friction, excitations, studies: those of the HTML report alone."""
+"""Charts of parameters, tests, gains, friction, excitations, studies: those of
+the HTML report alone.
+"""
 
 import re
 from collections.abc import Sequence
@@ -19,7 +21,8 @@ from .panels import Column, Curve, Graph, Mark, Rows, Shape
 MAX_ROWS, MAX_COLUMNS = 30, 4  # of a chart
 MAX_HALF_WIDTHS_SHOWN = 3.0  # larger differences are drawn at the edge of their chart
 MAX_TRUSTED_SIGMAS = 3.0  # limit of a difference
-LOADS = {10.0: SKY, 50.0: ORANGE, 90.0: VERMILLION}  # percentiles of the load that curves of friction are drawn at
+# percentiles of the load that curves of friction are drawn at
+LOADS = {10.0: SKY, 50.0: ORANGE, 90.0: VERMILLION}
 SPEEDS = np.linspace(0.02, 1.0, 80)  # of these curves in each direction, relative to the peak
 MAX_DOTS = 400  # of a friction chart
 STUDY_ROWS = 5  # that the runs of a study by one method are spread over
@@ -27,11 +30,17 @@ LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE,
 
 
 def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[Rows]:
-    """Every parameter: its 95 % interval in percent of the value, and other sets, in half-widths of this interval."""
+    """Every parameter: its 95 % interval in percent of the value, and other sets, in
+    half-widths of this interval.
+    """
     names, charts = list(own.parameters), []
     percent, labels = logarithmic(0.01, 100.0, 4), " and ".join(values.label for values in others)
     ends = MAX_HALF_WIDTHS_SHOWN
-    far = Axis(low=-ends, high=ends, ticks={x: f"{x:+g}" if x else "0" for x in (-ends, -1.0, 0.0, 1.0, ends)})
+    far = Axis(
+        low=-ends,
+        high=ends,
+        ticks={x: f"{x:+g}" if x else "0" for x in (-ends, -1.0, 0.0, 1.0, ends)},
+    )
     off = [{d.name: d.off_sigma or 0.0 for d in differences(own, values)} for values in others]
     legend = [("● essential", ORANGE), ("○ not essential", GREY)]
     for values, color in zip(others, COMPARED, strict=False):
@@ -59,7 +68,15 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
             head = f"{labels} minus {own.label}, in ± 95 %"
             columns.append(Column(head=head, axis=far, marks=marks, lines=(-1.0, 0.0, 1.0)))
         title = f"parameters of {own.label}, {part[0]} to {part[-1]}"
-        charts.append(Rows(path=("deviations", part[0]), title=title, names=heads, columns=columns, legend=legend))
+        charts.append(
+            Rows(
+                path=("deviations", part[0]),
+                title=title,
+                names=heads,
+                columns=columns,
+                legend=legend,
+            )
+        )
     return charts
 
 
@@ -79,13 +96,27 @@ def trust_charts(trust: Trust) -> list[Rows]:
     for line in trust.lines:
         if line.figures:
             color = LEVEL_COLORS.get(line.level, GREY)
-            marks = [Mark(row=k, value=f.expected, color=GREEN, shape="tick") for k, f in enumerate(line.figures)]
-            marks += [Mark(row=k, value=f.value, half=f.half_width, color=color) for k, f in enumerate(line.figures)]
+            marks = [
+                Mark(row=k, value=f.expected, color=GREEN, shape="tick")
+                for k, f in enumerate(line.figures)
+            ]
+            marks += [
+                Mark(row=k, value=f.value, half=f.half_width, color=color)
+                for k, f in enumerate(line.figures)
+            ]
             column = Column(head=line.unit, axis=_around(marks), marks=marks)
             heads, title = [(f.name, LIGHT) for f in line.figures], f"{line.test}: {line.level}"
             value = "● value ± 95 %" if any(f.half_width for f in line.figures) else "● value"
             legend = ((value, color), ("| expected", GREEN))
-            charts.append(Rows(path=("tests", line.test), title=title, names=heads, columns=[column], legend=legend))
+            charts.append(
+                Rows(
+                    path=("tests", line.test),
+                    title=title,
+                    names=heads,
+                    columns=[column],
+                    legend=legend,
+                )
+            )
     return charts
 
 
@@ -96,15 +127,21 @@ def _around(marks: Sequence[Mark]) -> Axis:
 
 
 def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
-    """Friction of each joint over its speed: rows as dots, the identified curve with its 95 % interval; a color per load.
+    """Friction of each joint over its speed: rows as dots, the identified curve with its 95 %
+    interval; a color per load.
 
-    Dots are the measured torque minus all other predicted torque, the offset too, in the rows of all recordings; in the first
-    rows of a long one. If recordings have parameters of their own, dots use each recording's and curves their means.
+    Dots are the measured torque minus all other predicted torque, the offset too, in the rows of
+    all recordings; in the first rows of a long one. If recordings have parameters of their own,
+    dots use each recording's and curves their means.
     """
     problem, estimate, charts, found = fit.problem, fit.estimate, list[Graph](), []
     model, robot = problem.model, problem.signals.robot
-    columns = problem.base.columns[[fit.base.names.index(base_name(name)) for name in estimate.names]]
-    applies = np.array([[n in one.arm.names for n in estimate.names] for one in fit.recordings], dtype=float)
+    columns = problem.base.columns[
+        [fit.base.names.index(base_name(name)) for name in estimate.names]
+    ]
+    applies = np.array(
+        [[n in one.arm.names for n in estimate.names] for one in fit.recordings], dtype=float
+    )
     for one, own in zip(fit.recordings, applies, strict=True):
         dq, rigid = rigid_torque_at_rows(one.problem, one.arm.values(estimate))
         residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
@@ -116,33 +153,58 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
         at, looks = [0.0], [(PREDICTED, GREY, "identified")]
         if "load" in joint.terms and len(rows):
             at = np.percentile(loads[rows, j], list(LOADS)).tolist()
-            looks = [(color, color, f"load {x:.3g} {unit}") for x, color in zip(at, LOADS.values(), strict=True)]
+            looks = [
+                (color, color, f"load {x:.3g} {unit}")
+                for x, color in zip(at, LOADS.values(), strict=True)
+            ]
         rows = rows[:: max(1, len(rows) // MAX_DOTS)]
         v, load, curves, dots = moved[rows, j], loads[rows, j], list[Curve](), []
-        torque = (friction_alone(model, columns, j, v, load) * own[rows]) @ estimate.beta + residuals[rows, j]
+        torque = (
+            friction_alone(model, columns, j, v, load) * own[rows]
+        ) @ estimate.beta + residuals[rows, j]
         nearest = np.abs(load[:, None] - at).argmin(axis=1)
         for k, (color, of_dots, name) in enumerate(looks):
             dots.append((np.stack([v, torque], axis=1)[nearest == k], of_dots))
             for fastest in (-peak, peak) if peak > 0 else ():
                 speed = fastest * SPEEDS
-                G = friction_alone(model, columns, j, speed, np.full(len(speed), at[k])) * applies.mean(axis=0)
+                G = friction_alone(
+                    model, columns, j, speed, np.full(len(speed), at[k])
+                ) * applies.mean(axis=0)
                 variance = np.sum((G @ fit.intervals.covariance) * G, axis=1)
                 half = fit.intervals.reach * np.sqrt(np.maximum(variance, 0.0))
                 for side, text in ((0, name), (-1, "95 % interval"), (1, "95 % interval")):
                     line, key = (speed, G @ estimate.beta + side * half), f"{k}{len(curves):02}"
                     width = 1.0 if side else 2.5
-                    curves.append(Curve(key=key, name=text, color=color, line=line, width=width, dashed=bool(side)))
-        title = f"friction {joint.name}{of and f', {of}'} [{unit}] over speed [{joint.position_unit}/s]"
+                    curves.append(
+                        Curve(
+                            key=key,
+                            name=text,
+                            color=color,
+                            line=line,
+                            width=width,
+                            dashed=bool(side),
+                        )
+                    )
+        title = (
+            f"friction {joint.name}{of and f', {of}'} [{unit}] over speed [{joint.position_unit}/s]"
+        )
         path = ("friction", joint.name, *([of] if of else []))
         charts.append(Graph(path=path, title=title, curves=tuple(curves), dots=dots))
     return charts
 
 
 def interval_charts(excitation: Excitation) -> list[Rows]:
-    """Expected half-width of every parameter's 95 % interval; in grey that of the plain reference."""
+    """Expected half-width of every parameter's 95 % interval; in grey that
+    of the plain reference.
+    """
     e = excitation
-    halves = {name: (float(e.half[i]), float(e.plain_half[i])) for i, name in enumerate(e.base.names)}
-    axis, legend = decades(list(halves.values()), 5), (("this reference", ORANGE), ("plain reference", GREY))
+    halves = {
+        name: (float(e.half[i]), float(e.plain_half[i])) for i, name in enumerate(e.base.names)
+    }
+    axis, legend = (
+        decades(list(halves.values()), 5),
+        (("this reference", ORANGE), ("plain reference", GREY)),
+    )
     charts = []
     for part in _parts(list(halves), MAX_ROWS):
         marks = [
@@ -150,36 +212,55 @@ def interval_charts(excitation: Excitation) -> list[Rows]:
             for row, name in enumerate(part)
             for half, shift, color in zip(halves[name], (-0.16, 0.16), (ORANGE, GREY), strict=True)
         ]
-        columns, names = [Column(head="SI", axis=axis, marks=marks)], [(name, LIGHT) for name in part]
+        columns, names = (
+            [Column(head="SI", axis=axis, marks=marks)],
+            [(name, LIGHT) for name in part],
+        )
         title, path = f"expected ± 95 %, {part[0]} to {part[-1]}", ("intervals", part[0])
         charts.append(Rows(path=path, title=title, names=names, columns=columns, legend=legend))
     return charts
 
 
 def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
-    """The essential parameters in all variants by both methods with 95 % intervals; lines at that of IV by the rules."""
+    """The essential parameters in all variants by both methods with 95 % intervals; lines at
+    that of IV by the rules.
+    """
     legend = (("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by the rules", GREY))
-    names = [(f"{fit.variant.changed if k else 'by'} {fit.variant.to}", LIGHT) for k, fit in enumerate(fits)]
+    names = [
+        (f"{fit.variant.changed if k else 'by'} {fit.variant.to}", LIGHT)
+        for k, fit in enumerate(fits)
+    ]
     charts = []
     for part in _parts(fits[0].essential or tuple(fits[0].values), MAX_COLUMNS):
         columns = []
         for name in part:
             found = {row: fit.values[name] for row, fit in enumerate(fits) if name in fit.values}
-            marks = [Mark(row=k - 0.2, value=x[0], half=x[1], color=PURPLE, shape="cross") for k, x in found.items()]
-            marks += [Mark(row=k + 0.2, value=x[2], half=x[3], color=ORANGE) for k, x in found.items()]
+            marks = [
+                Mark(row=k - 0.2, value=x[0], half=x[1], color=PURPLE, shape="cross")
+                for k, x in found.items()
+            ]
+            marks += [
+                Mark(row=k + 0.2, value=x[2], half=x[3], color=ORANGE) for k, x in found.items()
+            ]
             lines = found[0][2] - found[0][3], found[0][2] + found[0][3]
-            columns.append(Column(head=f"{name} ± 95 %", axis=_around(marks), marks=marks, lines=lines))
+            columns.append(
+                Column(head=f"{name} ± 95 %", axis=_around(marks), marks=marks, lines=lines)
+            )
         title, path = ", ".join(part), ("sensitivity", part[0])
         charts.append(Rows(path=path, title=title, names=names, columns=columns, legend=legend))
     return charts
 
 
 def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
-    """The parameter that noise moves most with LS, over this noise, by both methods, and its known value, if there is noise."""
+    """The parameter that noise moves most with LS, over this noise, by both methods, and its known
+    value, if there is noise.
+    """
     noisy = [fits[0], *(fit for fit in fits if fit.values and fit.variant.noise)]
     if len(noisy) < 2:
         return None
-    moves = {name: moves_of(noisy, name)[:, 0].max() for name in fits[0].essential or fits[0].values}
+    moves = {
+        name: moves_of(noisy, name)[:, 0].max() for name in fits[0].essential or fits[0].values
+    }
     name = max(moves, key=lambda name: moves[name])
     noisy.sort(key=lambda fit: fit.variant.noise)
     x = 1e6 * np.array([fit.variant.noise for fit in noisy])
@@ -189,7 +270,15 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
         ends = np.stack([values - half, values + half], axis=1)
         lines = [(x, values), *((np.full(2, at), both) for at, both in zip(x, ends, strict=True))]
         for line in lines:
-            curves.append(Curve(key=f"{len(curves):03}", name=f"{label} ± 95 %", color=color, line=line, width=2.0))
+            curves.append(
+                Curve(
+                    key=f"{len(curves):03}",
+                    name=f"{label} ± 95 %",
+                    color=color,
+                    line=line,
+                    width=2.0,
+                )
+            )
     known, described = fits[0].known
     if name in described:
         line = x[[0, -1]], np.full(2, described[name])
@@ -200,7 +289,9 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
 
 
 def study_chart(runs: Sequence[Run]) -> Rows:
-    """Errors of all runs by method, with medians of least squares and of instrumental variables that converged."""
+    """Errors of all runs by method, with medians of least squares and of instrumental
+    variables that converged.
+    """
     names, marks, step = list[tuple[str, Color]](), list[Mark](), (STUDY_ROWS - 0.4) / len(runs)
     for top, name in ((0, "LS"), (STUDY_ROWS, "IV")):
         errors = list[float]()
@@ -208,14 +299,30 @@ def study_chart(runs: Sequence[Run]) -> Rows:
             fit, ended = (run.iv, run.status == "converged") if top else (run.ls, True)
             if fit and fit.error > 0:
                 color, shape = _look(ended) if top else (PURPLE, "cross")
-                marks.append(Mark(row=top - 0.3 + step * (k + 0.5), value=100 * fit.error, color=color, shape=shape))
+                marks.append(
+                    Mark(
+                        row=top - 0.3 + step * (k + 0.5),
+                        value=100 * fit.error,
+                        color=color,
+                        shape=shape,
+                    )
+                )
                 errors += [100 * fit.error] * ended
         median = float(np.median(errors)) if errors else None
-        heads = [name if median is None else f"{name}: median {median:.3g}", *[""] * (STUDY_ROWS - 1)]
+        heads = [
+            name if median is None else f"{name}: median {median:.3g}",
+            *[""] * (STUDY_ROWS - 1),
+        ]
         names += [(head, LIGHT) for head in heads]
         if median is not None:
-            marks += [Mark(row=top + k, value=median, color=LIGHT, shape="tick") for k in range(STUDY_ROWS)]
+            marks += [
+                Mark(row=top + k, value=median, color=LIGHT, shape="tick")
+                for k in range(STUDY_ROWS)
+            ]
     axis = decades([mark.value for mark in marks] or [1.0, 100.0], 6)
     legend = (("× LS", PURPLE), ("● IV converged", ORANGE), ("○ IV not", GREY), ("| median", LIGHT))
-    title, column = f"total error of {len(runs)} runs, of the true values", Column(head="%", axis=axis, marks=marks)
+    title, column = (
+        f"total error of {len(runs)} runs, of the true values",
+        Column(head="%", axis=axis, marks=marks),
+    )
     return Rows(path=("study",), title=title, names=names, columns=[column], legend=legend)

@@ -18,12 +18,15 @@ from .colors import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED,
 from .panels import Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
-SAMPLES_PER_PERIOD = 20.0  # drawn samples per cut-off period of long filtered curves, which then look smooth
+# drawn samples per cut-off period of long filtered curves, which then look smooth
+SAMPLES_PER_PERIOD = 20.0
 _BLOCK = 200_000  # samples processed at a time, which limits memory
 
-# For `measured`, `filtered`, `reference` or `simulated` and a quantity (q, dq, ddq, torque, error), a line per joint.
+# For `measured`, `filtered`, `reference` or `simulated` and a quantity (q, dq, ddq, torque,
+# error), a line per joint.
 Lines = Mapping[tuple[str, str], list[Line]]
-# Color, width, key and name of a curve by where it is from; keys sort in the order of drawing, the last in front.
+# Color, width, key and name of a curve by where it is from; keys sort in the order of
+# drawing, the last in front.
 LOOKS = {
     "measured": (MEASURED, 2.0, "measured", ""),
     "filtered": (PREDICTED, 1.0, "measured_filtered", "filtered"),
@@ -39,11 +42,17 @@ NAMES = {  # key and name of some of them
 def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Lines:
     """Decimated curves of a recording; `settings` are those of the filter.
 
-    `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted span, in place of raw derivatives.
-    `simulated` is the robot with the estimate, if the fit simulated one. Errors are positions minus the measured one.
+    `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted span, in
+    place of raw derivatives. `simulated` is the robot with the estimate, if the fit simulated one.
+    Errors are positions minus the measured one.
     """
-    motion = fit.problem.motion if fit else FilteredMotion(signals)  # that of the fit is filtered already
-    filtered = {} if settings is None or settings.cutoff_hz is None else _decimate(signals, settings, motion)
+    # that of the fit is filtered already
+    motion = fit.problem.motion if fit else FilteredMotion(signals)
+    filtered = (
+        {}
+        if settings is None or settings.cutoff_hz is None
+        else _decimate(signals, settings, motion)
+    )
     lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}
     for quantity, joints in _decimate(signals, None, FilteredMotion(signals)).items():
         if quantity in ("q", "torque") or not filtered:
@@ -53,7 +62,8 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
             lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
     replica = None if fit is None else fit.replica
     if replica is not None and replica.direct and (m := replica.motion) is not None:
-        t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]  # m.t_s is index / rate
+        # m.t_s is index / rate
+        t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]
         for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("error", m.q - replica.q)):
             lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
     return lines
@@ -65,8 +75,12 @@ def _line(t_s: Array, x: Array) -> Line:
     return t_s[k], x[k]
 
 
-def _decimate(signals: Signals, settings: Settings | None, motion: FilteredMotion) -> dict[str, list[Line]]:
-    """Lines of the raw motion and torque, or of the filtered motion, for each quantity and joint."""
+def _decimate(
+    signals: Signals, settings: Settings | None, motion: FilteredMotion
+) -> dict[str, list[Line]]:
+    """Lines of the raw motion and torque, or of the filtered motion, for
+    each quantity and joint.
+    """
     start, stop, stride = 0, len(signals.q), 1
     if settings is not None:
         start, stop, stride = settings.start, settings.stop, model_stride(signals, settings)
@@ -85,7 +99,10 @@ def _decimate(signals: Signals, settings: Settings | None, motion: FilteredMotio
                 k = extremes(x[:, j], step)
                 parts.append((signals.t_s[a + stride * k], x[k, j]))
     return {
-        quantity: [(np.concatenate([t for t, _ in parts]), np.concatenate([x for _, x in parts])) for parts in joints]
+        quantity: [
+            (np.concatenate([t for t, _ in parts]), np.concatenate([x for _, x in parts]))
+            for parts in joints
+        ]
         for quantity, joints in pieces.items()
     }
 
@@ -96,14 +113,18 @@ def bucket_size(N: int) -> int:
 
 
 def model_stride(signals: Signals, settings: Settings) -> int:
-    """One of how many filtered samples is drawn: 1 for a short recording, else 20 remain per cut-off period."""
+    """One of how many filtered samples is drawn: 1 for a short recording, else 20
+    remain per cut-off period.
+    """
     if bucket_size(len(signals.q)) == 1 or settings.cutoff_hz is None:
         return 1
     return max(1, int(signals.sample_rate_hz / (SAMPLES_PER_PERIOD * settings.cutoff_hz)))
 
 
 def extremes(x: Array, step: int) -> NDArray[np.intp]:
-    """Indices of the minimum and maximum of every `step` samples of x (N,); of all samples if `step` is 1."""
+    """Indices of the minimum and maximum of every `step` samples of x (N,); of all
+    samples if `step` is 1.
+    """
     if step == 1:
         return np.arange(len(x))
     whole = len(x) // step * step
@@ -115,7 +136,9 @@ def extremes(x: Array, step: int) -> NDArray[np.intp]:
 
 
 def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
-    """Per joint the reference and simulated position minus the measured one, in a readable unit; the position without."""
+    """Per joint the reference and simulated position minus the measured one, in a readable
+    unit; the position without.
+    """
     joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
         return [_plot(signals, lines, "q", j) for j in range(len(joints))]
@@ -128,7 +151,9 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
         factor, unit = readable_unit(peaks[joint.position_unit], joint.position_unit)
         plot = _plot(signals, lines, "error", j)
         curves = [replace(c, line=(c.line[0], factor * c.line[1])) for c in plot.curves]
-        plots.append(replace(plot, title=f"position error {joint.name} [{unit}]", curves=tuple(curves)))
+        plots.append(
+            replace(plot, title=f"position error {joint.name} [{unit}]", curves=tuple(curves))
+        )
     return plots
 
 
@@ -140,44 +165,75 @@ def torque_plots(signals: Signals, lines: Lines) -> list[Plot]:
 def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
     """Position, speed and acceleration of joint j; no position if the first page has it."""
     errors = any(quantity == "error" for _, quantity in lines)
-    return [_plot(signals, lines, quantity, j, alone=True) for quantity in (("q",) if errors else ()) + ("dq", "ddq")]
+    return [
+        _plot(signals, lines, quantity, j, alone=True)
+        for quantity in (("q",) if errors else ()) + ("dq", "ddq")
+    ]
 
 
 def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
-    """What is known of a quantity of joint j; of over three joints side by side the first has the legend."""
+    """What is known of a quantity of joint j; of over three joints side by side
+    the first has the legend.
+    """
     curves, joint, legend = [], signals.robot.joints[j], alone or j == 0 or signals.robot.n < 4
     for source, (color, width, *names) in LOOKS.items():
         if (source, quantity) in lines:
             key, name = NAMES.get((source, quantity), names)
             line, dashed = lines[source, quantity][j], source == "reference"
-            curves.append(Curve(key=key, name=name, color=color, line=line, width=width, dashed=dashed))
+            curves.append(
+                Curve(key=key, name=name, color=color, line=line, width=width, dashed=dashed)
+            )
     unit = joint.position_unit
     units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
     title = f"{quantity} {joint.name} [{units.get(quantity, unit)}]"
     return Plot(path=(quantity, joint.name), title=title, curves=tuple(curves), legend=legend)
 
 
-def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array) -> tuple[list[Plot], list[Plot]]:
-    """Per joint measured and modelled torque (T, n) of decimated rows with their residual, and the residual alone."""
+def row_plots(
+    robot: Robot, t_s: Array, tau: Array, tau_predicted: Array
+) -> tuple[list[Plot], list[Plot]]:
+    """Per joint measured and modelled torque (T, n) of decimated rows with their residual,
+    and the residual alone.
+    """
     torques, residuals = [], []
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
-        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=5.0)  # behind the model
+        # behind the model
+        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=5.0)
         model = Curve(key="model", color=PREDICTED, line=(t_s, tau_predicted[:, j]))
         rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
         path, title = ("residual", joint.name), f"residual {joint.name} [{unit}]"
         residuals.append(Plot(path=path, title=title, curves=(rest,), legend=False))
-        torques.append(Plot(path=path, title=f"torque {joint.name} [{unit}]", curves=(measured, model, rest)))
+        torques.append(
+            Plot(path=path, title=f"torque {joint.name} [{unit}]", curves=(measured, model, rest))
+        )
     return torques, residuals if (tau != tau_predicted).any() else []
 
 
 def column_plots(signals: Signals) -> list[Plot]:
-    """Other recorded columns: a plot per quantity with a curve per joint, of feed-forward per motor."""
+    """Other recorded columns: a plot per quantity with a curve per joint, of
+    feed-forward per motor.
+    """
     robot, plots = signals.robot, []
-    of_joints, of_motors = [joint.name for joint in robot.joints], [motor.name for motor in robot.motors]
+    of_joints, of_motors = (
+        [joint.name for joint in robot.joints],
+        [motor.name for motor in robot.motors],
+    )
     for key, title, values, names, units in (
-        ("velocity", "velocity measured", signals.velocity, of_joints, [f"{j.position_unit}/s" for j in robot.joints]),
+        (
+            "velocity",
+            "velocity measured",
+            signals.velocity,
+            of_joints,
+            [f"{j.position_unit}/s" for j in robot.joints],
+        ),
         ("known_torque", "known torque", signals.known_torque, of_joints, list(robot.effort_units)),
-        ("feedforward", "feed-forward", signals.feedforward, of_motors, [m.recorded_unit for m in robot.motors]),
+        (
+            "feedforward",
+            "feed-forward",
+            signals.feedforward,
+            of_motors,
+            [m.recorded_unit for m in robot.motors],
+        ),
     ):
         if values is not None:
             lines = {name: _line(signals.t_s, x) for name, x in zip(names, values.T, strict=True)}
@@ -190,29 +246,49 @@ def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tup
     """A curve per line, and for the title their unit; different units stand in their names."""
     one = len(set(units)) == 1
     curves = (
-        Curve(key=name, name="" if one else f"{name} [{unit}]", color=JOINTS[k % len(JOINTS)], line=line)
+        Curve(
+            key=name,
+            name="" if one else f"{name} [{unit}]",
+            color=JOINTS[k % len(JOINTS)],
+            line=line,
+        )
         for k, ((name, line), unit) in enumerate(zip(lines.items(), units, strict=True))
     )
     return f" [{units[0]}]" if one else "", tuple(curves)
 
 
 def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
-    """For each joint: position, speed and, if known, torque over one period, with their limits; by quantity."""
+    """For each joint: position, speed and, if known, torque over one period, with
+    their limits; by quantity.
+    """
     e, plots = excitation, dict[str, list[Plot]]()
     t_s, q, dq, tau = e.curves()
     efforts = dict(zip(e.limits.effort.names, e.limits.effort.limits, strict=True))
     for j, joint in enumerate(e.robot.joints):
-        unit, speed, effort = joint.position_unit, joint.si("speed"), efforts.get(f"joint {joint.name}")
+        unit, speed, effort = (
+            joint.position_unit,
+            joint.si("speed"),
+            efforts.get(f"joint {joint.name}"),
+        )
         shown = [("q", unit, q, joint.si("position")), ("dq", f"{unit}/s", dq, (-speed, speed))]
         if tau is not None:
-            shown.append(("torque", e.robot.effort_units[j], tau, None if effort is None else (-effort, effort)))
+            shown.append(
+                (
+                    "torque",
+                    e.robot.effort_units[j],
+                    tau,
+                    None if effort is None else (-effort, effort),
+                )
+            )
         for quantity, unit, x, limits in shown:
             curves = [Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j]))]
             for key, limit in zip(("low", "high"), limits or (), strict=False):
                 line = t_s[[0, -1]], np.full(2, limit)
                 curves.append(Curve(key=key, color=VERMILLION, line=line, width=0.75))
             path, title = (quantity, joint.name), f"{quantity} {joint.name} [{unit}]"
-            plots.setdefault(quantity, []).append(Plot(path=path, title=title, curves=tuple(curves), legend=False))
+            plots.setdefault(quantity, []).append(
+                Plot(path=path, title=title, curves=tuple(curves), legend=False)
+            )
     return plots
 
 

@@ -1,4 +1,6 @@
-"""Write a picture as one HTML file without scripts and requests, to be mailed, read on any screen, and printed."""
+"""Write a picture as one HTML file without scripts and requests, to be mailed, read on
+any screen, and printed.
+"""
 
 from dataclasses import replace
 from html import escape
@@ -18,21 +20,28 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
 def write_html(path: Path, picture: Picture) -> None:
-    """Write the report, all panels but the moving robot, versions and digests as HTML, complete or not at all."""
+    """Write the report, all panels but the moving robot, versions and digests as HTML,
+    complete or not at all.
+    """
     pages = [text for page in picture.pages if (text := _page(page))]
     first = f'<div class="first">{_figure(picture.first)}</div>' if picture.first else ""
     whole = replace(picture.document, title="The whole report", badge="")
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1"><meta '
+        'name="color-scheme" content="light dark">',
         f"<title>{escape(one_line(picture.name))}</title><style>{_style()}</style></head><body><main>",
         to_html(picture.document.short, heading=1, figures=first),
         "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
         to_html(whole, heading=1, figures="\n".join(pages)),
         "</details>",
-        f"<footer><h2>made with</h2><p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
-        *(f"<p>{escape(one_line(name))}: sha256 <code>{code}</code></p>" for name, code in picture.sha256.items()),
+        "<footer><h2>made "
+        f"with</h2><p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
+        *(
+            f"<p>{escape(one_line(name))}: sha256 <code>{code}</code></p>"
+            for name, code in picture.sha256.items()
+        ),
         "</footer></main></body></html>\n",
     ]
     with atomic_write(path) as partial:
@@ -40,8 +49,16 @@ def write_html(path: Path, picture: Picture) -> None:
 
 
 def notebook_figure(panel: Panel) -> str:
-    """A panel with the style of the report, in a frame, so that the style does not change the notebook."""
-    height = HEIGHT if isinstance(panel, Graph) else HEAD + PITCH * len(panel.names) if isinstance(panel, Rows) else 0.0
+    """A panel with the style of the report, in a frame, so that the style does
+    not change the notebook.
+    """
+    height = (
+        HEIGHT
+        if isinstance(panel, Graph)
+        else HEAD + PITCH * len(panel.names)
+        if isinstance(panel, Rows)
+        else 0.0
+    )
     content = escape(f"<style>{_style()}</style>{_figure(panel)}")
     size = f"width:100%;max-width:{SHEET:g}px;height:{1.2 * height + 64:g}px"
     return f'<iframe srcdoc="{content}" style="{size};border:0"></iframe>'
@@ -72,14 +89,23 @@ def _figure(panel: Panel) -> str:
             f'<p class="{"warning" if bad else "event"}">{escape(one_line(text))}</p>'
             for _, bad, text in panel.lines[:MAX_EVENTS]
         )
-        rest = f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>" if len(panel.lines) > MAX_EVENTS else ""
+        rest = (
+            f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>"
+            if len(panel.lines) > MAX_EVENTS
+            else ""
+        )
         return f'<figure class="wide"><figcaption>{title}</figcaption>{lines}{rest}</figure>'
     if isinstance(panel, Graph):
         named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}
-        drawn, keys = draw_graph(panel), "".join(_key(name, c.color, dashed=c.dashed) for name, c in named.items())
+        drawn, keys = (
+            draw_graph(panel),
+            "".join(_key(name, c.color, dashed=c.dashed) for name, c in named.items()),
+        )
     elif isinstance(panel, Rows):
         drawn = draw_rows(panel)
-        keys = "".join(f'<b class="ink {CLASSES[color]}">{escape(text)}</b>' for text, color in panel.legend)
+        keys = "".join(
+            f'<b class="ink {CLASSES[color]}">{escape(text)}</b>' for text, color in panel.legend
+        )
     else:
         return ""
     legend, width = f'<span class="legend">{keys}</span>' if keys else "", width_of(panel)
@@ -89,4 +115,7 @@ def _figure(panel: Panel) -> str:
 
 
 def _key(name: str, color: Color, *, dashed: bool = False) -> str:
-    return f'<span class="item"><i class="key {CLASSES[color]}{" dash" if dashed else ""}"></i>{escape(name)}</span> '
+    return (
+        '<span class="item"><i class="key '
+        f'{CLASSES[color]}{" dash" if dashed else ""}"></i>{escape(name)}</span> '
+    )

@@ -1,4 +1,5 @@
-"""The live page of a recording that is being written (`view --follow`): a picture for engineers, not a guard.
+"""The live page of a recording that is being written (`view --follow`): a picture for
+engineers, not a guard.
 
 It reads the file alone, so that it cannot hold the recorder up.
 """
@@ -41,11 +42,15 @@ _LOSSES = ("late", "missing", "kernel_drops")
 Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
 
 
-def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]) -> None:
-    """Show the recording at `path` until it is whole, in a viewer on this machine, or written to `out`.
+def follow_recording(
+    path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]
+) -> None:
+    """Show the recording at `path` until it is whole, in a viewer on this
+    machine, or written to `out`.
 
-    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `BadInputError`
-    where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
+    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each.
+    Raises `BadInputError` where the recording cannot be followed any more: it is gone,
+    replaced, cut, or not written.
     """
     follower = RecordingFollower(path)
     residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
@@ -62,8 +67,12 @@ def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Calla
                 grown_s = now_s
             page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
             if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
-                expected = "the recorder to write; `robot-acquire import` repairs a recording that was cut"
-                raise BadInputError(f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected)
+                expected = (
+                    "the recorder to write; `robot-acquire import` repairs a recording that was cut"
+                )
+                raise BadInputError(
+                    f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected
+                )
             _wait()
     finally:
         recording.disconnect()
@@ -93,21 +102,32 @@ class Residual:
         self._beta = stored_beta(stored, self._base, place)
         rms = [joint.residual_rms for joint in stored.joints]
         if stored.sample_rate_hz is None or UNSET in rms:
-            raise BadInputError("has no rms residuals", place=place, expected="a fit of this version: fit again")
+            raise BadInputError(
+                "has no rms residuals", place=place, expected="a fit of this version: fit again"
+            )
         self.band = [BAND * float(value) for value in rms if value is not UNSET]
         assert robot.bus is not None
-        self._rate_hz, ratio = 1.0 / robot.bus.sync_period_s, stored.sample_rate_hz * robot.bus.sync_period_s
+        self._rate_hz, ratio = (
+            1.0 / robot.bus.sync_period_s,
+            stored.sample_rate_hz * robot.bus.sync_period_s,
+        )
         self._decimation = Decimation(factor=max(1, round((stored.decimation or 1) / ratio)))
         self._passband_hz = 0.4 * self._rate_hz / self._decimation.factor
         below = stored.cutoff_hz is not None and stored.cutoff_hz < 0.5 * self._rate_hz
-        self._cutoff_hz, self._lag_s = stored.cutoff_hz if below else None, stored.torque_lag_s or 0.0
+        self._cutoff_hz, self._lag_s = (
+            stored.cutoff_hz if below else None,
+            stored.torque_lag_s or 0.0,
+        )
         self._rows: Block | None = None
         self._shown_ns = 0
 
     def add(self, rows: Block) -> tuple[Array, Array]:
         """Stamps (k,) in ns and residuals (k, n) that the new rows complete."""
         rate_hz, cutoff_hz = self._rate_hz, self._cutoff_hz
-        ends = [0 if f is None else round(CUT_PERIODS * rate_hz / f) for f in (cutoff_hz, self._passband_hz)]
+        ends = [
+            0 if f is None else round(CUT_PERIODS * rate_hz / f)
+            for f in (cutoff_hz, self._passband_hz)
+        ]
         rows = rows if self._rows is None else np.concatenate([self._rows, rows])
         gaps = np.flatnonzero(np.diff(rows["stamp_ns"]) * rate_hz > 1.5e9)
         rows = rows[gaps[-1] + 1 :] if len(gaps) else rows
@@ -116,9 +136,12 @@ class Residual:
             return np.zeros(0), np.zeros((0, len(self.band)))
         effort = self._gained.joint_effort(self._robot.motor_effort(rows["effort"]))
         tau = later(effort, self._lag_s * rate_hz)
-        # The ends of the low-pass are cut off before they disturb the decimation, and those of the decimation after it.
+        # The ends of the low-pass are cut off before they disturb the decimation, and those of the
+        # decimation after it.
         part = {"start": ends[0], "stop": len(rows) - ends[0]}
-        motion = motion_between(rows["position"], tau, cutoff_hz=cutoff_hz, sample_rate_hz=rate_hz, **part)
+        motion = motion_between(
+            rows["position"], tau, cutoff_hz=cutoff_hz, sample_rate_hz=rate_hz, **part
+        )
         rho = motion.tau - predicted_torque(motion, self._model, self._base, self._beta)
         at = self._decimation.instants(len(rho))
         stamps = rows["stamp_ns"][ends[0] + at]
@@ -129,7 +152,9 @@ class Residual:
 
 
 class LivePage:
-    """The page: state on top, then by joint following error, effort, position, residual; then the events."""
+    """The page: state on top, then by joint following error, effort, position,
+    residual; then the events.
+    """
 
     def __init__(self, recording: Any, robot: Robot, residual: Residual | None) -> None:
         self._recording, self._robot, self._residual = recording, robot, residual
@@ -139,11 +164,17 @@ class LivePage:
         self._laid_out: bool | None = None  # with the target
         self._warned, self.over = False, False
         errors = [_band("stop", RED, joint.si("following_error")) for joint in robot.joints]
-        self._levels = {"error": errors, "effort": _effort_levels(robot), "position": _ranges(robot)}
+        self._levels = {
+            "error": errors,
+            "effort": _effort_levels(robot),
+            "position": _ranges(robot),
+        }
         if residual is not None:
             self._levels["residual"] = [_band("band", ORANGE, half) for half in residual.band]
 
-    def add(self, follower: RecordingFollower, *, stalled: bool, warn: Callable[[str], None]) -> None:
+    def add(
+        self, follower: RecordingFollower, *, stalled: bool, warn: Callable[[str], None]
+    ) -> None:
         """Add what a `read` of the follower has found."""
         for event in follower.events:
             self._first_ns = self._first_ns or event.stamp_ns
@@ -162,7 +193,10 @@ class LivePage:
             self._last_ns = max(self._last_ns, health.stamp_ns)
             if health.counters.get("sched_fifo") == 0.0 and not self._warned:
                 self._warned = True
-                warn("the session runs without SCHED_FIFO: a viewer on this machine may delay it; use another machine")
+                warn(
+                    "the session runs without SCHED_FIFO: a viewer on this machine may delay it; "
+                    "use another machine"
+                )
         if follower.rows is not None:
             self._add_rows(follower.rows)
         if self._laid_out != (self._target is not None):
@@ -171,13 +205,22 @@ class LivePage:
 
     def _add_rows(self, rows: Block) -> None:
         stamps, q = rows["stamp_ns"], rows["position"]
-        self._first_ns, self._last_ns = self._first_ns or int(stamps[0]), max(self._last_ns, int(stamps[-1]))
-        series: dict[str, tuple[Array, list[Array]]] = {"effort": (stamps, [rows["effort"]]), "position": (stamps, [q])}
+        self._first_ns, self._last_ns = (
+            self._first_ns or int(stamps[0]),
+            max(self._last_ns, int(stamps[-1])),
+        )
+        series: dict[str, tuple[Array, list[Array]]] = {
+            "effort": (stamps, [rows["effort"]]),
+            "position": (stamps, [q]),
+        }
         if "reference" in (rows.dtype.names or ()):
             # As the guard: a drive reaches a target one period after it was sent.
             first = rows["reference"][:1] if self._target is None else self._target
             before = np.concatenate([first, rows["reference"][:-1]])
-            series |= {"error": (stamps, [q - before]), "position": (stamps, [rows["reference"], q])}
+            series |= {
+                "error": (stamps, [q - before]),
+                "position": (stamps, [rows["reference"], q]),
+            }
             self._target = rows["reference"][-1:]
         if self._residual is not None:
             at, rho = self._residual.add(rows)
@@ -185,48 +228,75 @@ class LivePage:
         for name, (at, columns) in series.items():
             for j in range(self._robot.n if len(at) else 0):
                 levels = [value for _, value in self._levels[name][j].values()]
-                self._send(f"{name}/{j + 1}/measured", at, np.stack([x[:, j] for x in columns], axis=1))
+                self._send(
+                    f"{name}/{j + 1}/measured", at, np.stack([x[:, j] for x in columns], axis=1)
+                )
                 if levels:
                     self._send(f"{name}/{j + 1}/levels", at[[0, -1]], np.tile(levels, (2, 1)))
 
     def _send(self, path: str, stamps: Array, values: Array) -> None:
         times = rr.TimeColumn("time", duration=(stamps - self._first_ns).astype("timedelta64[ns]"))
-        self._recording.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=values))
+        self._recording.send_columns(
+            path, indexes=[times], columns=rr.Scalars.columns(scalars=values)
+        )
 
     def _lay_out(self) -> None:
         bounds = rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-14.0, 14.0])
         rows = [rrb.Spatial2DView(origin="state", visual_bounds=bounds)]
-        begin, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-SHOWN_S, 0.0))
+        begin, end = (
+            rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-SHOWN_S, 0.0)
+        )
         window = rrb.VisibleTimeRange("time", start=begin, end=end)
         for name, levels in self._levels.items():
             views = []
             for j, joint in enumerate(self._robot.joints):
-                unit = self._robot.effort_units[j] if name in ("effort", "residual") else joint.position_unit
+                unit = (
+                    self._robot.effort_units[j]
+                    if name in ("effort", "residual")
+                    else joint.position_unit
+                )
                 names, colors = [name], [RESIDUAL if name == "residual" else LIGHT]
                 if name == "position" and self._target is not None:
                     names, colors = ["target", name], [REFERENCE, LIGHT]
                 self._style(f"{name}/{j + 1}/measured", names, colors)
-                self._style(f"{name}/{j + 1}/levels", list(levels[j]), [color for color, _ in levels[j].values()])
+                self._style(
+                    f"{name}/{j + 1}/levels",
+                    list(levels[j]),
+                    [color for color, _ in levels[j].values()],
+                )
                 title = {"position": "q"}.get(name, name)
                 sign = "" if name == "position" else "±"
-                told = [f"{key} {sign}{value:.3g}" for key, (_, value) in levels[j].items() if key[0] != "-"]
+                told = [
+                    f"{key} {sign}{value:.3g}"
+                    for key, (_, value) in levels[j].items()
+                    if key[0] != "-"
+                ]
                 # Of six joints each has 30 letters.
                 title = shown_text(f"{title} {joint.name} {', '.join(told)} [{unit}]")
                 legend = rrb.PlotLegend(visible=False)
                 origin = f"{name}/{j + 1}"
-                views.append(rrb.TimeSeriesView(origin=origin, name=title, time_ranges=[window], plot_legend=legend))
+                views.append(
+                    rrb.TimeSeriesView(
+                        origin=origin, name=title, time_ranges=[window], plot_legend=legend
+                    )
+                )
             rows.append(rrb.Horizontal(*views))
         rows.append(event_view("events", "events"))
         shares = [1.0, *(3.0 for _ in self._levels), 3.0]
         panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="following")
         page = rrb.Vertical(*rows, row_shares=shares, name="live")
-        self._recording.send_blueprint(rrb.Blueprint(page, panel, collapse_panels=True, auto_views=False))
+        self._recording.send_blueprint(
+            rrb.Blueprint(page, panel, collapse_panels=True, auto_views=False)
+        )
         self._laid_out = self._target is not None
 
     def _style(self, path: str, names: list[str], colors: list[Color]) -> None:
         if names:
-            widths = [3.0 if one == "target" else 1.0 for one in names]  # it lies behind the position
-            lines = rr.SeriesLines(names=names, colors=colors, widths=widths, aggregation_policy="MinMax")
+            # it lies behind the position
+            widths = [3.0 if one == "target" else 1.0 for one in names]
+            lines = rr.SeriesLines(
+                names=names, colors=colors, widths=widths, aggregation_policy="MinMax"
+            )
             self._recording.log(path, lines, static=True)
 
     def _show_state(self, problem: str, *, stalled: bool) -> None:
@@ -234,15 +304,22 @@ class LivePage:
         begin_ns, planned_s = self._left_from
         left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
         words = [f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}"]
-        words += [f"{name.replace('kernel_drops', 'dropped')} {count:g}" for name, count in self._losses.items()]
+        words += [
+            f"{name.replace('kernel_drops', 'dropped')} {count:g}"
+            for name, count in self._losses.items()
+        ]
         words += [f"no rows: {problem}"] * bool(problem)
         color = GREY if self.over else RED if stalled else GREEN
         if stalled and not self.over:
             words.insert(0, "THE FILE HAS STOPPED GROWING: what is shown is old")
-        bar = rr.LineStrips2D([[(0.0, -12.0), (1400.0, -12.0)]], colors=color, radii=rr.Radius.ui_points(4.0))
+        bar = rr.LineStrips2D(
+            [[(0.0, -12.0), (1400.0, -12.0)]], colors=color, radii=rr.Radius.ui_points(4.0)
+        )
         self._recording.log("state/bar", bar, static=True)
         text, hidden = shown_text("   |   ".join(words)), rr.Radius.ui_points(0.1)
-        label = rr.Points2D([(700.0, -9.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True)
+        label = rr.Points2D(
+            [(700.0, -9.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True
+        )
         self._recording.log("state/text", label, static=True)
 
 
@@ -255,15 +332,23 @@ def _effort_levels(robot: Robot) -> list[Lines]:
     """Rated efforts of each joint, with all its motors at theirs, and its effort limit."""
     assert robot.bus is not None
     pairs = zip(robot.bus.drive, robot.motors, strict=True)
-    motors = np.array([getattr(d, _RATED.get(m.recorded_unit, ""), None) for d, m in pairs], dtype=float)
+    motors = np.array(
+        [getattr(d, _RATED.get(m.recorded_unit, ""), None) for d, m in pairs], dtype=float
+    )
     to_joint = np.abs(robot.R.T) * np.abs(robot.gain)
     # A motor without a value leaves the joints that it turns without one.
     unknown = (to_joint != 0) @ np.isnan(motors)
-    rated = [None if lacks else x for x, lacks in zip(to_joint @ np.nan_to_num(motors), unknown, strict=True)]
+    rated = [
+        None if lacks else x
+        for x, lacks in zip(to_joint @ np.nan_to_num(motors), unknown, strict=True)
+    ]
     limits = effort_limits(robot)
     most = dict(zip(limits.names, limits.limits, strict=True))
     of_joints = [most.get(f"joint {joint.name}") for joint in robot.joints]
-    return [_band("rated", ORANGE, low) | _band("limit", RED, high) for low, high in zip(rated, of_joints, strict=True)]
+    return [
+        _band("rated", ORANGE, low) | _band("limit", RED, high)
+        for low, high in zip(rated, of_joints, strict=True)
+    ]
 
 
 def _band(name: str, color: Color, half: float | None) -> Lines:

@@ -1,4 +1,7 @@
-"""The pages of a result: which panels it has, in which order. The renderers, Rerun and HTML, show these lists."""
+"""The pages of a result: which panels it has, in which order.
+
+The renderers, Rerun and HTML, show these lists.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -20,11 +23,12 @@ from .signal_panels import event_logs, health_plots, spectrum_charts
 def draw_fit(signals: Signals, fit: methods.Fit, *, truth: Array | None = None) -> Picture:
     """A fit on one of its recordings. A fit by IV is shown together with its least squares.
 
-    Times are seconds from the recording's first sample, on the timeline `time`. Measured curves cover the recording, filtered
-    and predicted ones the fitted span. Entities are `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so
-    for `dq` and `ddq`; `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of the
-    plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`, `column/<quantity>`, `events`, `health`,
-    `report`.
+    Times are seconds from the recording's first sample, on the timeline `time`. Measured curves
+    cover the recording, filtered and predicted ones the fitted span. Entities are
+    `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
+    `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of
+    the plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`,
+    `column/<quantity>`, `events`, `health`, `report`.
     """
     own = methods.fitted_parameters(fit)
     others = [methods.least_squares_parameters(fit)] if fit.iv else []
@@ -49,7 +53,9 @@ def draw_fit(signals: Signals, fit: methods.Fit, *, truth: Array | None = None) 
             _friction_page({"": fit}),
             *of_signals,
         ),
-        sha256={one.problem.signals.recording: one.problem.signals.sha256 for one in fit.recordings},
+        sha256={
+            one.problem.signals.recording: one.problem.signals.sha256 for one in fit.recordings
+        },
     )
 
 
@@ -60,17 +66,27 @@ def draw_friction(before: methods.Fit, after: methods.Fit, document: Document) -
         name=f"{before.problem.signals.robot.name}, {recording}, friction",
         document=document,
         pages=(_friction_page({"usual": before, "recommended": after}),),
-        sha256={one.problem.signals.recording: one.problem.signals.sha256 for one in before.recordings},
+        sha256={
+            one.problem.signals.recording: one.problem.signals.sha256 for one in before.recordings
+        },
     )
 
 
-def draw_validation(validated: Sequence[methods.Validated], document: Document, sha256: Mapping[str, str]) -> Picture:
-    """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the model, and the residual."""
+def draw_validation(
+    validated: Sequence[methods.Validated], document: Document, sha256: Mapping[str, str]
+) -> Picture:
+    """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the
+    model, and the residual.
+    """
     pages = []
     for one in validated:
-        t_s = one.signals.t_s[one.settings.start : one.settings.stop : one.settings.decimation][: len(one.tau)]
+        t_s = one.signals.t_s[one.settings.start : one.settings.stop : one.settings.decimation][
+            : len(one.tau)
+        ]
         torque, residual = curves.row_plots(one.signals.robot, t_s, one.tau, one.tau_predicted)
-        pages.append(Page(name=one.signals.recording, groups={"torque": torque, "residual": residual}))
+        pages.append(
+            Page(name=one.signals.recording, groups={"torque": torque, "residual": residual})
+        )
     digests = {**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}}
     title = f"{validated[0].signals.robot.name} validation"
     return Picture(name=title, document=document, pages=tuple(pages), sha256=digests)
@@ -91,10 +107,14 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     )
 
 
-def draw_comparison(own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]) -> Picture:
+def draw_comparison(
+    own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]
+) -> Picture:
     """Two sets of parameters that belong together, as `report.differences` requires."""
     page = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])})
-    return Picture(name=f"{own.label} and {other.label}", document=document, pages=(page,), sha256=sha256)
+    return Picture(
+        name=f"{own.label} and {other.label}", document=document, pages=(page,), sha256=sha256
+    )
 
 
 def draw_study(robot: str, runs: Sequence[Run], document: Document) -> Picture:
@@ -103,7 +123,9 @@ def draw_study(robot: str, runs: Sequence[Run], document: Document) -> Picture:
     return Picture(name=f"{robot}, study", document=document, pages=(page,), sha256={})
 
 
-def draw_sensitivity(sha256: Mapping[str, str], fits: Sequence[VariedFit], document: Document) -> Picture:
+def draw_sensitivity(
+    sha256: Mapping[str, str], fits: Sequence[VariedFit], document: Document
+) -> Picture:
     """The essential parameters in all variants; `sha256` by recording."""
     page = Page(name="sensitivity", groups={"charts": charts.sensitivity_charts(fits)})
     name, first = f"{', '.join(sha256)}, sensitivity", charts.noise_chart(fits)
@@ -113,19 +135,26 @@ def draw_sensitivity(sha256: Mapping[str, str], fits: Sequence[VariedFit], docum
 def draw_excitation(excitation: Excitation, document: Document) -> Picture:
     """One period of a reference with its limits, and the expected intervals.
 
-    Entities are `q/<joint>`, `dq/<joint>` and, if known, `torque/<joint>`, each with `reference`, `low` and `high`;
-    `robot`, `report`.
+    Entities are `q/<joint>`, `dq/<joint>` and, if known, `torque/<joint>`, each with `reference`,
+    `low` and `high`; `robot`, `report`.
     """
     groups: dict[str, Sequence[Panel]] = {"robot": [excitation_scene(excitation)]}
-    groups |= {"intervals": charts.interval_charts(excitation), **curves.excitation_plots(excitation)}
+    groups |= {
+        "intervals": charts.interval_charts(excitation),
+        **curves.excitation_plots(excitation),
+    }
     page = Page(name="excitation", groups=groups)
-    return Picture(name=f"{excitation.robot.name}, excitation", document=document, pages=(page,), sha256={})
+    return Picture(
+        name=f"{excitation.robot.name}, excitation", document=document, pages=(page,), sha256={}
+    )
 
 
 def _signal_pages(
     signals: Signals, settings: Settings | None, fit: methods.Fit | None, residuals: Sequence[Plot]
 ) -> list[Page]:
-    """The pages of a recording with or without a fit and its residuals: overview, signal quality, motion."""
+    """The pages of a recording with or without a fit and its residuals: overview,
+    signal quality, motion.
+    """
     lines = curves.lines_of(signals, settings, fit)
     torque = curves.torque_plots(signals, lines)
     for j, residual in enumerate(residuals):
@@ -141,7 +170,10 @@ def _signal_pages(
         "health": health_plots(signals),
         "events": event_logs(signals),
     }
-    motion = {joint.name: curves.motion_plots(signals, lines, j) for j, joint in enumerate(signals.robot.joints)}
+    motion = {
+        joint.name: curves.motion_plots(signals, lines, j)
+        for j, joint in enumerate(signals.robot.joints)
+    }
     return [
         Page(name="overview" if fit else "recording", groups=overview),
         Page(name="signal", groups=signal),
@@ -158,7 +190,9 @@ def _friction_page(fits: Mapping[str, methods.Fit]) -> Page:
 
 
 def join_pictures(pictures: Sequence[Picture]) -> Picture:
-    """One picture of a fit to several recordings: all pages of the first, then the signals of the others."""
+    """One picture of a fit to several recordings: all pages of the first, then the
+    signals of the others.
+    """
     first, *others = pictures
     of_others = [
         replace(page, name=f"{page.name}: {one.name}")

@@ -23,7 +23,9 @@ class _Panel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
-    """A line of a plot; `key` is the last part of its entity's path. Lines are drawn in order of their keys, last in front.
+    """A line of a plot; `key` is the last part of its entity's path.
+
+    Lines are drawn in order of their keys, last in front.
 
     `dashed` where the renderer can: told from grey by its shape too.
     """
@@ -68,7 +70,9 @@ class Mark:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Column:
-    """Values of rows on an axis of their own, under a head; `lines` are values that all rows are compared with."""
+    """Values of rows on an axis of their own, under a head; `lines` are values that all
+    rows are compared with.
+    """
 
     head: str
     axis: Axis
@@ -106,7 +110,8 @@ class Moving:
 class Scene(_Panel):
     """Robots in one picture, drawn with the shapes of a `urdf`, whose joints are `joints`.
 
-    `up` (3,) is opposite to gravity; `floor` is the ground's height along it. The camera at `eye` (3,) looks at `target`.
+    `up` (3,) is opposite to gravity; `floor` is the ground's height along it. The camera at `eye`
+    (3,) looks at `target`.
     """
 
     robots: tuple[Moving, ...]
@@ -123,7 +128,9 @@ Panel = Graph | Rows | Log | Scene
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Page:
-    """Panels that are looked at together, in groups of one kind, or with `tabs` of one thing; Rerun shows a group at a time."""
+    """Panels that are looked at together, in groups of one kind, or with `tabs` of one thing; Rerun
+    shows a group at a time.
+    """
 
     name: str
     groups: Mapping[str, Sequence[Panel]]
@@ -132,7 +139,9 @@ class Page:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """A result: its name, report and pages; `sha256` are those of its files by name, `first` is the panel to look at first."""
+    """A result: its name, report and pages; `sha256` are those of its files by name, `first` is the
+    panel to look at first.
+    """
 
     name: str
     document: Document

@@ -1,4 +1,6 @@
-"""Write a picture to Rerun: series, events, the robot, and the report; charts are those of the HTML report."""
+"""Write a picture to Rerun: series, events, the robot, and the report; charts are
+those of the HTML report.
+"""
 
 import hashlib
 import re
@@ -29,15 +31,19 @@ ROBOT, MAX_COLUMNS = "robot", 3  # the group beside the others; plots side by si
 def write_rrd(path: Path, picture: Picture) -> None:
     """Write a picture as a Rerun file with its own layout (`rerun FILE.rrd`), paused at its start.
 
-    The viewer stores one layout per application: the digest of the report makes each file an application of its own.
-    Raises `BadInputError`: the file cannot be written.
+    The viewer stores one layout per application: the digest of the report makes each file an
+    application of its own. Raises `BadInputError`: the file cannot be written.
     """
-    named, report = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.name), to_markdown(picture.document)  # else Rerun warns
+    # else Rerun warns
+    named, report = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.name), to_markdown(picture.document)
     recording = rr.RecordingStream(f"{named} {hashlib.sha256(report.encode()).hexdigest()[:8]}")
-    stream = recording.binary_stream()  # in memory: disk errors are then raised by write_bytes below
+    # in memory: disk errors are then raised by write_bytes below
+    stream = recording.binary_stream()
     try:
         recording.send_recording_name(shown_text(picture.name))
-        recording.log("report", rr.TextDocument(shown_text(report), media_type="text/markdown"), static=True)
+        recording.log(
+            "report", rr.TextDocument(shown_text(report), media_type="text/markdown"), static=True
+        )
         text, tabs = [rrb.TextDocumentView(origin="report", name="report")], []
         for page in picture.pages:
             views = dict[str, list[Any]]()
@@ -65,7 +71,10 @@ def _arrange(page: Page, views: Mapping[str, Sequence[Any]], text: Sequence[Any]
     """A page: its groups below each other or in tabs, beside them the robot and the report."""
     main = {key: group for key, group in views.items() if group and key != ROBOT}
     columns = 1 if page.tabs else MAX_COLUMNS
-    grids = [rrb.Grid(*x, grid_columns=min(len(x), columns), name=shown_text(key)) for key, x in main.items()]
+    grids = [
+        rrb.Grid(*x, grid_columns=min(len(x), columns), name=shown_text(key))
+        for key, x in main.items()
+    ]
     shares = [-(-len(group) // columns) for group in main.values()]
     parts = [rrb.Tabs(*grids) if page.tabs else rrb.Vertical(*grids, row_shares=shares)]
     side = [*views.get(ROBOT, ()), *text]
@@ -83,14 +92,18 @@ def _show(recording: Any, panel: Panel) -> Any:
                 name, columns = shown_text(c.name or c.key), rr.Scalars.columns(scalars=c.line[1])
                 style = {"names": name, "colors": c.color, "widths": c.width}
                 # By default Rerun averages the values of one pixel, which loses peaks.
-                recording.log(entity, rr.SeriesLines(**style, aggregation_policy="MinMax"), static=True)
+                recording.log(
+                    entity, rr.SeriesLines(**style, aggregation_policy="MinMax"), static=True
+                )
                 recording.send_columns(entity, indexes=[_time(c.line[0])], columns=columns)
             legend, axis = rrb.PlotLegend(visible=panel.legend), rrb.TimeAxis(link="LinkToGlobal")
             return rrb.TimeSeriesView(origin=origin, name=title, axis_x=axis, plot_legend=legend)
         case Log():
             times = _time(np.array([t_s for t_s, _, _ in panel.lines]))
             levels = ["WARN" if warning else "INFO" for _, warning, _ in panel.lines]
-            columns = rr.TextLog.columns(text=[shown_text(text) for _, _, text in panel.lines], level=levels)
+            columns = rr.TextLog.columns(
+                text=[shown_text(text) for _, _, text in panel.lines], level=levels
+            )
             recording.send_columns(origin, indexes=[times], columns=columns)
             return event_view(origin, title)
         case Scene():
@@ -98,23 +111,35 @@ def _show(recording: Any, panel: Panel) -> Any:
 
 
 def event_view(origin: str, title: str) -> Any:
-    """A view of texts that repeat their times: the viewer cuts those of its column to four letters."""
+    """A view of texts that repeat their times: the viewer cuts those of its
+    column to four letters.
+    """
     times = rrb.encodings.TimelineColumn("time", visible=False)
     columns = rrb.TextLogColumns(timeline_columns=[times], text_log_columns=["LogLevel", "Body"])
     return rrb.TextLogView(origin=origin, name=title, columns=columns)
 
 
 def shown_text(text: str) -> str:
-    """Text in the viewer's font, outside of which it stops with an error: similar characters, else question marks."""
+    """Text in the viewer's font, outside of which it stops with an error: similar
+    characters, else question marks.
+    """
     return "".join(c if _has_glyph(c) else _replace_glyph(c) for c in text)
 
 
 def _has_glyph(c: str) -> bool:
-    return c in "\n\t" or " " <= c <= "~" or "¡" <= c <= "ÿ" or ("Α" <= c <= "ω" and c.isalpha()) or c in _SIGNS
+    return (
+        c in "\n\t"
+        or " " <= c <= "~"
+        or "¡" <= c <= "ÿ"
+        or ("Α" <= c <= "ω" and c.isalpha())
+        or c in _SIGNS
+    )
 
 
 def _replace_glyph(c: str) -> str:
-    plain = "'" if c == "ᵀ" else "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
+    plain = (
+        "'" if c == "ᵀ" else "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
+    )
     return plain or "?"
 
 
@@ -136,9 +161,13 @@ def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
                 columns = joint.compute_transform_columns(robot.q[:, j].tolist(), clamp=False)
                 path = f"{origin}/{robot.key}/joints/{j + 1}"
                 recording.send_columns(path, indexes=[_time(robot.t_s)], columns=columns)
-    grid = rrb.LineGrid3D(plane=rr.components.Plane3D(scene.up, scene.floor), color=(120, 120, 120, 60))
+    grid = rrb.LineGrid3D(
+        plane=rr.components.Plane3D(scene.up, scene.floor), color=(120, 120, 120, 60)
+    )
     eye = rrb.EyeControls3D(position=scene.eye, look_target=scene.target, eye_up=scene.up)
-    return rrb.Spatial3DView(origin=origin, name=shown_text(scene.title), line_grid=grid, eye_controls=eye)
+    return rrb.Spatial3DView(
+        origin=origin, name=shown_text(scene.title), line_grid=grid, eye_controls=eye
+    )
 
 
 def _urdf_tree(text: str, origin: str, key: str, *, ghost: bool) -> UrdfTree:

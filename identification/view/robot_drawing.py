@@ -1,4 +1,6 @@
-"""The moving robot in three dimensions, drawn by its URDF's shapes, or by a URDF made from its model."""
+"""The moving robot in three dimensions, drawn by its URDF's shapes, or by a
+URDF made from its model.
+"""
 
 import hashlib
 import xml.etree.ElementTree as ET
@@ -45,7 +47,9 @@ def excitation_scene(excitation: Excitation) -> Scene:
     t_s, q, _, _ = excitation.curves()
     k = np.arange(0, len(q), pose_stride(len(q), 1 / (t_s[1] - t_s[0])))
     dynamics = InverseModel(excitation.robot)
-    return _scene(dynamics, [Moving(key="reference", t_s=t_s[k], q=q[k])], q, "robot along the reference")
+    return _scene(
+        dynamics, [Moving(key="reference", t_s=t_s[k], q=q[k])], q, "robot along the reference"
+    )
 
 
 def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -> Scene:
@@ -79,18 +83,27 @@ def pose_stride(N: int, rate_hz: float) -> int:
 
 
 def _drawable(robot: Robot) -> str | None:
-    """The robot's URDF with files of its meshes, of the recording or by their names; None without shapes or a mesh."""
+    """The robot's URDF with files of its meshes, of the recording or by their names; None
+    without shapes or a mesh.
+    """
     if robot.urdf is None:
         return None
     root = ET.fromstring(robot.urdf)
     for link in root.iter("link"):
         for collision in link.findall("collision"):
             link.remove(collision)  # the viewer hides them
-    shapes = [shape for visual in root.iter("visual") for geometry in visual.iter("geometry") for shape in geometry]
+    shapes = [
+        shape
+        for visual in root.iter("visual")
+        for geometry in visual.iter("geometry")
+        for shape in geometry
+    ]
     for mesh in (shape for shape in shapes if shape.tag == "mesh"):
         name = mesh.get("filename", "")
         content = robot.mesh(name)
-        file = find_mesh(name) if content is None else _write_mesh(content, PurePosixPath(name).suffix)
+        file = (
+            find_mesh(name) if content is None else _write_mesh(content, PurePosixPath(name).suffix)
+        )
         if file is None:
             return None
         mesh.set("filename", str(file))
@@ -98,7 +111,9 @@ def _drawable(robot: Robot) -> str | None:
 
 
 def _write_mesh(content: bytes, suffix: str) -> Path | None:
-    """Write a recording's mesh to a file for Rerun, which reads only files; it is removed when the program ends."""
+    """Write a recording's mesh to a file for Rerun, which reads only files; it is removed
+    when the program ends.
+    """
     if suffix.lower() not in MESHES:
         return None
     file = Path(_folder().name) / (hashlib.sha256(content).hexdigest() + suffix)

@@ -13,21 +13,35 @@ from acquisition.commands.checking import Finding, check_drives
 from acquisition.protocol import DISABLED, Command, Mode, State
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import Bus, Robot
-from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
+from acquisition.session import (
+    InlineLog,
+    Outcome,
+    RecordedSummary,
+    Recorder,
+    Stop,
+    Task,
+    run_active,
+)
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
 from acquisition.simulated.node import SimulatedNode
 
 
-def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:
+def swing(
+    n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3
+) -> np.ndarray:
     t = np.arange(round(seconds / period_s) + 1) * period_s
     return np.repeat(amplitude * (1 - np.cos(2 * np.pi * t / seconds))[:, None], n, axis=1)
 
 
 class Answering:
-    """A link whose time goes on where nothing comes; `answer` gives what comes after a frame that is sent."""
+    """A link whose time goes on where nothing comes; `answer` gives what comes
+    after a frame that is sent.
+    """
 
-    def __init__(self, answer: Callable[[int, bytes], list[tuple[int, bytes]]] = lambda can_id, data: []) -> None:
+    def __init__(
+        self, answer: Callable[[int, bytes], list[tuple[int, bytes]]] = lambda can_id, data: []
+    ) -> None:
         self.answer, self.sent, self.waiting, self.time_ns = answer, [], [], 1_000_000_000
 
     def now_ns(self):
@@ -121,7 +135,8 @@ class SyncOfAnother(Through):
 class Fault:
     """A fault of drive `node` from the `sync`-th SYNC that it answers (from 1), for `count` SYNCs.
 
-    `slow`: it stays in switched on; `deaf`: it neither answers SYNC nor applies PDOs; `clear`: `bits` of its statusword are 0.
+    `slow`: it stays in switched on; `deaf`: it neither answers SYNC nor applies PDOs; `clear`:
+        `bits` of its statusword are 0.
     """
 
     kind: str
@@ -132,7 +147,9 @@ class Fault:
 
 
 class FaultyDrives(SimulatedDrives):
-    """Drives with `faults`; those in `silent`, by index, send nothing; frames in `late` (time, identifier, data) come late."""
+    """Drives with `faults`; those in `silent`, by index, send nothing; frames in `late` (time,
+    identifier, data) come late.
+    """
 
     def __init__(
         self,
@@ -156,7 +173,9 @@ class FaultyDrives(SimulatedDrives):
         return min((t for t in due if t is not None), default=None)
 
     def advance(self, now_ns):
-        late = sorted((frame for frame in self.late if frame[0] <= now_ns), key=lambda frame: frame[0])
+        late = sorted(
+            (frame for frame in self.late if frame[0] <= now_ns), key=lambda frame: frame[0]
+        )
         self.late = [frame for frame in self.late if frame[0] > now_ns]
         return [frame[1:] for frame in late] + self._audible(super().advance(now_ns))
 
@@ -167,9 +186,13 @@ class FaultyDrives(SimulatedDrives):
     def _answer(self, i, now_ns):
         self._answered[i] += 1
         node, k = self.nodes[i], self._answered[i]
-        acting = [f for f in self._faults if f.node == node.drive.node and f.sync <= k < f.sync + f.count]
+        acting = [
+            f for f in self._faults if f.node == node.drive.node and f.sync <= k < f.sync + f.count
+        ]
         kinds = [fault.kind for fault in acting]
-        node.values[node.drive.status.index, 0] &= ~sum(fault.bits for fault in acting if fault.kind == "clear")
+        node.values[node.drive.status.index, 0] &= ~sum(
+            fault.bits for fault in acting if fault.kind == "clear"
+        )
         if "deaf" in kinds:
             return []
         was = node.state
@@ -214,7 +237,11 @@ class SlowAnswers(FaultyDrives):
 
     def receive(self, now_ns, can_id, data):
         sent = super().receive(now_ns, can_id, data)
-        late = [frame for frame in sent if 0x580 < frame[0] < 0x600 and self.nodes[frame[0] - 0x581].operational]
+        late = [
+            frame
+            for frame in sent
+            if 0x580 < frame[0] < 0x600 and self.nodes[frame[0] - 0x581].operational
+        ]
         self.asked += len(late)
         due_ns = now_ns + 60_000_000 + self.asked * 7_000_000 % 40_000_000
         self.late += [(due_ns, *frame) for frame in late]
@@ -260,7 +287,8 @@ def dry_session(
     simulated: type[FaultyDrives] = FaultyDrives,
     log_of: type[InlineLog] = InlineLog,
 ) -> DrySession:
-    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised: drives that are disabled.
+    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised:
+    drives that are disabled.
 
     `drives` are those on the bus, where they are others than the session thinks.
     """
@@ -295,7 +323,9 @@ def dry_session(
 def connected(
     robot: Robot | None = None, kind: type[SimulatedDrives] = FaultyDrives, **how: object
 ) -> tuple[LockStepLink, Master]:
-    """Simulated drives of a robot, of two joints unless another is given, and a master on their bus."""
+    """Simulated drives of a robot, of two joints unless another is given, and
+    a master on their bus.
+    """
     robot = robot or robot_of(bus_text(2))
     run = LockStepLink(kind(robot, bus_of(robot), **how))
     return run, Master(run, run.drives.bus)
@@ -311,8 +341,12 @@ def enable(master: Master, *, start: bool = True) -> None:
             master.write(watch.drive.node, 0x6040, 0, command.controlword, 2)
 
 
-def findings(link: MasterLink, bus: Bus, subject: str = "", node: int | None = None) -> list[Finding]:
-    """What `check` finds about the drives, or of it only what it finds about one subject, or of one node."""
+def findings(
+    link: MasterLink, bus: Bus, subject: str = "", node: int | None = None
+) -> list[Finding]:
+    """What `check` finds about the drives, or of it only what it finds about one
+    subject, or of one node.
+    """
     found = check_drives(link, bus)
     return [f for f in found if subject in ("", f.subject) and node in (None, f.node)]
 
@@ -329,6 +363,10 @@ def at_boot(patch: pytest.MonkeyPatch, change: Callable[[SimulatedNode], object]
 
 
 def say(patch: pytest.MonkeyPatch, word: Callable[[int, int], int]) -> None:
-    """Every simulated drive says the statusword that `word` makes of its node and of its own statusword."""
+    """Every simulated drive says the statusword that `word` makes of its node and
+    of its own statusword.
+    """
     plain = SimulatedNode.statusword.fget
-    patch.setattr(SimulatedNode, "statusword", property(lambda node: word(node.drive.node, plain(node))))
+    patch.setattr(
+        SimulatedNode, "statusword", property(lambda node: word(node.drive.node, plain(node)))
+    )

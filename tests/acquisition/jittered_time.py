@@ -1,4 +1,6 @@
-"""The SCARA of the independent simulator logged every 8 to 13 ms, 5 % of the stamps off by 1 ms, and its import and fit."""
+"""The SCARA of the independent simulator logged every 8 to 13 ms, 5 % of the stamps off by 1 ms,
+and its import and fit.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -47,7 +49,9 @@ class Jittered:
 def drawn(seed: int, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Times of rows in whole ms, and the stamps written beside them."""
     rng = np.random.default_rng([7, seed])
-    times_ms = np.cumsum(rng.choice(STEPS_MS, size=int(1e3 * duration_s / min(STEPS_MS)) + 1, p=SHARES))
+    times_ms = np.cumsum(
+        rng.choice(STEPS_MS, size=int(1e3 * duration_s / min(STEPS_MS)) + 1, p=SHARES)
+    )
     times_ms = times_ms[times_ms < 1e3 * duration_s]
     stamps = times_ms * 1e-3
     off = rng.random(len(stamps)) < OFF
@@ -60,14 +64,28 @@ def write_table(folder: Path, runs: Runs, run: int, seed: int) -> Path:
     rows = np.rint(times_ms * 1e-3 * runs.rate_hz).astype(int)
     columns = [stamps[:, None], runs.q[run][rows], runs.q_ref[run][rows], runs.effort[run][rows]]
     path = folder / "log.csv"
-    np.savetxt(path, np.hstack(columns), delimiter=",", header="t,q1,q2,r1,r2,e1,e2", comments="", fmt="%.12g")
+    np.savetxt(
+        path,
+        np.hstack(columns),
+        delimiter=",",
+        header="t,q1,q2,r1,r2,e1,e2",
+        comments="",
+        fmt="%.12g",
+    )
     return path
 
 
 def covered(folder: Path, runs: int, duration_s: float = 10.0) -> Jittered:
-    body, robot, inside = plant(REPLAY / "scara" / "robot.toml"), load_robot(REPLAY / "scara" / "robot.toml"), []
+    body, robot, inside = (
+        plant(REPLAY / "scara" / "robot.toml"),
+        load_robot(REPLAY / "scara" / "robot.toml"),
+        [],
+    )
     robot = replace(robot, identification=type(robot.identification)())  # the package's own rules
-    controller, cell = described_controller(body), Imperfections(encoder_noise=1e-5, torque_noise_percent=2.0)
+    controller, cell = (
+        described_controller(body),
+        Imperfections(encoder_noise=1e-5, torque_noise_percent=2.0),
+    )
     (folder / "map.toml").write_text(MAP)
     for first in range(0, runs, CHUNK):
         seeds = range(first, min(runs, first + CHUNK))

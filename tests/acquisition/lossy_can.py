@@ -1,4 +1,6 @@
-"""Made-up lossy CAN recordings, each frame with the SYNC that it answers; shares no code with the decoder."""
+"""Made-up lossy CAN recordings, each frame with the SYNC that it answers; shares no
+code with the decoder.
+"""
 
 from dataclasses import dataclass, fields
 from functools import cache
@@ -11,13 +13,16 @@ from acquisition.recording import FRAME, SENT, Block, decode
 from acquisition.robot import Bus, Robot
 
 SYNCS = 1000
-COPIED, SWAPPED = 0.01, 0.01  # shares of PDOs that are doubled, of SYNCs that are doubled or swapped
+# shares of PDOs that are doubled, of SYNCs that are doubled or swapped
+COPIED, SWAPPED = 0.01, 0.01
 DRIVES, PERIODS_MS = (2, 3, 6), (1, 2, 5, 10)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """`sync`: doubled, swapped, lost; `silent`: pauses without a frame; `bursts`: frames in a row are lost."""
+    """`sync`: doubled, swapped, lost; `silent`: pauses without a frame; `bursts`:
+    frames in a row are lost.
+    """
 
     late: bool = False
     lost: bool = False
@@ -27,25 +32,41 @@ class Kind:
     bursts: bool = False
 
     def __str__(self) -> str:
-        words = [name for name in ("late", "lost", "doubled", "silent", "bursts") if getattr(self, name)]
-        return ", ".join(["on time"] * (not self.late) + words + [f"SYNC {self.sync}"] * bool(self.sync))
+        words = [
+            name for name in ("late", "lost", "doubled", "silent", "bursts") if getattr(self, name)
+        ]
+        return ", ".join(
+            ["on time"] * (not self.late) + words + [f"SYNC {self.sync}"] * bool(self.sync)
+        )
 
 
 LATE, LOST = {"late": True}, {"lost": True}
-MIXTURES: tuple[dict[str, bool], ...] = ({}, LATE, LOST, LATE | LOST, {"doubled": True} | LATE | LOST)
+MIXTURES: tuple[dict[str, bool], ...] = (
+    {},
+    LATE,
+    LOST,
+    LATE | LOST,
+    {"doubled": True} | LATE | LOST,
+)
 KINDS = (
     *(Kind(**mixture) for mixture in MIXTURES),
     Kind(doubled=True),
     Kind(lost=True, doubled=True),
     Kind(late=True, doubled=True),
-    *(Kind(sync=sync, **mixture) for sync in ("lost", "doubled", "swapped") for mixture in MIXTURES),
+    *(
+        Kind(sync=sync, **mixture)
+        for sync in ("lost", "doubled", "swapped")
+        for mixture in MIXTURES
+    ),
     *(Kind(silent=True, **mixture) for mixture in MIXTURES),
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Made:
-    """Frames; the SYNC that each one is or answers, as an index of `sync_ns`; the times at which the drives sampled."""
+    """Frames; the SYNC that each one is or answers, as an index of `sync_ns`; the times at
+    which the drives sampled.
+    """
 
     frames: Block
     answers: np.ndarray
@@ -57,7 +78,9 @@ class Made:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Counts of one recording, to be added up: rows `possible` are SYNCs with a recorded answer of every drive."""
+    """Counts of one recording, to be added up: rows `possible` are SYNCs with a recorded
+    answer of every drive.
+    """
 
     files: int = 1
     refused: int = 0
@@ -67,7 +90,9 @@ class Outcome:
     off: int = 0
 
     def __add__(self, other: "Outcome") -> "Outcome":
-        return Outcome(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
+        return Outcome(
+            **{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
+        )
 
 
 @cache
@@ -84,12 +109,16 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
     if kind.silent:
         for k in rng.integers(20, SYNCS - 20, int(rng.integers(1, 4))).tolist():
             at[k:] += int(rng.integers(2, 120))
-    parts = [(at, np.arange(SYNCS), -1)]  # times, the SYNCs that they are or answer, and whose: a drive, or SYNC
+    # times, the SYNCs that they are or answer, and whose: a drive, or SYNC
+    parts = [(at, np.arange(SYNCS), -1)]
     lateness = 10 ** rng.uniform(-3, -1.3) if rng.random() < 0.7 else rng.uniform(0.05, 0.3)
-    reach, run = rng.uniform(0.3, 1.5), int(rng.choice([1, 1, 1, 3, 20]))  # a drive stays late for so many SYNCs
+    # a drive stays late for so many SYNCs
+    reach, run = rng.uniform(0.3, 1.5), int(rng.choice([1, 1, 1, 3, 20]))
     for i in range(n):
         even = rng.random() < 0.5
-        jitter = 0.1 * rng.random(SYNCS) if even else rng.normal(0.05, rng.choice([0.005, 0.03]), SYNCS)
+        jitter = (
+            0.1 * rng.random(SYNCS) if even else rng.normal(0.05, rng.choice([0.005, 0.03]), SYNCS)
+        )
         delay = rng.uniform(0.03, 0.5) + np.abs(jitter)
         if kind.late:
             is_late = np.repeat(rng.random(SYNCS // run + 1) < lateness, run)[:SYNCS]
@@ -100,7 +129,8 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
         if kind.doubled:
             copied = np.flatnonzero(rng.random(SYNCS) < COPIED)
             after = rng.choice([1e-4, 0.3], len(copied)) * rng.random(len(copied))
-            last = np.append(came[1:], np.inf)[copied] - 1e-5  # a drive repeats before it sends the next
+            # a drive repeats before it sends the next
+            last = np.append(came[1:], np.inf)[copied] - 1e-5
             parts.append((np.minimum(came[copied] + after, last), copied, i))
     if kind.sync == "doubled":
         copied = np.flatnonzero(rng.random(SYNCS) < COPIED)
@@ -123,7 +153,9 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
     if kind.sync == "swapped":
         chosen = np.flatnonzero((whose < 0) & (rng.random(len(when)) < SWAPPED))
         stamped = "each" if ours else rng.choice(["each", "later"])
-        for a, b in zip(chosen.tolist(), (chosen + rng.choice([-1, 1], len(chosen))).tolist(), strict=True):
+        for a, b in zip(
+            chosen.tolist(), (chosen + rng.choice([-1, 1], len(chosen))).tolist(), strict=True
+        ):
             if not 0 <= b < len(when):
                 continue
             whose[[a, b]], which[[a, b]] = whose[[b, a]], which[[b, a]]
@@ -149,10 +181,15 @@ def value(answered: np.ndarray, hold: int) -> np.ndarray:
 
 
 def outcome(recording: Made) -> Outcome:
-    """Rows that decoding gives: mixed, if drives answer different SYNCs; off, if its time is not that of the SYNC."""
+    """Rows that decoding gives: mixed, if drives answer different SYNCs; off, if its time
+    is not that of the SYNC.
+    """
     robot, bus = described(recording.n, recording.period_ms)
     ids = recording.frames["can_id"]
-    each = [np.bincount(recording.answers[ids == 0x181 + i], minlength=SYNCS) > 0 for i in range(recording.n)]
+    each = [
+        np.bincount(recording.answers[ids == 0x181 + i], minlength=SYNCS) > 0
+        for i in range(recording.n)
+    ]
     possible = int(np.logical_and.reduce(each).sum())
     try:
         found = decode(recording.frames, robot, bus, "log")
@@ -162,15 +199,23 @@ def outcome(recording: Made) -> Outcome:
     positions = value(which, recording.hold)
     mixed = (positions != positions[0]).any(axis=0)
     off = np.abs(found.stamps - recording.sync_ns[which]).min(axis=0) > 0.5e6 * recording.period_ms
-    return Outcome(possible=possible, rows=len(mixed), mixed=int(mixed.sum()), off=int((off & ~mixed).sum()))
+    return Outcome(
+        possible=possible, rows=len(mixed), mixed=int(mixed.sum()), off=int((off & ~mixed).sum())
+    )
 
 
 def table(outcomes: dict[Kind, Outcome]) -> str:
-    """Of each kind the files, those that are refused, rows, mixed ones, ones off in time, and the share that is kept."""
-    lines = ["| kind | files | refused | rows | mixed | off | kept |", "|---|---|---|---|---|---|---|"]
+    """Of each kind the files, those that are refused, rows, mixed ones, ones off in time, and
+    the share that is kept.
+    """
+    lines = [
+        "| kind | files | refused | rows | mixed | off | kept |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for name, o in (*outcomes.items(), ("all", sum(outcomes.values(), Outcome(files=0)))):
         lines.append(
-            f"| {name} | {o.files} | {o.refused} | {o.rows} | {o.mixed} | {o.off} | {o.rows / max(1, o.possible):.4f} |"
+            f"| {name} | {o.files} | {o.refused} | {o.rows} | {o.mixed} | {o.off} | "
+            f"{o.rows / max(1, o.possible):.4f} |"
         )
     return "\n".join(lines)
 

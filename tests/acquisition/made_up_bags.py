@@ -21,11 +21,22 @@ def message(k, *, names=NAMES, frame="", stamp_ns=None, **parts):
     stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
     values = {"position": Q, "velocity": DQ, "effort": EFFORT} | parts
     order = [NAMES.index(name) if name in NAMES else -1 for name in names]
-    own = [np.zeros(0) if x is None else np.array([x[k][i] if i >= 0 else 9.0 for i in order]) for x in values.values()]
+    own = [
+        np.zeros(0) if x is None else np.array([x[k][i] if i >= 0 else 9.0 for i in order])
+        for x in values.values()
+    ]
     return types[STATE](types["std_msgs/msg/Header"](stamp, frame), list(names), *own)
 
 
-def bag(path, messages, *, storage=StoragePlugin.MCAP, compression=None, topic="/joint_states", late_ns=3_000_000):
+def bag(
+    path,
+    messages,
+    *,
+    storage=StoragePlugin.MCAP,
+    compression=None,
+    topic="/joint_states",
+    late_ns=3_000_000,
+):
     writer = Writer(path, version=9, storage_plugin=storage)
     if compression is not None:
         writer.set_compression(compression, CompressionFormat.ZSTD)
@@ -35,5 +46,9 @@ def bag(path, messages, *, storage=StoragePlugin.MCAP, compression=None, topic="
         text = STORE.types[TEXT]("hello")
         w.write(other, FIRST_NS, STORE.serialize_cdr(text, TEXT))
         for k, m in enumerate(messages):
-            w.write(states, FIRST_NS + late_ns + k * 1_000_000_000 // RATE_HZ, STORE.serialize_cdr(m, STATE))
+            w.write(
+                states,
+                FIRST_NS + late_ns + k * 1_000_000_000 // RATE_HZ,
+                STORE.serialize_cdr(m, STATE),
+            )
     return path

@@ -36,12 +36,18 @@ counts_per_turn = 65536
 
 
 def bus_text(
-    n: int = 2, *, period_s: float = 0.002, ratio: float = 50.0, extra: str = "", drive: str = "", interface: str = "virtual",
+    n: int = 2, *, period_s: float = 0.002, ratio: float = 50.0, extra: str = "", drive: str = "",
+    interface: str = "virtual",
     channel: str = "test",
 ) -> str:  # fmt: skip
-    """robot.toml of `n` joints and drives, nodes from 1; `extra` goes into [bus], `drive` into each [[bus.drive]]."""
+    """robot.toml of `n` joints and drives, nodes from 1; `extra` goes into [bus], `drive`
+    into each [[bus.drive]].
+    """
     joints = "".join(JOINT.format(i=i + 1, ratio=ratio) for i in range(n))
-    bus = f'[bus]\ninterface = "{interface}"\nchannel = "{channel}"\nsync_period_s = {period_s}\n{extra}\n'
+    bus = (
+        f'[bus]\ninterface = "{interface}"\nchannel = "{channel}"\nsync_period_s = '
+        f"{period_s}\n{extra}\n"
+    )
     drives = "".join(DRIVE.format(node=i + 1) + drive + "\n" for i in range(n))
     return f'name = "made up"\n[controller]\nbandwidth_hz = 5\n{joints}{bus}{drives}'
 
@@ -55,13 +61,17 @@ def bus_of(robot: Robot) -> Bus:
 
 
 def refused(text: str, expected: str, files: Mapping[str, bytes] | None = None) -> None:
-    """A description is refused in one line with `expected` in it, which begins with the key that is wrong."""
+    """A description is refused in one line with `expected` in it, which begins with
+    the key that is wrong.
+    """
     with pytest.raises(BadInputError, match=re.escape(expected)) as caught:
         bus_of(robot_of(text, files))
     assert str(caught.value).startswith(f"robot.toml: {caught.value.key}")
 
 
-def frame(time_ns: int, can_id: int, data: bytes = b"", flags: int = 0) -> tuple[int, int, int, int, NDArray[np.uint8]]:
+def frame(
+    time_ns: int, can_id: int, data: bytes = b"", flags: int = 0
+) -> tuple[int, int, int, int, NDArray[np.uint8]]:
     return (time_ns, can_id, len(data), flags, np.frombuffer(data.ljust(8, b"\0"), np.uint8))
 
 
@@ -77,7 +87,9 @@ def counts(node: int, k: int) -> int:
 def session(
     nodes: int = 2, syncs: int = 50, *, period_ns: int = 2_000_000, targets: bool = False
 ) -> list[list[object]]:
-    """Frames SYNC by SYNC: a list of [time, id, data] for each interval, to be damaged and then flattened."""
+    """Frames SYNC by SYNC: a list of [time, id, data] for each interval, to be
+    damaged and then flattened.
+    """
     intervals: list[list[object]] = []
     for k in range(syncs):
         t = 1_000_000_000 + k * period_ns

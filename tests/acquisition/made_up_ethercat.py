@@ -7,14 +7,17 @@ from dataclasses import dataclass, field
 APWR, FPWR, LRD, LWR, LRW, ARMW, FRMW = 2, 5, 10, 11, 12, 13, 14
 INPUTS = [(0x6041, 16), (0x6061, 8), (0, 8), (0x6064, 32), (0x6077, 16)]
 OUTPUTS = [(0x6040, 16), (0x607A, 32), (0x6060, 8), (0, 8)]
-BEGIN_NS, CLOCK_NS = 1_790_000_000 * 10**9, 10**18  # of cycle 0, by the capture and by distributed clocks
+# of cycle 0, by the capture and by distributed clocks
+BEGIN_NS, CLOCK_NS = 1_790_000_000 * 10**9, 10**18
 MASTER, BACK_NS = bytes.fromhex("c8decadedeff"), 15_000
 Packet = tuple[int, bytes]  # time in ns, frame
 
 
 @dataclass(kw_only=True)
 class Bus:
-    """`image`: lrd_lwr, lrw, overlap (LRW with outputs under the inputs) or frames (LRD of each drive, LWR: a frame each)."""
+    """`image`: lrd_lwr, lrw, overlap (LRW with outputs under the inputs) or frames (LRD of each
+    drive, LWR: a frame each).
+    """
 
     drives: int = 2
     period_ns: int = 1_000_000
@@ -64,7 +67,9 @@ class Bus:
         if self.wrap == "vlan":
             kind = b"\x81\x00\x00\x07" + kind
         if self.wrap == "udp":
-            kind = b"\x08\x00" + struct.pack(">BBHHHBBH8x", 0x45, 0, 28 + len(content), 0, 0, 64, 17, 0)
+            kind = b"\x08\x00" + struct.pack(
+                ">BBHHHBBH8x", 0x45, 0, 28 + len(content), 0, 0, 64, 17, 0
+            )
             kind += struct.pack(">HHHH", 34980, 34980, 8 + len(content), 0)
         return (b"\xff" * 6 + source + kind + content).ljust(60, b"\0")
 
@@ -73,7 +78,9 @@ class Bus:
         for k, station in enumerate(self.stations):
             yield APWR, (-k & 0xFFFF) | 0x10 << 16, struct.pack("<H", station)
         for k, station in enumerate(self.stations):
-            mailboxes = struct.pack("<HHBBBBHHBBBB", 0x1000, 128, 0x26, 0, 1, 0, 0x1080, 128, 0x22, 0, 1, 0)
+            mailboxes = struct.pack(
+                "<HHBBBBHHBBBB", 0x1000, 128, 0x26, 0, 1, 0, 0x1080, 128, 0x22, 0, 1, 0
+            )
             yield FPWR, station | 0x800 << 16, mailboxes
             if k < self.couplers:
                 continue
@@ -83,8 +90,16 @@ class Bus:
             read, written = self.addresses(k - self.couplers)
             yield FPWR, station | 0x810 << 16, struct.pack("<HHBBBB", 0x1100, 8, 0x64, 0, 1, 0)
             yield FPWR, station | 0x818 << 16, struct.pack("<HHBBBB", 0x1180, 10, 0x20, 0, 1, 0)
-            yield FPWR, station | 0x600 << 16, struct.pack("<IHBBHBBB3x", written, 8, 0, 7, 0x1100, 0, 2, 1)
-            yield FPWR, station | 0x610 << 16, struct.pack("<IHBBHBBB3x", read, 10, 0, 7, 0x1180, 0, 1, 1)
+            yield (
+                FPWR,
+                station | 0x600 << 16,
+                struct.pack("<IHBBHBBB3x", written, 8, 0, 7, 0x1100, 0, 2, 1),
+            )
+            yield (
+                FPWR,
+                station | 0x610 << 16,
+                struct.pack("<IHBBHBBB3x", read, 10, 0, 7, 0x1180, 0, 1, 1),
+            )
 
     def sdos(self) -> Iterable[bytes]:
         """Bodies of the transfers that write the mapping."""
@@ -104,7 +119,9 @@ class Bus:
             if command == APWR:
                 back = address & ~0xFFFF | ((address & 0xFFFF) + len(self.stations)) & 0xFFFF
             packets.append((time_ns, self.frame(True, [(command, address, data, 0)], index)))
-            packets.append((time_ns + BACK_NS, self.frame(False, [(command, back, data, 1)], index)))
+            packets.append(
+                (time_ns + BACK_NS, self.frame(False, [(command, back, data, 1)], index))
+            )
             time_ns += 100_000
         return packets
 
@@ -112,7 +129,9 @@ class Bus:
         """Offset in ns in cycle k of each frame, out and back."""
         n, base = self.drives, 0x10000
         answers = n - (k in self.silent)
-        reads = b"".join((self.inputs(k, i) if i < answers else bytes(10)) + bytes(6) for i in range(n))
+        reads = b"".join(
+            (self.inputs(k, i) if i < answers else bytes(10)) + bytes(6) for i in range(n)
+        )
         writes = b"".join(self.outputs(k, i) + bytes(8) for i in range(n))
         empty = bytes(len(reads))
         if self.image == "lrd_lwr":
@@ -129,13 +148,21 @@ class Bus:
         if self.clock:
             time = (CLOCK_NS + k * self.period_ns) % (1 << 8 * self.clock)
             data = time.to_bytes(self.clock, "little")
-            first = (FRMW, self.stations[0] | 0x910 << 16) if self.clock == 4 else (ARMW, 0x910 << 16)
+            first = (
+                (FRMW, self.stations[0] | 0x910 << 16) if self.clock == 4 else (ARMW, 0x910 << 16)
+            )
             frames[0].insert(0, (*first, bytes(self.clock), data, len(self.stations)))
         return [
             (
                 20_000 * j,
-                self.frame(True, [(c, a, sent, 0) for c, a, sent, _, _ in frame], len(frames) * k + j),
-                self.frame(False, [(c, a, got, counter) for c, a, _, got, counter in frame], len(frames) * k + j),
+                self.frame(
+                    True, [(c, a, sent, 0) for c, a, sent, _, _ in frame], len(frames) * k + j
+                ),
+                self.frame(
+                    False,
+                    [(c, a, got, counter) for c, a, _, got, counter in frame],
+                    len(frames) * k + j,
+                ),
             )
             for j, frame in enumerate(frames)
         ]
@@ -160,7 +187,10 @@ class Bus:
         for k in range(cycles):
             frames = self.cycle(k)
             found += [(self.time_ns(k) + at, out) for at, out, _ in frames]
-            found += [(self.time_ns(k) + BACK_NS + len(frames) * 20_000 + at, back) for at, _, back in frames]
+            found += [
+                (self.time_ns(k) + BACK_NS + len(frames) * 20_000 + at, back)
+                for at, _, back in frames
+            ]
         return found
 
 
@@ -172,7 +202,13 @@ def pcap(packets: list[Packet], *, order: str = "<", tick_ns: int = 1, snap: int
 
 def record(packet: Packet, order: str = "<", tick_ns: int = 1, snap: int = 2**16) -> bytes:
     time_ns, frame = packet
-    head = struct.pack(f"{order}IIII", time_ns // 10**9, time_ns % 10**9 // tick_ns, min(snap, len(frame)), len(frame))
+    head = struct.pack(
+        f"{order}IIII",
+        time_ns // 10**9,
+        time_ns % 10**9 // tick_ns,
+        min(snap, len(frame)),
+        len(frame),
+    )
     return head + frame[:snap]
 
 
@@ -184,7 +220,13 @@ def pcapng(packets: list[Packet], *, order: str = "<", resolution: int | None = 
         size = struct.pack(f"{order}I", len(body) + 12)
         return struct.pack(f"{order}I", kind) + size + body + size
 
-    ticks = 10**6 if resolution is None else 2 ** (resolution & 127) if resolution & 128 else 10**resolution
+    ticks = (
+        10**6
+        if resolution is None
+        else 2 ** (resolution & 127)
+        if resolution & 128
+        else 10**resolution
+    )
     option = b"" if resolution is None else struct.pack(f"{order}HHB3xHH", 9, 1, resolution, 0, 0)
     found = block(0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1))
     found += block(1, struct.pack(f"{order}HHI", 1, 0, 2**16) + option)

@@ -1,4 +1,6 @@
-"""Programs of a session as processes on a loopback bus of their own: started, waited for, and what their recordings hold."""
+"""Programs of a session as processes on a loopback bus of their own: started, waited for, and what
+their recordings hold.
+"""
 
 import itertools
 import os
@@ -39,7 +41,9 @@ for _ in range(os.getpid() * 16 % 12000):
 
 @pytest.fixture
 def port() -> Iterator[int]:
-    """A port that no other test on this machine uses: each holds the TCP port of the same number as long as it runs."""
+    """A port that no other test on this machine uses: each holds the TCP port of the same
+    number as long as it runs.
+    """
     for number in PORTS:
         with socket.socket() as held:
             try:
@@ -52,7 +56,9 @@ def port() -> Iterator[int]:
 
 @pytest.fixture
 def folder(tmp_path: Path, port: int) -> Path:
-    """A description on a bus of its own, and a reference; skips where there is no multicast on loopback."""
+    """A description on a bus of its own, and a reference; skips where there is no
+    multicast on loopback.
+    """
     (tmp_path / "robot.toml").write_text(slow_bus_text(2, channel=f"239.74.163.2:{port}"))
     bus = bus_at(tmp_path)
     try:
@@ -66,7 +72,9 @@ def folder(tmp_path: Path, port: int) -> Path:
     t = np.arange(0, 6.001, 0.004)
     q = 0.3 * (1 - np.cos(2 * np.pi * t / 6))
     rows = np.column_stack([t, q, q])
-    np.savetxt(tmp_path / "ref.csv", rows, delimiter=",", header="time_s,joint_1,joint_2", comments="")
+    np.savetxt(
+        tmp_path / "ref.csv", rows, delimiter=",", header="time_s,joint_1,joint_2", comments=""
+    )
     return tmp_path
 
 
@@ -75,10 +83,15 @@ def bus_at(folder: Path) -> BusFile:
 
 
 def acquire(
-    folder: Path, *arguments: str, program: tuple[str, str] = ("-m", "acquisition"), **options: object
+    folder: Path,
+    *arguments: str,
+    program: tuple[str, str] = ("-m", "acquisition"),
+    **options: object,
 ) -> "subprocess.Popen[str]":
     command = [sys.executable, *program, *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, **options)  # type: ignore[call-overload,no-any-return]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, **options
+    )  # type: ignore[call-overload,no-any-return]
 
 
 @contextmanager
@@ -118,7 +131,9 @@ def output_of(process: "subprocess.Popen[str]", number: signal.Signals | None = 
 def wait_for(
     path: Path, done: Callable[[Recording], bool], process: "subprocess.Popen[str] | None" = None
 ) -> Recording:
-    """Read the recording that grows at `path` until it is as wanted; `process` is not to end before."""
+    """Read the recording that grows at `path` until it is as wanted;
+    `process` is not to end before.
+    """
     until, size = time.monotonic() + PATIENCE_S, 0
     while True:
         running = process is None or process.poll() is None
@@ -148,14 +163,26 @@ def count(frames: Block, can_id: int) -> int:
 
 def syncs_tracked(recording: Recording) -> int:
     """SYNCs since the session began to follow the reference."""
-    since = [event.stamp_ns for event in recording.events if (event.kind, event.text) == ("phase", "track")]
+    since = [
+        event.stamp_ns
+        for event in recording.events
+        if (event.kind, event.text) == ("phase", "track")
+    ]
     frames = frames_of(recording)
     return count(frames[frames["time_ns"] >= since[0]], 0x80) if since else 0
 
 
 @contextmanager
 def tracking(folder: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    command = ("record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"))
+    command = (
+        "record",
+        str(folder / "robot.toml"),
+        "-o",
+        str(out),
+        "--yes",
+        "--track",
+        str(folder / "ref.csv"),
+    )
     session = acquire(folder, *command, *options)
     try:
         wait_for(out, lambda recording: syncs_tracked(recording) >= SEEN_SYNCS, session)

@@ -22,7 +22,8 @@ def npm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("node and npm are not here: the third-party stack is npm's canopen")
     where = tmp_path_factory.mktemp("npm")
-    # node-crc, which it depends on, is compiled on the spot; newer versions of npm must be asked to.
+    # node-crc, which it depends on, is compiled on the spot; newer versions of
+    # npm must be asked to.
     commands = (
         ["npm", "install", "--no-audit", "--no-fund", *PACKAGES],
         ["npm", "rebuild", "node-crc", "--foreground-scripts"],
@@ -30,18 +31,27 @@ def npm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     for command in commands:
         try:
-            done = subprocess.run(command, cwd=where, capture_output=True, text=True, timeout=90, check=False)
+            done = subprocess.run(
+                command, cwd=where, capture_output=True, text=True, timeout=90, check=False
+            )
         except subprocess.TimeoutExpired:
             pytest.skip(f"the third-party stack did not come in 90 s: {' '.join(command)}")
         if done.returncode:
-            pytest.skip(f"the third-party stack is not to be had: {' '.join(command)}: {done.stderr.strip()[-200:]}")
+            pytest.skip(
+                f"the third-party stack is not to be had: {' '.join(command)}: "
+                f"{done.stderr.strip()[-200:]}"
+            )
     return where
 
 
 def node(npm: Path, script: Path, *arguments: str) -> "subprocess.Popen[str]":
     environment = {**os.environ, "NODE_PATH": str(npm / "node_modules")}
     return subprocess.Popen(
-        ["node", str(script), *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ["node", str(script), *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 

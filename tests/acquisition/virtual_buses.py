@@ -28,7 +28,11 @@ class Ear:
 @contextmanager
 def served(channel: str, n: int) -> Iterator[None]:
     """`n` simulated drives in real time, nodes from 1."""
-    robot, stop, booted = robot_of(bus_text(n, channel=channel)), threading.Event(), threading.Event()
+    robot, stop, booted = (
+        robot_of(bus_text(n, channel=channel)),
+        threading.Event(),
+        threading.Event(),
+    )
     drives = SimulatedDrives(robot, bus_of(robot))
     thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
     thread.start()

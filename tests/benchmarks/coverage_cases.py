@@ -1,4 +1,6 @@
-"""How often the printed 95 % intervals hold the truth: recordings of the independent simulator, fitted one by one."""
+"""How often the printed 95 % intervals hold the truth: recordings of the independent
+simulator, fitted one by one.
+"""
 
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
@@ -29,7 +31,9 @@ CHUNK = 20  # runs simulated side by side
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A robot, what its cell adds, and how its recordings are fitted; `integral`: the arm is under a PI velocity loop."""
+    """A robot, what its cell adds, and how its recordings are fitted; `integral`: the arm is
+    under a PI velocity loop.
+    """
 
     robot: Literal["emps", "scara", "tx40"]
     what: str
@@ -50,7 +54,9 @@ def axis_cases(robot: Literal["emps", "scara"], unit: float) -> list[Case]:
     by_iv = {
         "noise-free position": quiet,
         "small noise": replace(quiet, encoder_noise=unit),
-        f"noise {'20 µm' if robot == 'emps' else '200 µrad'}": replace(quiet, encoder_noise=20 * unit),
+        f"noise {'20 µm' if robot == 'emps' else '200 µrad'}": replace(
+            quiet, encoder_noise=20 * unit
+        ),
         "quantisation": replace(quiet, encoder_step=5 * unit),
         "AR(0.98) torque noise": coloured,
         "disturbance in the loop": replace(quiet, disturbance_percent=2.0),
@@ -64,9 +70,13 @@ def axis_cases(robot: Literal["emps", "scara"], unit: float) -> list[Case]:
 
 AXES = (*axis_cases("emps", 1e-6), *axis_cases("scara", 1e-5))
 ARM = (
-    Case(robot="tx40", what="white", cell=Imperfections(encoder_noise=1e-5, torque_noise_percent=3.0)),
     Case(
-        robot="tx40", what="AR(0.98) torque noise", cell=Imperfections(encoder_noise=1e-5, coloured_noise_percent=3.0)
+        robot="tx40", what="white", cell=Imperfections(encoder_noise=1e-5, torque_noise_percent=3.0)
+    ),
+    Case(
+        robot="tx40",
+        what="AR(0.98) torque noise",
+        cell=Imperfections(encoder_noise=1e-5, coloured_noise_percent=3.0),
     ),
     Case(
         robot="tx40",
@@ -79,7 +89,9 @@ ARM = (
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Of the runs of a case those with a fixed point: estimates, ends of intervals and the formula's deviations (S, b)."""
+    """Of the runs of a case those with a fixed point: estimates, ends of intervals and the
+    formula's deviations (S, b).
+    """
 
     case: Case
     names: tuple[str, ...]
@@ -109,25 +121,32 @@ class Coverage:
     def half_over_spread(self) -> Array:
         """(b,) mean half-width over 1.96 deviations of the estimates' errors from run to run."""
         error = self.beta - self.true
-        return np.asarray(np.mean(self.high - self.low, axis=0) / 2 / (1.96 * np.std(error, axis=0, ddof=1)))
+        return np.asarray(
+            np.mean(self.high - self.low, axis=0) / 2 / (1.96 * np.std(error, axis=0, ddof=1))
+        )
 
     def row(self) -> str:
         """A row of the table in benchmarks/coverage.md."""
         worst, half = int(self.by_parameter.argmin()), self.half_over_spread
         return (
-            f"| {self.case.name} | {len(self.beta)} of {self.runs} | {self.whole:.1f} % | {self.by_parameter[worst]:.0f} % "
-            f"({self.names[worst]}) | {self.by_formula:.0f} % | {np.median(half):.2f} | {half.max():.2f} |"
+            f"| {self.case.name} | {len(self.beta)} of {self.runs} | {self.whole:.1f} % | "
+            f"{self.by_parameter[worst]:.0f} % "
+            f"({self.names[worst]}) | {self.by_formula:.0f} % | {np.median(half):.2f} | "
+            f"{half.max():.2f} |"
         )
 
 
 HEADER = (
-    "| case | runs | coverage | worst parameter | by the formula | half-width over 1.96 × spread, median | largest |\n"
+    "| case | runs | coverage | worst parameter | by the formula | half-width over 1.96 × spread, "
+    "median | largest |\n"
     "|---|---|---|---|---|---|---|"
 )
 
 
 def controller_of(case: Case) -> Controller:
-    """The described controller, or for the arm, which describes none, a PD; with `integral` a PI velocity loop."""
+    """The described controller, or for the arm, which describes none, a PD; with
+    `integral` a PI velocity loop.
+    """
     body = plant(REPLAY / case.robot / "robot.toml")
     if case.robot != "tx40":
         return described_controller(body)
@@ -144,37 +163,56 @@ def controller_of(case: Case) -> Controller:
 
 @one_thread
 def fits_of(case: Case, seeds: range) -> tuple[tuple[str, ...], Array, list[Array]]:
-    """Names and true values of the parameters; estimate, low, high sigma by formula (4, b) of runs with a fixed point."""
+    """Names and true values of the parameters; estimate, low, high sigma by formula (4, b) of
+    runs with a fixed point.
+    """
     toml = REPLAY / case.robot / "robot.toml"
     body, controller, robot = plant(toml), controller_of(case), description(toml)
     # The rules of the package, not what reproduces the digits of the axis's authors.
     robot = replace(robot, identification=type(robot.identification)())
     reference = references(body, seeds, duration_s=case.duration_s, rate_hz=controller.rate_hz)
     runs = simulate(body, controller, reference, case.cell, seed=seeds.start)
-    # The command of a tick, held until the next. The arm's description has no period that would tell so.
-    known = Overrides() if robot.controller.sample_rate_hz else Overrides(torque_lag_s=-0.5 / controller.rate_hz)
+    # The command of a tick, held until the next. The arm's description has no
+    # period that would tell so.
+    known = (
+        Overrides()
+        if robot.controller.sample_rate_hz
+        else Overrides(torque_lag_s=-0.5 / controller.rate_hz)
+    )
     found, names, true = [], (), np.empty(0)
     for k in range(len(seeds)):
         signals = runs.signals(robot, k)
-        fit = identify_iv(signals, known, Iteration()) if case.method == "iv" else identify_ls(signals, known)
+        fit = (
+            identify_iv(signals, known, Iteration())
+            if case.method == "iv"
+            else identify_ls(signals, known)
+        )
         names, true = fit.base.names, described_parameters(InverseModel(robot), fit.base)
         if fit.status in ("solved", "converged", "not_confirmed"):
-            found.append(np.stack([fit.beta, fit.intervals.low, fit.intervals.high, fit.estimate.sigma]))
+            found.append(
+                np.stack([fit.beta, fit.intervals.low, fit.intervals.high, fit.estimate.sigma])
+            )
     return names, true, found
 
 
-def coverage_of(case: Case, runs: int, parts: list[tuple[tuple[str, ...], Array, list[Array]]]) -> Coverage:
+def coverage_of(
+    case: Case, runs: int, parts: list[tuple[tuple[str, ...], Array, list[Array]]]
+) -> Coverage:
     """The runs of a case from parts of them, as `fits_of` gives them."""
     names, true, _ = parts[0]
     beta, low, high, sigma = np.stack([fit for part in parts for fit in part[2]], axis=1)
-    return Coverage(case=case, names=names, true=true, beta=beta, low=low, high=high, sigma=sigma, runs=runs)
+    return Coverage(
+        case=case, names=names, true=true, beta=beta, low=low, high=high, sigma=sigma, runs=runs
+    )
 
 
 def covered(cases: Iterable[Case], runs: int, workers: int) -> Iterable[Coverage]:
     """The cases one by one, each over so many runs, in so many processes."""
     chunks = [range(first, min(runs, first + CHUNK)) for first in range(0, runs, CHUNK)]
     with ProcessPoolExecutor(workers) as pool:
-        waiting = [(case, [pool.submit(fits_of, case, chunk) for chunk in chunks]) for case in cases]
+        waiting = [
+            (case, [pool.submit(fits_of, case, chunk) for chunk in chunks]) for case in cases
+        ]
         for case, futures in waiting:
             parts = [future.result() for future in futures]
             yield coverage_of(case, runs, parts)

@@ -1,7 +1,10 @@
-"""Speed of recording and decoding. Run with `pytest tests/benchmarks -s --benchmark-enable`; figures stand in acquire_speed.md.
+"""Speed of recording and decoding.
 
-There is no CAN adapter here: datagrams on loopback stand in for the frames of a CAN socket. Kernel queue, time stamps, drop
-counter, the recorder's process and its file are the real ones. The bus is full at 9 000 frames/s of 8 bytes at 1 Mbit/s.
+Run with `pytest tests/benchmarks -s --benchmark-enable`; figures stand in acquire_speed.md.
+
+There is no CAN adapter here: datagrams on loopback stand in for the frames of a CAN socket. Kernel
+queue, time stamps, drop counter, the recorder's process and its file are the real ones. The bus is
+full at 9 000 frames/s of 8 bytes at 1 Mbit/s.
 """
 
 import multiprocessing
@@ -34,9 +37,14 @@ def some_frames(syncs: int, drives: int = 6) -> np.ndarray:
     per = 1 + 2 * drives
     frames = np.zeros((syncs, per), FRAME)
     frames["time_ns"] = (
-        10**9 + np.arange(syncs)[:, None] * 2_000_000 + np.arange(per) * 100_000 + rng.integers(0, 50_000, (syncs, per))
+        10**9
+        + np.arange(syncs)[:, None] * 2_000_000
+        + np.arange(per) * 100_000
+        + rng.integers(0, 50_000, (syncs, per))
     )
-    frames["can_id"] = np.array([0x80] + [0x181 + i for i in range(drives)] + [0x201 + i for i in range(drives)])
+    frames["can_id"] = np.array(
+        [0x80] + [0x181 + i for i in range(drives)] + [0x201 + i for i in range(drives)]
+    )
     frames["length"] = np.array([0] + [8] * drives + [6] * drives)
     counts = np.cumsum(rng.integers(-300, 300, (syncs, drives)), axis=0).astype("<i4")
     effort = np.clip(rng.normal(0, 300, (syncs, drives)), -32768, 32767).astype("<i2")
@@ -65,7 +73,9 @@ def _recorder(connection, port: int, path: str) -> None:
         return finish(stamp_ns)
 
     recorder.finish = timed_finish  # type: ignore[method-assign]
-    done = _record(connection, recorder, Receiver(SimpleNamespace(socket=sock)), np.zeros(0, np.int64), None)
+    done = _record(
+        connection, recorder, Receiver(SimpleNamespace(socket=sock)), np.zeros(0, np.int64), None
+    )
     connection.send(("done", (done, *times[0])))
 
 
@@ -78,7 +88,10 @@ def test_a_full_bus_for_a_minute_beside_a_busy_process(tmp_path):
     context, path = multiprocessing.get_context("fork"), tmp_path / "a.mcap"
     here, there = context.Pipe()
     port = 45000 + os.getpid() % 10000
-    recorder, beside = context.Process(target=_recorder, args=(there, port, str(path))), context.Process(target=_busy)
+    recorder, beside = (
+        context.Process(target=_recorder, args=(there, port, str(path))),
+        context.Process(target=_busy),
+    )
     recorder.start()
     there.close()
     assert here.recv()[0] == "ready"
@@ -86,7 +99,10 @@ def test_a_full_bus_for_a_minute_beside_a_busy_process(tmp_path):
     out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     out.connect(("127.0.0.1", port))
     sent_frames = some_frames(2000, DRIVES)  # as the kernel's CAN socket gives them
-    frames = [struct.pack("<IB3x8s", one["can_id"], one["length"], one["data"].tobytes()) for one in sent_frames]
+    frames = [
+        struct.pack("<IB3x8s", one["can_id"], one["length"], one["data"].tobytes())
+        for one in sent_frames
+    ]
     total = round(RATE_HZ * SECONDS)
     start, sent = time.perf_counter(), 0
     while sent < total:
@@ -105,7 +121,10 @@ def test_a_full_bus_for_a_minute_beside_a_busy_process(tmp_path):
     beside.kill()
     beside.join()
     stored = len(read_recording(path).frames["can0"])
-    print(f"\n{RATE_HZ} frames/s for {SECONDS:g} s beside a busy process: {sent} sent, {sent - stored} lost (bound 0)")
+    print(
+        f"\n{RATE_HZ} frames/s for {SECONDS:g} s beside a busy process: {sent} sent, "
+        f"{sent - stored} lost (bound 0)"
+    )
     print(f"{drops} dropped by the kernel; recorder: {cpu_s / elapsed:.1%} of a core (bound 25 %)")
     assert stored == sent
 
@@ -114,9 +133,13 @@ def test_decoding():
     robot = robot_of(bus_text(6))
     bus, frames = bus_of(robot), some_frames(150_000)
     best = min(_timed(lambda: decode(frames, robot, bus, "x")) for _ in range(5))
-    floor = min(_timed(lambda: [np.flatnonzero(frames["can_id"] == i) for i in range(0x181, 0x18E)]) for _ in range(5))
+    floor = min(
+        _timed(lambda: [np.flatnonzero(frames["can_id"] == i) for i in range(0x181, 0x18E)])
+        for _ in range(5)
+    )
     told = (
-        f"{len(frames) / best / 1e6:.1f} million frames/s (bound 5), {best / floor:.1f} x a bare search for their ids"
+        f"{len(frames) / best / 1e6:.1f} million frames/s (bound 5), {best / floor:.1f} x a "
+        "bare search for their ids"
     )
     print(f"\ndecoding {len(frames)} frames of six drives with targets: {told}")
 

@@ -1,7 +1,8 @@
 """Coverage of the printed 95 % intervals, by the independent simulator: the table of coverage.md.
 
-Run with `COVERAGE_RUNS=200 pytest tests/benchmarks/test_coverage.py -s --benchmark-enable`; the arm has a fifth as many. The
-bounds are those of 200 runs: with fewer the table is only printed, as the shares then spread by more than the bounds leave.
+Run with `COVERAGE_RUNS=200 pytest tests/benchmarks/test_coverage.py -s --benchmark-enable`; the arm
+has a fifth as many. The bounds are those of 200 runs: with fewer the table is only printed, as the
+shares then spread by more than the bounds leave.
 """
 
 import os
@@ -17,7 +18,11 @@ def broken(c: Coverage, lowest: float, worst: float) -> list[str]:
     largest = c.half_over_spread.max()
     found = [
         *([] if lowest <= c.whole <= 98 else [f"coverage {c.whole:.1f} %"]),
-        *([] if c.by_parameter.min() >= worst else [f"worst parameter {c.by_parameter.min():.0f} %"]),
+        *(
+            []
+            if c.by_parameter.min() >= worst
+            else [f"worst parameter {c.by_parameter.min():.0f} %"]
+        ),
         *([] if largest <= 1.6 else [f"half-width {largest:.2f}"]),
     ]
     return [f"{c.case.name}: {text}" for text in found]
@@ -32,7 +37,10 @@ def test_intervals_cover_the_truth():
             found.append(c)
             outside += broken(c, lowest, worst)
     mean = np.mean([c.whole for c in found if c.case in AXES])
-    print(f"mean over EMPS and SCARA: {mean:.1f} %; outside the bounds: {'; '.join(outside) or 'nothing'}")
+    print(
+        f"mean over EMPS and SCARA: {mean:.1f} %; outside the bounds: "
+        f"{'; '.join(outside) or 'nothing'}"
+    )
     if RUNS >= 200:
         assert not outside
         assert 93 <= mean <= 97

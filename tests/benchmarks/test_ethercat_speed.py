@@ -1,4 +1,6 @@
-"""Speed and memory of the import of EtherCAT captures. Run with `pytest tests/benchmarks -s --benchmark-enable`.
+"""Speed and memory of the import of EtherCAT captures.
+
+Run with `pytest tests/benchmarks -s --benchmark-enable`.
 
 The figures stand in acquire_speed.md.
 """
@@ -15,7 +17,8 @@ from ethercat_robots import robot_text
 MEGABYTES = int(os.environ.get("CAPTURE_MB", "200"))
 CYCLES = 10_000  # of a period of the motion
 MAX_BYTES = 0.3e9
-# The most memory of a process by the kernel's counter is that of its parent, if the parent had more when it began.
+# The most memory of a process by the kernel's counter is that of its parent, if the parent
+# had more when it began.
 RUN = """import sys, time
 from acquisition.commands import main
 status = main(sys.argv[1:])
@@ -31,10 +34,16 @@ class Periodic(made_up.Bus):
 
 
 def capture(path: Path, megabytes: int) -> None:
-    """Two drives at 1 kHz, LRD and LWR: one period of the motion again and again, at later times."""
+    """Two drives at 1 kHz, LRD and LWR: one period of the motion again and
+    again, at later times.
+    """
     bus, packets = Periodic(), Periodic().packets(CYCLES)
     start = len(bus.start())
-    records = np.frombuffer(b"".join(map(made_up.record, packets[start:])), np.uint8).reshape(2 * CYCLES, -1).copy()
+    records = (
+        np.frombuffer(b"".join(map(made_up.record, packets[start:])), np.uint8)
+        .reshape(2 * CYCLES, -1)
+        .copy()
+    )
     with path.open("wb") as file:
         file.write(made_up.pcap(packets[:start]))
         while file.tell() < megabytes * 10**6:
@@ -46,7 +55,17 @@ def test_import_of_a_large_capture(tmp_path):
     path, robot = tmp_path / "large.pcap", tmp_path / "robot.toml"
     capture(path, MEGABYTES)
     robot.write_text(robot_text())
-    command = [sys.executable, "-c", RUN, "import", path, "--robot", robot, "-o", tmp_path / "a.mcap"]
+    command = [
+        sys.executable,
+        "-c",
+        RUN,
+        "import",
+        path,
+        "--robot",
+        robot,
+        "-o",
+        tmp_path / "a.mcap",
+    ]
     text = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
     print(f"\n{text}", end="")
     *_, cpu_s, peak = (float(word) for word in text.splitlines()[-1].split())

@@ -1,9 +1,11 @@
-"""How often a fit is trusted that should not be: 33 kinds of fault, clean recordings, and noise of the position.
+"""How often a fit is trusted that should not be: 33 kinds of fault, clean recordings, and
+noise of the position.
 
-Run with `HUNT_RUNS=14 NOISE_RUNS=16 pytest tests/benchmarks/test_hunt.py -s --benchmark-enable`, the defaults: set-ups of a
-kind, half of each robot, four times as many clean ones; and recordings of each noise. Figures are those of the default method
-and, behind the dot, of weighted least squares. Harmed: an essential parameter is off by over 3 half-widths and 2 %. False
-trust: `trust` where one is. The table stands in hunt.md.
+Run with `HUNT_RUNS=14 NOISE_RUNS=16 pytest tests/benchmarks/test_hunt.py -s --benchmark-enable`,
+the defaults: set-ups of a kind, half of each robot, four times as many clean ones; and recordings
+of each noise. Figures are those of the default method and, behind the dot, of weighted least
+squares. Harmed: an essential parameter is off by over 3 half-widths and 2 %. False trust: `trust`
+where one is. The table stands in hunt.md.
 """
 
 import os
@@ -22,21 +24,35 @@ def test_no_fault_is_trusted_that_can_be_seen():
     print(f"\n{HEADER}")
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         waiting = {
-            what: [(name, pool.submit(outcomes_of, what, name, k)) for name in kind.robots for k in range(each)]
+            what: [
+                (name, pool.submit(outcomes_of, what, name, k))
+                for name in kind.robots
+                for k in range(each)
+            ]
             for what, kind in KINDS.items()
         }
-        clean = [pool.submit(outcomes_of, "clean", name, k) for name in BOTH for k in range(4 * each)]
+        clean = [
+            pool.submit(outcomes_of, "clean", name, k) for name in BOTH for k in range(4 * each)
+        ]
         wrong = []
         for what, runs in waiting.items():
             found = [future.result() for _, future in runs]
             print(row(what, found, bool(KINDS[what].named)), flush=True)
-            seen = [both for (name, _), both in zip(runs, found, strict=True) if name not in KINDS[what].unseen]
+            seen = [
+                both
+                for (name, _), both in zip(runs, found, strict=True)
+                if name not in KINDS[what].unseen
+            ]
             wrong += [what for by_default, _ in seen if by_default.false_trust]
         found = [future.result() for future in clean]
     print(row("clean", found, named=False))
-    trusted = [sum(x.verdict == "trust" for x in method) / len(found) for method in zip(*found, strict=True)]
+    trusted = [
+        sum(x.verdict == "trust" for x in method) / len(found)
+        for method in zip(*found, strict=True)
+    ]
     print(
-        f"clean: `trust` in {100 * trusted[0]:.0f} % · {100 * trusted[1]:.0f} % of {len(found)}; false trust: {wrong}"
+        f"clean: `trust` in {100 * trusted[0]:.0f} % · {100 * trusted[1]:.0f} % of {len(found)}; "
+        f"false trust: {wrong}"
     )
     assert not wrong
     assert trusted[0] >= 0.95
@@ -47,7 +63,9 @@ def test_no_noise_of_the_position_is_trusted_that_harms():
     wrong = []
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         waiting = {
-            f"EMPS, {noise}, {um} µm": [pool.submit(outcomes_of_noise, noise, 1e-6 * um, k) for k in range(NOISE_RUNS)]
+            f"EMPS, {noise}, {um} µm": [
+                pool.submit(outcomes_of_noise, noise, 1e-6 * um, k) for k in range(NOISE_RUNS)
+            ]
             for noise in NOISES
             for um in DEVIATIONS_UM
         }

@@ -30,8 +30,14 @@ from identification.study import Study, run_study
 SAMPLES = 45_000
 
 
-def floor(dynamics: InverseModel, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Callable[[], None]:
-    model, data, compute = dynamics.model, dynamics.model.createData(), pin.computeJointTorqueRegressor
+def floor(
+    dynamics: InverseModel, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray
+) -> Callable[[], None]:
+    model, data, compute = (
+        dynamics.model,
+        dynamics.model.createData(),
+        pin.computeJointTorqueRegressor,
+    )
 
     def run() -> None:
         for k in range(len(q)):
@@ -41,7 +47,9 @@ def floor(dynamics: InverseModel, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray
 
 
 def floor_of_passes(dynamics: InverseModel, q: np.ndarray, passes: int) -> Callable[[], None]:
-    """Bare loops of computeJointTorqueRegressor and of aba over the samples, as often as there are passes."""
+    """Bare loops of computeJointTorqueRegressor and of aba over the samples, as
+    often as there are passes.
+    """
     base = base_parameters(dynamics)
     model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     regressors, data = floor(dynamics, q, q, q), model.rigid.createData()
@@ -55,7 +63,9 @@ def floor_of_passes(dynamics: InverseModel, q: np.ndarray, passes: int) -> Calla
     return run
 
 
-def ratio(run: Callable[[], object], beside: Callable[[], object], *, rounds: int = 9) -> tuple[float, float]:
+def ratio(
+    run: Callable[[], object], beside: Callable[[], object], *, rounds: int = 9
+) -> tuple[float, float]:
     """Median over alternate rounds of run/beside, and the median time of `beside` in s."""
     for warm in (run, beside):
         warm()
@@ -75,15 +85,22 @@ def test_regressor():
     dynamics = InverseModel(robot_named("tx40"))
     base = base_parameters(dynamics)
     q, dq, ddq = np.random.default_rng(0).uniform(-3, 3, size=(3, SAMPLES, 6))
-    found, floor_s = ratio(lambda: dynamics.series(q, dq, ddq, base.columns), floor(dynamics, q, dq, ddq))
-    print(f"\nregressor, {SAMPLES} x 6, 60 columns: {found:.2f} x the floor of {floor_s:.3f} s (bound 1.4)")
+    found, floor_s = ratio(
+        lambda: dynamics.series(q, dq, ddq, base.columns), floor(dynamics, q, dq, ddq)
+    )
+    print(
+        f"\nregressor, {SAMPLES} x 6, 60 columns: {found:.2f} x the floor of {floor_s:.3f} s "
+        "(bound 1.4)"
+    )
 
 
 def test_fit_of_the_tx40_recording(tx40):
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
     q = np.ascontiguousarray(signals.q)
-    found, floor_s = ratio(lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q))
+    found, floor_s = ratio(
+        lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q)
+    )
     print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
 
 
@@ -93,9 +110,14 @@ def test_instrumental_variables_on_the_tx40_recording(tx40):
     passes = len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
     floor_of_the_passes = floor_of_passes(dynamics, np.ascontiguousarray(signals.q), passes)
     found, floor_s = ratio(
-        lambda: identify_iv(load_signals(tx40), Overrides(), Iteration()), floor_of_the_passes, rounds=5
+        lambda: identify_iv(load_signals(tx40), Overrides(), Iteration()),
+        floor_of_the_passes,
+        rounds=5,
     )
-    print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 1)")
+    print(
+        f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s "
+        "(bound 1)"
+    )
 
 
 def hour_long_recording(path: Path, seconds: int = 3600) -> None:
@@ -107,7 +129,10 @@ def hour_long_recording(path: Path, seconds: int = 3600) -> None:
     reference = fourier_reference(robot, period_s=20.0, seed=1)
     rng = np.random.default_rng(0)
     with RecordingWriter(
-        path, Header(robot=robot, source="simulated", sample_rate_hz=1000.0, effort_provenance="simulated")
+        path,
+        Header(
+            robot=robot, source="simulated", sample_rate_hz=1000.0, effort_provenance="simulated"
+        ),
     ) as writer:
         for second in range(0, seconds, 5):
             k = np.arange(second * 1000, (second + 5) * 1000)
@@ -116,26 +141,38 @@ def hour_long_recording(path: Path, seconds: int = 3600) -> None:
             block["stamp_ns"], block["position"] = k * 1_000_000, q
             terms = dynamics.series(q, dq, ddq, columns) * chi[entries[:, 1], None]
             for j in range(6):
-                block["effort"][:, j] = terms[entries[:, 0] == j].sum(axis=0) + rng.standard_normal(len(k))
+                block["effort"][:, j] = terms[entries[:, 0] == j].sum(axis=0) + rng.standard_normal(
+                    len(k)
+                )
             for part in np.array_split(block, 5):
                 writer.samples(part)
 
 
 def cpu_s(*command: object) -> float:
-    """CPU time of a process, its children included, with compiled modules at hand as an installation has them."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    """CPU time of a process, its children included, with compiled modules at hand as an
+    installation has them.
+    """
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+    }
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([str(part) for part in command], check=True, capture_output=True, env=environment)
+    subprocess.run(
+        [str(part) for part in command], check=True, capture_output=True, env=environment
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def test_whole_processes_on_the_tx40_recording(tx40):
-    """The command line from start to end, beside the imports that it cannot do without and the floor of its passes."""
+    """The command line from start to end, beside the imports that it cannot do without and
+    the floor of its passes.
+    """
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
     q = np.ascontiguousarray(signals.q)
-    passes = floor_of_passes(dynamics, q, len(identify_iv(signals, Overrides(), Iteration()).iv.passes))
+    passes = floor_of_passes(
+        dynamics, q, len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
+    )
     fit = (sys.executable, "-m", "identification", "fit", tx40, "--method")
     everything = "import identification as i; i.fit, i.identify_iv, i.load_signals"
     cases = {
@@ -156,7 +193,8 @@ def test_whole_processes_on_the_tx40_recording(tx40):
         print(f"\n{name}: {np.median(times):.2f} s of CPU", end="")
     pairs = zip(found["fit by iv"], found["floor of the passes of iv"], strict=True)
     print(
-        f"\nfit by iv, whole process: {np.median([a / b for a, b in pairs]):.2f} x the floor of its passes (bound 2.2)"
+        f"\nfit by iv, whole process: {np.median([a / b for a, b in pairs]):.2f} x the floor of "
+        "its passes (bound 2.2)"
     )
 
 
@@ -182,8 +220,13 @@ def test_a_fit_of_one_hour(tmp_path):
     q, dq, ddq = np.random.default_rng(0).uniform(-3, 3, size=(3, 100_000, 6))
     bare = floor(dynamics, q, dq, ddq)
     before_s = timed(bare)
-    took_s = cpu_s(sys.executable, "-m", "identification", "fit", path, "--json", tmp_path / "fit.json")
+    took_s = cpu_s(
+        sys.executable, "-m", "identification", "fit", path, "--json", tmp_path / "fit.json"
+    )
     peak_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
     floor_s = 36 * 0.5 * (before_s + timed(bare))
-    print(f"\nfit of one hour at 1 kHz, 3.6 million samples x 6: peak {peak_gb:.2f} GB (bound 1)", end="")
+    print(
+        f"\nfit of one hour at 1 kHz, 3.6 million samples x 6: peak {peak_gb:.2f} GB (bound 1)",
+        end="",
+    )
     print(f", {took_s / floor_s:.2f} x the floor of {floor_s:.1f} s (bound 3)")

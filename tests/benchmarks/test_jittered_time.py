@@ -7,7 +7,8 @@ def test_estimates_from_uneven_times_stay_in_their_intervals(tmp_path):
     found = covered(tmp_path, 100)
     by_parameter = 100 * found.inside.mean(axis=0)
     print(
-        f"\n{100 * found.inside.mean():.1f} % of 100 runs x {found.inside.shape[1]} parameters inside; {by_parameter}"
+        f"\n{100 * found.inside.mean():.1f} % of 100 runs x {found.inside.shape[1]} parameters "
+        f"inside; {by_parameter}"
     )
     assert found.inside.mean() >= 0.93
     assert by_parameter.min() >= 88

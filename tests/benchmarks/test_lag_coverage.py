@@ -1,10 +1,12 @@
-"""Coverage of the printed 95 % intervals where nobody states how late the torque is, beside the same with the lag stated.
+"""Coverage of the printed 95 % intervals where nobody states how late the torque is, beside the
+same with the lag stated.
 
-Commands are recorded at their tick, none to 2.5 samples late. A third of the recordings comes with the description of the
-controller, a third without, and in a third the command acts 0.3, 1 or 2 ms after its tick.
+Commands are recorded at their tick, none to 2.5 samples late. A third of the recordings comes
+with the description of the controller, a third without, and in a third the command acts 0.3, 1
+or 2 ms after its tick.
 
-Run with `LAG_RUNS=100 pytest tests/benchmarks/test_lag_coverage.py -s --benchmark-enable`, the default. With fewer the table is
-only printed. It stands in coverage.md.
+Run with `LAG_RUNS=100 pytest tests/benchmarks/test_lag_coverage.py -s --benchmark-enable`, the
+default. With fewer the table is only printed. It stands in coverage.md.
 """
 
 import os
@@ -35,7 +37,8 @@ RUNS = int(os.environ.get("LAG_RUNS", "100"))
 LAGS = (0.0, 1.0, 2.0, 2.5)  # samples
 DELAYS_S = (3e-4, 1e-3, 2e-3)
 HEADER = (
-    "| case | runs | coverage | worst parameter | lag stated | half-width over that of a stated lag | fixed point |\n"
+    "| case | runs | coverage | worst parameter | lag stated | half-width over that of a stated "
+    "lag | fixed point |\n"
     "|---|---|---|---|---|---|---|"
 )
 
@@ -53,7 +56,9 @@ def cells_of(unit: float) -> dict[str, Imperfections]:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """Of one recording, the lag estimated and stated: which intervals hold the truth, and widths (2, b)."""
+    """Of one recording, the lag estimated and stated: which intervals hold the
+    truth, and widths (2, b).
+    """
 
     names: tuple[str, ...]
     inside: np.ndarray
@@ -64,7 +69,11 @@ class Found:
 def ends(fit: Fit) -> np.ndarray:
     """Low and high (2, b) of the intervals; nan where the fit has no fixed point."""
     fixed = fit.status in ("solved", "converged", "not_confirmed")
-    return np.stack([fit.intervals.low, fit.intervals.high]) if fixed else np.full((2, len(fit.beta)), np.nan)
+    return (
+        np.stack([fit.intervals.low, fit.intervals.high])
+        if fixed
+        else np.full((2, len(fit.beta)), np.nan)
+    )
 
 
 def lag_and_delay(k: int) -> tuple[float, float]:
@@ -81,10 +90,16 @@ def found_in(name: str, cell: Imperfections, runs: list[int]) -> list[Found]:
     lag, delay_s = lag_and_delay(runs[0])
     cell, seeds = replace(cell, lag=lag, actuation_delay_s=delay_s), [9000 + k for k in runs]
     path = references(body, seeds, duration_s=10.0, rate_hz=controller.rate_hz)
-    made, stated = simulate(body, controller, path, cell, seed=seeds[0]), cell.lag_s(controller.rate_hz)
+    made, stated = (
+        simulate(body, controller, path, cell, seed=seeds[0]),
+        cell.lag_s(controller.rate_hz),
+    )
     for at, k in enumerate(runs):
         signals = made.signals(without_control_law(robot) if k % 3 == 1 else robot, at, "unknown")
-        fits = [fit_by_default(signals, overrides) for overrides in (Overrides(), Overrides(torque_lag_s=stated))]
+        fits = [
+            fit_by_default(signals, overrides)
+            for overrides in (Overrides(), Overrides(torque_lag_s=stated))
+        ]
         base, both = fits[0].base, np.stack([ends(fit) for fit in fits])
         true = described_parameters(InverseModel(robot), base)
         inside = np.where(np.isnan(both[:, 0]), np.nan, (both[:, 0] <= true) & (true <= both[:, 1]))
@@ -100,7 +115,9 @@ def test_intervals_cover_the_truth_whatever_the_lag():
         alike[lag_and_delay(k)].append(k)
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         waiting = {
-            f"{name.upper()}, {noise}": [pool.submit(found_in, name, cell, runs) for runs in alike.values()]
+            f"{name.upper()}, {noise}": [
+                pool.submit(found_in, name, cell, runs) for runs in alike.values()
+            ]
             for name, unit in (("emps", 1e-6), ("scara", 1e-5))
             for noise, cell in cells_of(unit).items()
         }
@@ -110,10 +127,14 @@ def test_intervals_cover_the_truth_whatever_the_lag():
             width = np.nanmedian([one.widths[0] / one.widths[1] for one in found])
             worst = int(by_parameter.argmin())
             row = (
-                f"| {case} | {RUNS} | {by_parameter.mean():.1f} % | {by_parameter[worst]:.0f} % ({found[0].names[worst]}) "
-                f"| {stated.mean():.1f} % | {width:.3f} | {100 * np.mean([one.fixed for one in found]):.0f} % |"
+                f"| {case} | {RUNS} | {by_parameter.mean():.1f} % | {by_parameter[worst]:.0f} % "
+                f"({found[0].names[worst]}) "
+                f"| {stated.mean():.1f} % | {width:.3f} | "
+                f"{100 * np.mean([one.fixed for one in found]):.0f} % |"
             )
             print(row, flush=True)
-            outside += [row] if by_parameter.mean() < 90 or by_parameter.min() < 80 or width > 1.15 else []
+            outside += (
+                [row] if by_parameter.mean() < 90 or by_parameter.min() < 80 or width > 1.15 else []
+            )
     if RUNS >= 100:
         assert outside == []

@@ -1,9 +1,12 @@
-"""How often the intervals of several recordings' fit hold the truth where the robot has root and load friction.
+"""How often the intervals of several recordings' fit hold the truth where the robot has
+root and load friction.
 
-Recordings are of the independent simulator. The last case has the same encoder noise in the recording alone: noise that the
-controller acts on moves the robot above the low-pass, where abs(tau_rigid) turns it into a mean that no position shows.
+Recordings are of the independent simulator. The last case has the same encoder noise in the
+recording alone: noise that the controller acts on moves the robot above the low-pass, where
+abs(tau_rigid) turns it into a mean that no position shows.
 
-Figures stand in friction_rates.md. Run with `LOAD_RUNS=20 pytest tests/benchmarks/test_load_coverage.py -s --benchmark-enable`.
+Figures stand in friction_rates.md. Run with `LOAD_RUNS=20 pytest
+tests/benchmarks/test_load_coverage.py -s --benchmark-enable`.
 """
 
 import os
@@ -13,7 +16,13 @@ import numpy as np
 import pytest
 from conftest import REPLAY
 from independent_robots import plant
-from independent_simulator import Imperfections, described_controller, description, references, simulate
+from independent_simulator import (
+    Imperfections,
+    described_controller,
+    description,
+    references,
+    simulate,
+)
 
 from identification.data import Recordings
 from identification.design import with_terms
@@ -33,7 +42,9 @@ TERMS = frozenset({"root", "load"}), frozenset({"load"})
 def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest, lowest_of_mu):
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
-    body = replace(body, friction=replace(body.friction, root=np.array([0.6, 0.0]), load=np.array([0.3, 0.3])))
+    body = replace(
+        body, friction=replace(body.friction, root=np.array([0.6, 0.0]), load=np.array([0.3, 0.3]))
+    )
     controller, robot = described_controller(body), with_terms(description(toml), TERMS)
     robot = replace(robot, identification=type(robot.identification)())
     values = robot.parameters | {"Fr1": 0.6, "mu1": 0.3, "mu2": 0.3}
@@ -49,17 +60,29 @@ def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest,
         inside, of_mu, left_out = [], [], 0
         for k in range(0, EACH * RUNS, EACH):
             given = Recordings(sources=tuple(sources[k : k + EACH]))
-            fit = identify_ls(given, Overrides()) if method == "LS" else identify_iv(given, Overrides(), Iteration())
+            fit = (
+                identify_ls(given, Overrides())
+                if method == "LS"
+                else identify_iv(given, Overrides(), Iteration())
+            )
             beta = described_parameters(InverseModel(replace(robot, parameters=values)), fit.base)
             true = dict(zip(fit.base.names, beta, strict=True))
-            off = np.abs(fit.estimate.beta - [true[name] for name in fit.estimate.names]) / fit.intervals.half
+            off = (
+                np.abs(fit.estimate.beta - [true[name] for name in fit.estimate.names])
+                / fit.intervals.half
+            )
             inside += list(off < 1)
-            of_mu += [x < 1 for x, name in zip(off, fit.estimate.names, strict=True) if name.startswith("mu")]
+            of_mu += [
+                x < 1
+                for x, name in zip(off, fit.estimate.names, strict=True)
+                if name.startswith("mu")
+            ]
             left_out += not {"mu1", "mu2"} < set(fit.estimate.names)
         covered, covered_mu = 100 * np.mean(inside), 100 * np.mean(of_mu)
         where = "in the loop" if in_loop else "in the recording alone"
         print(
-            f"\n{RUNS} fits of {EACH} recordings by {method}, {1e6 * noise:g} µrad {where}: {covered:.1f} % inside, "
+            f"\n{RUNS} fits of {EACH} recordings by {method}, {1e6 * noise:g} µrad {where}: "
+            f"{covered:.1f} % inside, "
             f"load {covered_mu:.1f} %, {left_out} without it",
             flush=True,
         )

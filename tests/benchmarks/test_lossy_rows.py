@@ -1,6 +1,8 @@
-"""Rows of made-up CAN recordings with losses, late answers and repeats: mixed ones, ones off in time, and the share kept.
+"""Rows of made-up CAN recordings with losses, late answers and repeats: mixed ones, ones off in
+time, and the share kept.
 
-The table stands in lossy_can.md. Run with `LOSSY_CAN=393 pytest tests/benchmarks/test_lossy_rows.py -s --benchmark-enable`.
+The table stands in lossy_can.md. Run with `LOSSY_CAN=393 pytest tests/benchmarks/test_lossy_rows.py
+-s --benchmark-enable`.
 """
 
 import os

@@ -7,7 +7,9 @@ from rerun.chunk import RrdReader
 
 
 def parents_of_views(path: Path) -> dict[str, list[str]]:
-    """The containers in which each view of the file's blueprint stands, by the view's entity; one each, or it is refused."""
+    """The containers in which each view of the file's blueprint stands, by the view's entity; one
+    each, or it is refused.
+    """
     reader = RrdReader(path)
     (blueprint,) = reader.blueprints()
     views, parents = [], defaultdict(list)

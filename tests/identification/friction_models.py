@@ -22,7 +22,9 @@ def with_friction(text: str, terms) -> str:
     """A description with a list of terms for each joint."""
     others = dict.fromkeys(("viscous", "coulomb", "offset"))
     joints = zip(tomllib.loads(text)["joint"], terms, strict=True)
-    return replace_in_tables(text, "joint", {joint["name"]: {"friction": own} | others for joint, own in joints}, "")
+    return replace_in_tables(
+        text, "joint", {joint["name"]: {"friction": own} | others for joint, own in joints}, ""
+    )
 
 
 def described(name: str, terms, more: str = ""):
@@ -44,7 +46,10 @@ def direct_of(model, base, beta):
 
 def whole_arm():
     """The TX40 with every term at every joint, and values for them."""
-    more = "".join(f"Off{j} = 0.{j}\nFa{j} = 0.1\nFr{j} = 0.7\nFs{j} = 0.4\nmu{j} = 0.{j + 1}\n" for j in range(1, 7))
+    more = "".join(
+        f"Off{j} = 0.{j}\nFa{j} = 0.1\nFr{j} = 0.7\nFs{j} = 0.4\nmu{j} = 0.{j + 1}\n"
+        for j in range(1, 7)
+    )
     return described("tx40", [ALL] * 6, f"{more}Frm6 = 0.5\nFsm6 = 0.3\n")
 
 
@@ -74,7 +79,9 @@ def upright(terms, more: str = ""):
     """The SCARA turned upright, so that its links hang."""
     robot = described("scara", terms, more)
     text = robot.files["robot.toml"].decode()
-    return robot_from_files({"robot.toml": ("gravity_m_s2 = [0, -9.81, 0]\n" + text).encode()}, "upright")
+    return robot_from_files(
+        {"robot.toml": ("gravity_m_s2 = [0, -9.81, 0]\n" + text).encode()}, "upright"
+    )
 
 
 def axis(terms, vertical: bool = False, **values: float):
@@ -84,12 +91,19 @@ def axis(terms, vertical: bool = False, **values: float):
     known = "".join(f"{name}1 = {value}\n" for name, value in {"M": 95.0, **values}.items())
     text = with_friction(f"{text}[parameters]\n{known}", [terms])
     return robot_from_files(
-        {"robot.toml": text.replace('"stribeck"]', '"stribeck"]\nstribeck_speed_m_s = 0.02').encode()}, "axis"
+        {
+            "robot.toml": text.replace(
+                '"stribeck"]', '"stribeck"]\nstribeck_speed_m_s = 0.02'
+            ).encode()
+        },
+        "axis",
     )
 
 
 def two_speeds(robot, a_m_s2: float, speeds=(0.1, 0.2)):
-    """Exact motion of one axis to and fro at two speeds, with jumps of acceleration in between: q, dq, ddq (N, 1)."""
+    """Exact motion of one axis to and fro at two speeds, with jumps of acceleration in
+    between: q, dq, ddq (N, 1).
+    """
     rate = 250.0
     parts = [np.full(200, sign * speed) for speed in speeds for sign in (1.0, -1.0)] * 3
     dq = np.concatenate(parts)[:, None]
@@ -99,12 +113,16 @@ def two_speeds(robot, a_m_s2: float, speeds=(0.1, 0.2)):
 
 
 def recorded(robot, seed: int, duration_s: float):
-    """A recording of exact motion, and of torque with 2 % of white noise, by the robot without its further terms."""
+    """A recording of exact motion, and of torque with 2 % of white noise, by the robot
+    without its further terms.
+    """
     model, base, beta = model_of(robot)
     t = np.arange(0.0, duration_s, 1e-3)
     x = fourier_reference(robot, period_s=duration_s, seed=seed).at(t)
     tau = direct_of(model, base, beta).torque(*x)
-    noise = 0.02 * np.sqrt((tau**2).mean(axis=0)) * np.random.default_rng(seed).normal(size=tau.shape)
+    noise = (
+        0.02 * np.sqrt((tau**2).mean(axis=0)) * np.random.default_rng(seed).normal(size=tau.shape)
+    )
     plain = with_terms(robot, (frozenset(),) * robot.n)
     return signals_from_arrays(x[0], tau + noise, 1000.0, plain)
 
@@ -118,7 +136,9 @@ def simulated(robot, *seeds: int):
     found = []
     for seed in seeds:
         q = random_reference(robot, duration_s=4.0, sample_rate_hz=1000.0, seed=seed)
-        signals = closed_loop(robot, q, 1000.0, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed)
+        signals = closed_loop(
+            robot, q, 1000.0, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed
+        )
         found.append(dataclasses.replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}"))
     return Recordings(sources=tuple(found))
 

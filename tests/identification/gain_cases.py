@@ -1,4 +1,6 @@
-"""Robots whose drive gains are known here alone, and fits of them: their descriptions have gains of a catalogue, or none."""
+"""Robots whose drive gains are known here alone, and fits of them: their descriptions have gains
+of a catalogue, or none.
+"""
 
 import re
 from dataclasses import dataclass, replace
@@ -29,15 +31,21 @@ CATALOGUE = {
 }
 UNIT = {"tx40": "N m/A", "emps": "N/V", "scara": "N m/A", "axis": "N m/A"}
 # Centre of mass in m, in the last link's frame.
-CENTRE = {"tx40": (0.03, 0.02, 0.08), "emps": (0, 0, 0), "scara": (0.05, 0.02, 0), "axis": (0.3, 0.02, 0)}
+CENTRE = {
+    "tx40": (0.03, 0.02, 0.08),
+    "emps": (0, 0, 0),
+    "scara": (0.05, 0.02, 0),
+    "axis": (0.3, 0.02, 0),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainCase:
     """How recordings of a robot are made.
 
-    duration_s: of each. white: noise of the current in percent of each motor's rms. catalogue: the description has a
-    catalogue's gains, else none. torques: the efforts are the motors' torques, only said to be in A.
+    duration_s: of each. white: noise of the current in percent of each motor's rms. catalogue:
+    the description has a catalogue's gains, else none. torques: the efforts are the motors'
+    torques, only said to be in A.
     """
 
     robot: str
@@ -57,16 +65,26 @@ def with_gains(signals: Signals, gains: Array, half: Array | None) -> Signals:
     """The recording with a description that has these gains, and their half-widths (n,) if any."""
     before, unit = signals.robot, signals.robot.motors[0].recorded_unit
     torque = "N" if unit == "V" else "N m"
-    robot = robot_of(with_motors(before.files["robot.toml"].decode(), f"{torque}/{unit}", gains, half))
-    return replace(signals, robot=robot, effort=robot.joint_effort(before.motor_effort(signals.effort)))
+    robot = robot_of(
+        with_motors(before.files["robot.toml"].decode(), f"{torque}/{unit}", gains, half)
+    )
+    return replace(
+        signals, robot=robot, effort=robot.joint_effort(before.motor_effort(signals.effort))
+    )
 
 
 def toml_of(robot: str) -> Path:
-    return Path(__file__).with_name("lone_axis.toml") if robot == "axis" else REPLAY / robot / "robot.toml"
+    return (
+        Path(__file__).with_name("lone_axis.toml")
+        if robot == "axis"
+        else REPLAY / robot / "robot.toml"
+    )
 
 
 def fit_with_gains(*signals: Signals) -> Fit:
-    """By the method that the package takes where none is asked for, with the gains of all motors."""
+    """By the method that the package takes where none is asked for, with
+    the gains of all motors.
+    """
     motors = tuple(motor.name for motor in signals[0].robot.motors)
     return identify(Recordings(sources=signals), Overrides(gains=motors))
 
@@ -81,8 +99,12 @@ def described_robot(case: GainCase) -> Robot:
 
 
 def with_motors(text: str, unit: str, gains: Array | None, half: Array | None = None) -> str:
-    """A description with other gains, in `unit`, and their half-widths; None has efforts in A or V without a gain."""
-    text = re.sub(r"(?m)^(effort_unit|drive_gain|drive_gain_unit|drive_gain_half_width) = .*\n", "", text)
+    """A description with other gains, in `unit`, and their half-widths; None has efforts in
+    A or V without a gain.
+    """
+    text = re.sub(
+        r"(?m)^(effort_unit|drive_gain|drive_gain_unit|drive_gain_half_width) = .*\n", "", text
+    )
     first, *motors = text.split("[[motor]]\n")
     for k, motor in enumerate(motors):
         keys = f'effort_unit = "{unit.split("/")[1]}"\n'

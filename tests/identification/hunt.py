@@ -1,4 +1,6 @@
-"""Fits of set-ups whose truth is known, and how they count: verdict, whether the fault is named, whether a value is off."""
+"""Fits of set-ups whose truth is known, and how they count: verdict, whether the fault is named,
+whether a value is off.
+"""
 
 import zlib
 from collections import Counter
@@ -23,7 +25,11 @@ HALF_WIDTHS, PERCENT = 3.0, 2.0  # an essential parameter that is further off th
 def fit_by_default(signals: Signals, overrides: Overrides | None = None) -> Fit:
     """By the method that the package takes where none is asked for."""
     given = overrides or Overrides()
-    return identify_ls(signals, given) if signals.q_ref is None else identify_iv(signals, given, Iteration())
+    return (
+        identify_ls(signals, given)
+        if signals.q_ref is None
+        else identify_iv(signals, given, Iteration())
+    )
 
 
 def fit_by_least_squares(signals: Signals) -> Fit:
@@ -42,13 +48,19 @@ def is_harmed(fit: Fit, name: str) -> bool:
     """Whether an essential parameter is off by over 3 half-widths and 2 % of its value."""
     true, essential = true_values(name), {fit.base.names[k] for k in fit.essential.kept}
     found = zip(fit.estimate.names, fit.estimate.beta, fit.intervals.half, strict=True)
-    off = ((abs(beta - true[key]), half, abs(true[key])) for key, beta, half in found if key in essential)
+    off = (
+        (abs(beta - true[key]), half, abs(true[key]))
+        for key, beta, half in found
+        if key in essential
+    )
     return any(error > max(HALF_WIDTHS * half, 0.01 * PERCENT * size) for error, half, size in off)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Of a fit: its verdict, or `refused`; whether the fault is named, a value harmed; the test that the user reads first."""
+    """Of a fit: its verdict, or `refused`; whether the fault is named, a value harmed; the test
+    that the user reads first.
+    """
 
     verdict: str
     named: bool
@@ -80,7 +92,9 @@ def outcome_of(fit_by, signals: Signals, name: str, kind: Kind) -> Outcome:
 def both_outcomes(setup: SetUp, seed: int, kind: Kind = CLEAN) -> tuple[Outcome, Outcome]:
     """By the default method, and by least squares of the same recording."""
     signals = setup.recording(seed)
-    return tuple(outcome_of(by, signals, setup.name, kind) for by in (fit_by_default, fit_by_least_squares))
+    return tuple(
+        outcome_of(by, signals, setup.name, kind) for by in (fit_by_default, fit_by_least_squares)
+    )
 
 
 @one_thread
@@ -96,7 +110,9 @@ NOISES = ("white", "quantised", "AR(0.9)")
 
 @one_thread
 def outcomes_of_noise(noise: str, deviation: float, seed: int) -> tuple[Outcome, Outcome]:
-    """Of the axis with noise of the position of this deviation in m; rounding has that of a step of the root of 12 times it."""
+    """Of the axis with noise of the position of this deviation in m; rounding has that of a step of
+    the root of 12 times it.
+    """
     setup = sound("emps", np.random.default_rng(seed)).in_cell(
         encoder_noise=0.0 if noise == "quantised" else deviation,
         encoder_step=np.sqrt(12) * deviation if noise == "quantised" else 0.0,
@@ -126,8 +142,19 @@ def row(what: str, found: Iterable[tuple[Outcome, Outcome]], named: bool = True)
         return f"{text} ({refused} refused)" if refused else text
 
     firsts = (
-        ", ".join(f"{test} {times}" for test, times in Counter(x.first for x in each if x.first).most_common(3))
+        ", ".join(
+            f"{test} {times}"
+            for test, times in Counter(x.first for x in each if x.first).most_common(3)
+        )
         for each in methods
     )
-    cells = (what, " · ".join(map(distrusted, methods)), counted("named") if named else "- · -", counted("harmed"))
-    return f"| {' | '.join(cells)} | {counted('false_trust')} | {' · '.join(x or '-' for x in firsts)} |"
+    cells = (
+        what,
+        " · ".join(map(distrusted, methods)),
+        counted("named") if named else "- · -",
+        counted("harmed"),
+    )
+    return (
+        f"| {' | '.join(cells)} | {counted('false_trust')} | "
+        f"{' · '.join(x or '-' for x in firsts)} |"
+    )

@@ -1,6 +1,8 @@
-"""The 33 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
+"""The 33 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and
+which test should say so.
 
-A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A kind changes a sound one.
+A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A
+kind changes a sound one.
 """
 
 from collections.abc import Callable
@@ -36,10 +38,12 @@ SMOOTH = 0.005  # v0 of friction in parts of the speed limit
 
 @dataclass(frozen=True, kw_only=True)
 class SetUp:
-    """What is simulated, and what the fit is told: `robot`, and `timing` as the recording's `effort_timing`.
+    """What is simulated, and what the fit is told: `robot`, and `timing` as the
+    recording's `effort_timing`.
 
-    later: the plant from the middle on. held: a joint whose reference does not move. saturated: share of the peak effort at
-    which the drives saturate, None if they do not. changes: made of the recording, one after the other.
+    later: the plant from the middle on. held: a joint whose reference does not move. saturated:
+    share of the peak effort at which the drives saturate, None if they do not. changes: made of the
+    recording, one after the other.
     """
 
     name: str
@@ -66,13 +70,19 @@ class SetUp:
 
     def with_friction(self, **changes: float) -> "SetUp":
         """With another friction than is described."""
-        return replace(self, body=replace(self.body, friction=replace(self.body.friction, **changes)))
+        return replace(
+            self, body=replace(self.body, friction=replace(self.body.friction, **changes))
+        )
 
     def recording(self, seed: int) -> Signals:
         """Simulated, recorded, and changed."""
         rate_hz = self.controller.rate_hz
         path = references(
-            self.body, range(seed, seed + 1), duration_s=self.duration_s, rate_hz=rate_hz, highest_hz=self.highest_hz
+            self.body,
+            range(seed, seed + 1),
+            duration_s=self.duration_s,
+            rate_hz=rate_hz,
+            highest_hz=self.highest_hz,
         )
         if self.held is not None:
             moves = np.arange(self.body.n) != self.held
@@ -83,7 +93,15 @@ class SetUp:
             torque = self.body.inverse(path.q[0], path.dq[0], path.ddq[0])
             effort = np.linalg.solve(self.body.R.T, torque.T).T / controller.drive_gain
             controller = replace(controller, saturation=self.saturated * np.abs(effort).max(axis=0))
-        runs = simulate(self.body, controller, path, self.cell, seed=seed, substeps=self.substeps, later=self.later)
+        runs = simulate(
+            self.body,
+            controller,
+            path,
+            self.cell,
+            seed=seed,
+            substeps=self.substeps,
+            later=self.later,
+        )
         signals = runs.signals(self.robot, 0, self.timing)
         for change in self.changes:
             signals = change(signals)
@@ -91,22 +109,29 @@ class SetUp:
 
 
 def sound(name: str, rng: Rng) -> SetUp:
-    """A clean cell: small noise of the position, one or two percent of noise of the torque, a third of it coloured.
+    """A clean cell: small noise of the position, one or two percent of noise of the torque,
+    a third of it coloured.
 
     Half the recordings do not state what instants their efforts belong to.
     """
     toml = REPLAY / name / "robot.toml"
     body = plant(toml, smooth=SMOOTH)
     law = (
-        described_controller(body) if "structure" in body.description["controller"] else designed_pd(body, 10.0, 500.0)
+        described_controller(body)
+        if "structure" in body.description["controller"]
+        else designed_pd(body, 10.0, 500.0)
     )
     noise = "coloured_noise_percent" if rng.random() < 1 / 3 else "torque_noise_percent"
     return SetUp(
         name=name,
         body=body,
         controller=law,
-        cell=Imperfections(encoder_noise=UNIT[name] * rng.uniform(0.5, 3.0), **{noise: rng.uniform(1.0, 2.0)}),
-        robot=without_settings(description(toml, None if "structure" in body.description["controller"] else law)),
+        cell=Imperfections(
+            encoder_noise=UNIT[name] * rng.uniform(0.5, 3.0), **{noise: rng.uniform(1.0, 2.0)}
+        ),
+        robot=without_settings(
+            description(toml, None if "structure" in body.description["controller"] else law)
+        ),
         timing="unknown" if rng.random() < 1 / 2 else "command",
     )
 
@@ -131,7 +156,9 @@ def drive_gain(s: SetUp, rng: Rng) -> SetUp:
     gains = s.robot.gain * factor
     units = [m.drive_gain_unit or "N m/V" for m in s.robot.motors]
     motors = tuple(
-        msgspec.structs.replace(motor, effort_unit=None, drive_gain=float(gain), drive_gain_unit=unit)
+        msgspec.structs.replace(
+            motor, effort_unit=None, drive_gain=float(gain), drive_gain_unit=unit
+        )
         for motor, gain, unit in zip(s.robot.motors, gains, units, strict=True)
     )
     return replace(s, robot=replace(s.robot, motors=motors)).changed(times_effort(factor))
@@ -147,7 +174,9 @@ def of_motors(change: Callable[[Array], Array]) -> Callable[[Signals], Signals]:
 
     def changed(signals: Signals) -> Signals:
         robot = signals.robot
-        return replace(signals, effort=robot.joint_effort(change(robot.motor_effort(signals.effort))))
+        return replace(
+            signals, effort=robot.joint_effort(change(robot.motor_effort(signals.effort)))
+        )
 
     return changed
 
@@ -176,7 +205,9 @@ def ratio(s: SetUp, rng: Rng) -> SetUp:
     """Positions, reference and efforts were turned into those of joints by the wrong ratio."""
     factor = of_a_joint(s, rng, off(rng, 2, 30))
     R = s.robot.R * factor[:, None]
-    motors = tuple(msgspec.structs.replace(m, ratio=float(R[j, j])) for j, m in enumerate(s.robot.motors))
+    motors = tuple(
+        msgspec.structs.replace(m, ratio=float(R[j, j])) for j, m in enumerate(s.robot.motors)
+    )
 
     def change(signals: Signals) -> Signals:
         q_ref = signals.q_ref / factor
@@ -195,14 +226,20 @@ def cogging(s: SetUp, rng: Rng) -> SetUp:
 def controller_gains(s: SetUp, rng: Rng) -> SetUp:
     """Described wrong, one kind of gain or both, by at least a quarter."""
     factor = rng.uniform(1.25, 2.0) ** rng.choice([-1, 1])
-    names = (("position_gain",), ("velocity_gain",), ("position_gain", "velocity_gain"))[rng.integers(3)]
+    names = (("position_gain",), ("velocity_gain",), ("position_gain", "velocity_gain"))[
+        rng.integers(3)
+    ]
     changes = {name: tuple(factor * x for x in getattr(s.robot.controller, name)) for name in names}
     return replace(s, robot=with_control(s.robot, **changes))
 
 
 def undescribed_integral(s: SetUp, rng: Rng) -> SetUp:
     cascade = s.controller.structure == "cascade_p_p"
-    integral = rng.uniform(5.0, 20.0) * np.ones(s.body.n) if cascade else rng.uniform(2, 5) * s.controller.position_gain
+    integral = (
+        rng.uniform(5.0, 20.0) * np.ones(s.body.n)
+        if cascade
+        else rng.uniform(2, 5) * s.controller.position_gain
+    )
     structure = "cascade_p_pi" if cascade else "pid"
     return replace(s, controller=replace(s.controller, structure=structure, integral_gain=integral))
 
@@ -219,10 +256,15 @@ def twelve_bits(s: SetUp, rng: Rng) -> SetUp:
 
 def payload_midway(s: SetUp, rng: Rng) -> SetUp:
     """The axis carries more; or the forearm carries at half its length what adds to its inertia."""
-    part, body = rng.uniform(0.1, 0.4), plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, closed_form=False)
+    part, body = (
+        rng.uniform(0.1, 0.4),
+        plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, closed_form=False),
+    )
     if s.name == "emps":
         return replace(s, later=with_payload(body, part * s.robot.parameters["M1"]))
-    return replace(s, later=with_payload(body, part * s.robot.parameters["ZZ2"] / 0.25**2, (0.25, 0.0, 0.0)))
+    return replace(
+        s, later=with_payload(body, part * s.robot.parameters["ZZ2"] / 0.25**2, (0.25, 0.0, 0.0))
+    )
 
 
 def without_reference(s: SetUp) -> SetUp:
@@ -236,7 +278,9 @@ def without_law(s: SetUp) -> SetUp:
 def length(s: SetUp, rng: Rng) -> SetUp:
     *others, last = s.robot.joints
     dh = msgspec.structs.replace(last.dh, d_m=last.dh.d_m * off(rng, 1, 6))
-    return replace(s, robot=replace(s.robot, joints=(*others, msgspec.structs.replace(last, dh=dh))))
+    return replace(
+        s, robot=replace(s.robot, joints=(*others, msgspec.structs.replace(last, dh=dh)))
+    )
 
 
 def held(s: SetUp, rng: Rng) -> SetUp:
@@ -257,7 +301,9 @@ def denied_rotor(s: SetUp, rng: Rng) -> SetUp:
 def zero_of_joint(s: SetUp, rng: Rng) -> SetUp:
     """The elbow's position and reference are off by 2 degrees."""
     off_by = np.deg2rad(2.0) * rng.choice([-1, 1]) * (np.arange(s.body.n) == 1)
-    return s.changed(lambda signals: replace(signals, q=signals.q + off_by, q_ref=signals.q_ref + off_by))
+    return s.changed(
+        lambda signals: replace(signals, q=signals.q + off_by, q_ref=signals.q_ref + off_by)
+    )
 
 
 def clocks_apart(s: SetUp, rng: Rng) -> SetUp:
@@ -281,7 +327,8 @@ LATE = (("lag", ""), ("lag", CORRECTED))
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A fault. named: of the tests that may say so, name and a part of the text, "" for any; empty where none can.
+    """A fault. named: of the tests that may say so, name and a part of the text, "" for
+    any; empty where none can.
 
     unseen: robots on which no test can see it, as nothing recorded contradicts what was described.
     """
@@ -295,16 +342,26 @@ class Kind:
 CLEAN = Kind(change=lambda s, rng: s)
 KINDS = {
     "gain of the record ±5-50 %": Kind(
-        change=lambda s, rng: s.changed(times_effort(of_a_joint(s, rng, off(rng, 5, 50)))), named=(("control law", ""),)
+        change=lambda s, rng: s.changed(times_effort(of_a_joint(s, rng, off(rng, 5, 50)))),
+        named=(("control law", ""),),
     ),
-    "described drive gain ±5-50 %": Kind(change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)),
-    "sign": Kind(change=sign, named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign"))),
+    "described drive gain ±5-50 %": Kind(
+        change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)
+    ),
+    "sign": Kind(
+        change=sign,
+        named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign")),
+    ),
     "efforts of two motors exchanged": Kind(
         change=exchanged, named=(("signs and order", "are exchanged"),), robots=("scara", "tx40")
     ),
-    "sign of a coupled motor": Kind(change=sign_of_wrist, named=(("signs and order", "wrong sign"),), robots=("tx40",)),
+    "sign of a coupled motor": Kind(
+        change=sign_of_wrist, named=(("signs and order", "wrong sign"),), robots=("tx40",)
+    ),
     "radians declared as degrees": Kind(
-        change=lambda s, rng: s.changed(lambda x: replace(x, q=np.radians(x.q), q_ref=np.radians(x.q_ref))),
+        change=lambda s, rng: s.changed(
+            lambda x: replace(x, q=np.radians(x.q), q_ref=np.radians(x.q_ref))
+        ),
         named=(("positions", "radians"),),
         robots=("scara",),
     ),
@@ -314,19 +371,25 @@ KINDS = {
     ),
     "described ratio ±2-30 %": Kind(change=ratio, unseen=BOTH),
     "saturated at 50-90 %": Kind(
-        change=lambda s, rng: replace(s, saturated=rng.uniform(0.5, 0.9)), named=(("", "saturates"),)
+        change=lambda s, rng: replace(s, saturated=rng.uniform(0.5, 0.9)),
+        named=(("", "saturates"),),
     ),
     "asymmetric friction 20-50 %": Kind(
-        change=lambda s, rng: s.with_friction(asymmetry=rng.uniform(0.2, 0.5)), named=(("added columns", "asymmetric"),)
+        change=lambda s, rng: s.with_friction(asymmetry=rng.uniform(0.2, 0.5)),
+        named=(("added columns", "asymmetric"),),
     ),
-    "Stribeck 50 %": Kind(change=lambda s, rng: s.with_friction(stribeck=0.5), named=(("added columns", "Stribeck"),)),
+    "Stribeck 50 %": Kind(
+        change=lambda s, rng: s.with_friction(stribeck=0.5), named=(("added columns", "Stribeck"),)
+    ),
     "cogging": Kind(change=cogging),
     "friction drifts 20-40 %": Kind(
         change=lambda s, rng: s.in_cell(friction_drift=rng.choice([-1, 1]) * rng.uniform(0.2, 0.4)),
         named=(("halves", ""), ("added columns", "drift")),
     ),
     "rate 1 %": Kind(
-        change=lambda s, rng: s.changed(lambda signals: at_rate(signals, signals.sample_rate_hz * off(rng, 1, 1))),
+        change=lambda s, rng: s.changed(
+            lambda signals: at_rate(signals, signals.sample_rate_hz * off(rng, 1, 1))
+        ),
         named=(("control law", ""),),
         unseen=BOTH,
     ),
@@ -343,7 +406,12 @@ KINDS = {
     "late, no controller": Kind(change=lambda s, rng: without_law(late(s, rng)), named=LATE),
     "tilt 1-5°": Kind(
         change=lambda s, rng: replace(
-            s, body=plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, tilt_rad=np.deg2rad(rng.uniform(1, 5)))
+            s,
+            body=plant(
+                REPLAY / s.name / "robot.toml",
+                smooth=SMOOTH,
+                tilt_rad=np.deg2rad(rng.uniform(1, 5)),
+            ),
         ),
         named=(("added columns", "tilt"),),
         robots=("scara",),
@@ -351,9 +419,16 @@ KINDS = {
     "DH length 1-6 %": Kind(change=length, robots=("scara",), unseen=("scara",)),
     "one joint held": Kind(change=held, robots=("scara",)),
     "delay 1-3 ticks behind the command": Kind(
-        change=lambda s, rng: s.in_cell(actuation_delay_s=rng.uniform(1.0, 3.0) / s.controller.rate_hz), named=LATE
+        change=lambda s, rng: s.in_cell(
+            actuation_delay_s=rng.uniform(1.0, 3.0) / s.controller.rate_hz
+        ),
+        named=LATE,
     ),
-    "rotor denied": Kind(change=denied_rotor, named=(("added columns", "rotor"),), robots=("scara",)),
-    "zero of a joint 2°": Kind(change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)),
+    "rotor denied": Kind(
+        change=denied_rotor, named=(("added columns", "rotor"),), robots=("scara",)
+    ),
+    "zero of a joint 2°": Kind(
+        change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)
+    ),
     "clocks 0.1 % apart": Kind(change=clocks_apart, named=(("added columns", "clock"),)),
 }

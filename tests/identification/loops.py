@@ -31,12 +31,18 @@ def modelled(robot: Robot) -> tuple[InverseModel, BaseParameters, DirectModel]:
     """The models of a robot, the direct one by `[parameters]`."""
     model = InverseModel(robot)
     base = base_parameters(model)
-    return model, base, direct_model(model, base.standard_parameters(described_parameters(model, base)))
+    return (
+        model,
+        base,
+        direct_model(model, base.standard_parameters(described_parameters(model, base))),
+    )
 
 
 def free(n: int, rate_hz: float) -> ControlLaw:
     """No control at all."""
-    return replace(surrogate_loop(1.0, np.ones(n), rate_hz), Kp=np.zeros(n), Kd=np.zeros(n), gravity=False)
+    return replace(
+        surrogate_loop(1.0, np.ones(n), rate_hz), Kp=np.zeros(n), Kd=np.zeros(n), gravity=False
+    )
 
 
 def simulate(
@@ -55,6 +61,8 @@ def simulate(
     if isinstance(reference, np.ndarray):
         reference = Reference(reference, np.zeros_like(reference), np.zeros_like(reference))
     fastest = np.abs(reference.dq @ model.directions.T).max(axis=0, initial=0.0)
-    robot = ClosedLoop(model, loop, start or (reference.q[0], reference.dq[0]), fastest=fastest, substeps=substeps)
+    robot = ClosedLoop(
+        model, loop, start or (reference.q[0], reference.dq[0]), fastest=fastest, substeps=substeps
+    )
     motion, reason = robot.follow(reference, np.full(reference.q.shape[1], bound))
     return Simulated(*motion, reason)

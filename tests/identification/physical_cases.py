@@ -1,4 +1,6 @@
-"""Parameters of bodies, of a link and of an arm, with what is asked of them, and covariances of estimates."""
+"""Parameters of bodies, of a link and of an arm, with what is asked of them, and
+covariances of estimates.
+"""
 
 import dataclasses
 
@@ -16,7 +18,9 @@ def body(seed: int) -> np.ndarray:
 
 
 def one_link() -> tuple[np.ndarray, PhysicalParameters]:
-    """K (7, 14) and what is asked of a link with a rotor inertia of which a share is another's, and viscous friction."""
+    """K (7, 14) and what is asked of a link with a rotor inertia of which a share is
+    another's, and viscous friction.
+    """
     start = np.concatenate([body(1), [0.5, 0.2, 0.4, 0.3]])
     combinations, matrix = np.zeros((2, 14)), np.zeros((2, 2, 14))
     combinations[0, 10], combinations[0, 11], combinations[1, 11] = 1.0, -0.3, 1.0
@@ -42,8 +46,12 @@ def covariance_with(covariance: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     return covariance * np.outer(scale, scale)
 
 
-def tx40(*, described: bool = True) -> tuple[InverseModel, np.ndarray, np.ndarray, PhysicalParameters]:
-    """Model, K, base parameters of a physical arm, and what is asked of it; its description says its values, or nothing."""
+def tx40(
+    *, described: bool = True
+) -> tuple[InverseModel, np.ndarray, np.ndarray, PhysicalParameters]:
+    """Model, K, base parameters of a physical arm, and what is asked of it; its description says
+    its values, or nothing.
+    """
     robot = robot_named("tx40")
     chi = described_chi(InverseModel(robot))
     idm = InverseModel(robot if described else dataclasses.replace(robot, parameters={}))

@@ -20,10 +20,18 @@ FS = 1000.0
 def robot_with(types, unit):
     text = 'name = "made up"\n'
     for j, kind in enumerate(types):
-        dh = f"{{ alpha_deg = {(0, -90, 90)[j % 3]}, d_m = {0.2 * (j > 0)}, theta_deg = 0, r_m = {0.1 * j} }}"
+        dh = (
+            f"{{ alpha_deg = {(0, -90, 90)[j % 3]}, d_m = {0.2 * (j > 0)}, theta_deg = 0, r_m "
+            f"= {0.1 * j} }}"
+        )
         text += f'[[joint]]\nname = "joint {j + 1}.x"\ntype = "{kind}"\ndh = {dh}\noffset = true\n'
-        text += f'rotor_inertia = {"true" if j else "false"}\n[[motor]]\nname = "m{j}"\neffort_unit = "{unit}"\n'
-    return robot_from_files({"robot.toml": (text + "[controller]\nbandwidth_hz = 10.0\n").encode()}, "made up")
+        text += (
+            f"rotor_inertia = {'true' if j else 'false'}\n[[motor]]\nname = "
+            f'"m{j}"\neffort_unit = "{unit}"\n'
+        )
+    return robot_from_files(
+        {"robot.toml": (text + "[controller]\nbandwidth_hz = 10.0\n").encode()}, "made up"
+    )
 
 
 @cache
@@ -71,7 +79,9 @@ def scara():
 
 
 class Written:
-    """A file read back: `curves` as (t_ns, values) and `static` columns by entity path; the layout's views."""
+    """A file read back: `curves` as (t_ns, values) and `static` columns by entity
+    path; the layout's views.
+    """
 
     def __init__(self, path):
         reader = RrdReader(path)
@@ -82,13 +92,17 @@ class Written:
             batch = chunk.to_record_batch()
             columns = {name: batch.column(name) for name in batch.schema.names}
             if chunk.is_static:
-                self.static.setdefault(chunk.entity_path, {}).update({k: v.to_pylist()[0] for k, v in columns.items()})
+                self.static.setdefault(chunk.entity_path, {}).update(
+                    {k: v.to_pylist()[0] for k, v in columns.items()}
+                )
             else:
                 (timeline,) = chunk.timeline_names
                 assert timeline == "time"
                 if "Scalars:scalars" not in columns:
                     assert chunk.entity_path not in self.moving, "in one piece"
-                    self.moving[chunk.entity_path] = {name: c.to_pylist() for name, c in columns.items()}
+                    self.moving[chunk.entity_path] = {
+                        name: c.to_pylist() for name, c in columns.items()
+                    }
                     continue
                 t = columns["time"].to_numpy(zero_copy_only=False).astype(np.int64)
                 x = np.array([row[0] for row in columns["Scalars:scalars"].to_pylist()])
@@ -109,17 +123,33 @@ class Written:
 
     def holds(self, origin, kind):
         """Whether there is something below `origin` that a view of this kind shows."""
-        below = {path: columns for path, columns in self.static.items() if f"{path}/".startswith(f"{origin}/")}
+        below = {
+            path: columns
+            for path, columns in self.static.items()
+            if f"{path}/".startswith(f"{origin}/")
+        }
         if kind == "TimeSeries":
-            lines = [p for p in self.curves if p.startswith(f"{origin}/") and len(self.curves[p][0]) > 1]
+            lines = [
+                p for p in self.curves if p.startswith(f"{origin}/") and len(self.curves[p][0]) > 1
+            ]
             return len(lines) > 0
         if kind == "TextLog":
-            return any("TextLog:text" in c for p, c in self.moving.items() if f"{p}/".startswith(f"{origin}/"))
+            return any(
+                "TextLog:text" in c
+                for p, c in self.moving.items()
+                if f"{p}/".startswith(f"{origin}/")
+            )
         if kind == "3D":
             solids = [
-                columns for columns in below.values() if any(name.endswith(("sizes", "radii")) for name in columns)
+                columns
+                for columns in below.values()
+                if any(name.endswith(("sizes", "radii")) for name in columns)
             ]
-            moved = [p for p, c in self.moving.items() if p.startswith(f"{origin}/") and "Transform3D:translation" in c]
+            moved = [
+                p
+                for p, c in self.moving.items()
+                if p.startswith(f"{origin}/") and "Transform3D:translation" in c
+            ]
             return len(solids) > 0 and len(moved) > 0
         return any(columns.get("TextDocument:text") for columns in below.values())
 
@@ -128,26 +158,38 @@ class Written:
         for origin, (kind, title) in self.views.items():
             assert self.holds(origin, kind), f"{title} is empty"
         for path in [*self.curves, *self.static, *self.moving]:
-            assert path.startswith("/__") or any(f"{path}/".startswith(f"{origin}/") for origin in self.views), path
+            assert path.startswith("/__") or any(
+                f"{path}/".startswith(f"{origin}/") for origin in self.views
+            ), path
         return True
 
 
-LINK = "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"
+LINK = (
+    "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' "
+    "iyz='0'/></inertial>"
+)
 
 
 def urdf_robot(shape):
     visual = f"<visual><geometry>{shape}</geometry></visual>"
     joint = (
-        "<joint name='{0}' type='revolute'><parent link='{1}'/><child link='{2}'/><origin xyz='0 0 .4'/>"
+        "<joint name='{0}' type='revolute'><parent link='{1}'/><child link='{2}'/><origin xyz='0 0 "
+        ".4'/>"
         "<axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
     )
-    urdf = f"<robot name='arm'><link name='base'>{visual}</link><link name='l1'>{LINK}{visual}</link>"
+    urdf = (
+        f"<robot name='arm'><link name='base'>{visual}</link><link name='l1'>{LINK}{visual}</link>"
+    )
     urdf += (
-        f"<link name='l2'>{LINK}{visual}</link>{joint.format('a', 'base', 'l1')}{joint.format('b', 'l1', 'l2')}</robot>"
+        f"<link name='l2'>{LINK}{visual}</link>"
+        f"{joint.format('a', 'base', 'l1')}{joint.format('b', 'l1', 'l2')}</robot>"
     )
     text = 'name = "arm"\nurdf = "arm.urdf"\n[controller]\nbandwidth_hz = 10.0\n'
     for name in "ab":
-        text += f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "m{name}"\neffort_unit = "N m"\n'
+        text += (
+            f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = '
+            f'"m{name}"\neffort_unit = "N m"\n'
+        )
     return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf.encode()}, "made up")
 
 

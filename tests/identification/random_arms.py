@@ -14,7 +14,9 @@ NOISE = 0.02  # of a joint's torque, rms
 
 
 def random_arm(seed: int) -> Robot:
-    """Two to six joints of random DH rows, perhaps prismatic ones, perhaps a coupled last motor; nothing is known of it."""
+    """Two to six joints of random DH rows, perhaps prismatic ones, perhaps a coupled last motor;
+    nothing is known of it.
+    """
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 7))
     matrix = np.diag(rng.uniform(20, 100, n))
@@ -26,7 +28,10 @@ def random_arm(seed: int) -> Robot:
         kind = "prismatic" if slides else "revolute"
         alpha, theta = rng.choice([-90, 0, 90, 17.3], 2)
         d, r = rng.uniform(-0.5, 0.5, 2) * (rng.random(2) < 0.7)
-        text += f'[[joint]]\nname = "j{j}"\ntype = "{kind}"\noffset = {str(bool(rng.random() < 0.5)).lower()}\n'
+        text += (
+            f'[[joint]]\nname = "j{j}"\ntype = "{kind}"\noffset = '
+            f"{str(bool(rng.random() < 0.5)).lower()}\n"
+        )
         text += f"dh = {{ alpha_deg = {alpha}, d_m = {d}, theta_deg = {theta}, r_m = {r} }}\n"
         unit = "N m" if kind == "revolute" else "N"
         text += f'[[motor]]\nname = "m{j}"\neffort_unit = "{unit}"\n'
@@ -37,12 +42,16 @@ def random_body(rng: np.random.Generator) -> np.ndarray:
     """Ten parameters of a cloud of point masses."""
     points = rng.normal(size=(6, 3)) * rng.uniform(0.02, 0.15) + rng.normal(size=3) * 0.1
     masses = rng.uniform(0.1, 3, 6)
-    inertia = sum(m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(masses, points, strict=True))
+    inertia = sum(
+        m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(masses, points, strict=True)
+    )
     return np.concatenate([inertia[np.triu_indices(3)], masses @ points, [masses.sum()]])
 
 
 def set_own(idm: InverseModel, chi: np.ndarray, values: Callable[[int], np.ndarray]) -> list[int]:
-    """Give the rotor inertias and friction of joints and motors such that their sums are `values` of so many; their columns."""
+    """Give the rotor inertias and friction of joints and motors such that their sums are `values`
+    of so many; their columns.
+    """
     terms, shares = own_shares(idm)
     columns = list(terms)
     chi[columns] = np.linalg.solve(shares[:, columns], values(len(columns)))
@@ -52,9 +61,11 @@ def set_own(idm: InverseModel, chi: np.ndarray, values: Callable[[int], np.ndarr
 def random_estimate(
     seed: int, times: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, PhysicalParameters, np.ndarray]:
-    """Estimate beta, its covariance and K of a random arm, what is asked of it, and its true parameters.
+    """Estimate beta, its covariance and K of a random arm, what is asked of it,
+    and its true parameters.
 
-    `times` the noise of a made up experiment; own rotor inertias and friction are positive, for coupled motors too.
+    `times` the noise of a made up experiment; own rotor inertias and friction are positive,
+    for coupled motors too.
     """
     rng = np.random.default_rng([seed, 1])
     idm = InverseModel(random_arm(seed))

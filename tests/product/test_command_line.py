@@ -1,4 +1,6 @@
-"""How commands end: files before words, a status that says what happened, streams that cannot fail a command."""
+"""How commands end: files before words, a status that says what happened, streams that
+cannot fail a command.
+"""
 
 import os
 import platform
@@ -66,24 +68,34 @@ raise SystemExit(run_command("p", (), command))
         pytest.param("ACQ info none.mcap 2>/dev/full", 1, "", [], marks=needs_full),
         ("PYTHON without_streams.py >&- 2>&- <&-", 0, "", ["number"]),
         ("ACQ check nowhere.toml | true", 1, "bus: udp_multicast nowhere: cannot be opened", []),
-        ("ACQ check nobody.toml | true", 1, "", []),  # no drive answers: no go, however little of it is read
+        # no drive answers: no go, however little of it is read
+        ("ACQ check nobody.toml | true", 1, "", []),
     ],
 )
 def test_streams_that_cannot_be_written_lose_nothing(line, status, error, files, tmp_path):
-    """The number of a closed stream is not given to the next file: what is printed would stand in it."""
+    """The number of a closed stream is not given to the next file: what is
+    printed would stand in it.
+    """
     text = SCARA.read_text()
     (tmp_path / "nobody.toml").write_text(text.replace('channel = "scara"', 'channel = "nobody"'))
-    text = text.replace('channel = "scara"', 'channel = "nowhere"').replace('"virtual"', '"udp_multicast"')
+    text = text.replace('channel = "scara"', 'channel = "nowhere"').replace(
+        '"virtual"', '"udp_multicast"'
+    )
     (tmp_path / "nowhere.toml").write_text(text)
     (tmp_path / "without_streams.py").write_text(WITHOUT_STREAMS)
     before = {*tmp_path.iterdir()}
     python = sys.executable
-    words = {"PYTHON": python, "ID": f"{python} -m identification", "ACQ": f"{python} -m acquisition"}
+    words = {
+        "PYTHON": python,
+        "ID": f"{python} -m identification",
+        "ACQ": f"{python} -m acquisition",
+    }
     words |= {"SCARA": str(SCARA), "SESSION": str(SESSION)}
     command = " ".join(words.get(word, word) for word in line.split())
     done = subprocess.run(
         ["bash", "-c", f"{command}; exit ${{PIPESTATUS[0]}}"],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=120, check=False,
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == status
     assert error in done.stderr
@@ -95,7 +107,19 @@ def test_streams_that_cannot_be_written_lose_nothing(line, status, error, files,
 
 
 def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tmp_path, capsys):
-    assert identify(["fit", str(SESSION), "--json", str(tmp_path / "j"), "--rrd", str(tmp_path / "none" / "r")]) == 1
+    assert (
+        identify(
+            [
+                "fit",
+                str(SESSION),
+                "--json",
+                str(tmp_path / "j"),
+                "--rrd",
+                str(tmp_path / "none" / "r"),
+            ]
+        )
+        == 1
+    )
     printed = capsys.readouterr()
     assert f"{tmp_path}/none/r" in printed.err
     assert printed.err.count("\n") == 1
@@ -144,7 +168,13 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
 def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
-    for command in (["fit", "loop"], ["base", "loop"], ["compare", "loop", str(FIT)], ["view", ""], ["view", "."]):
+    for command in (
+        ["fit", "loop"],
+        ["base", "loop"],
+        ["compare", "loop", str(FIT)],
+        ["view", ""],
+        ["view", "."],
+    ):
         assert identify(command) == 1
         printed = capsys.readouterr()
         assert printed.err.startswith("robot-identify: ")
@@ -153,7 +183,9 @@ def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["loop"]
 
 
-@pytest.mark.parametrize(("program", "name"), [(acquire, "robot-acquire"), (identify, "robot-identify")])
+@pytest.mark.parametrize(
+    ("program", "name"), [(acquire, "robot-acquire"), (identify, "robot-identify")]
+)
 def test_versions_are_those_of_what_is_installed(program, name, capsys):
     with pytest.raises(SystemExit) as stopped:
         program(["--version"])
@@ -190,15 +222,47 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
 @pytest.mark.parametrize(
     ("program", "command", "line"),
     [
-        (identify, "fit a.mcap --cutof-hz 3", "error: unrecognized arguments: --cutof-hz 3: did you mean --cutoff-hz?"),
-        (identify, "fit a --method olss", " fit: error: argument --method: invalid choice: 'olss': did you mean ols?"),
-        (identify, "fit a.mcap --cutoff-hz 0", "argument --cutoff-hz: '0': expected a number above 0, or none"),
-        (identify, "fit a.mcap --meth wls", "error: unrecognized arguments: --meth wls: did you mean --method?"),
-        (identify, "simulate a -o b --rate-hz 0.008", "'0.008': expected a rate in Hz from 1; 0.008 s is 125 Hz"),
+        (
+            identify,
+            "fit a.mcap --cutof-hz 3",
+            "error: unrecognized arguments: --cutof-hz 3: did you mean --cutoff-hz?",
+        ),
+        (
+            identify,
+            "fit a --method olss",
+            " fit: error: argument --method: invalid choice: 'olss': did you mean ols?",
+        ),
+        (
+            identify,
+            "fit a.mcap --cutoff-hz 0",
+            "argument --cutoff-hz: '0': expected a number above 0, or none",
+        ),
+        (
+            identify,
+            "fit a.mcap --meth wls",
+            "error: unrecognized arguments: --meth wls: did you mean --method?",
+        ),
+        (
+            identify,
+            "simulate a -o b --rate-hz 0.008",
+            "'0.008': expected a rate in Hz from 1; 0.008 s is 125 Hz",
+        ),
         (identify, "fit", " fit: error: the following arguments are required: LOG.mcap"),
-        (acquire, "impotr a.csv", "error: argument COMMAND: invalid choice: 'impotr': did you mean import?"),
-        (acquire, "decode a.mcap -o b.mcap", "error: decode is gone: use import LOG.mcap -o OUT.mcap"),
-        (identify, "fit a --cluster=tcp://host:1", "error: --cluster is gone: use --workers tcp://HOST:8786"),
+        (
+            acquire,
+            "impotr a.csv",
+            "error: argument COMMAND: invalid choice: 'impotr': did you mean import?",
+        ),
+        (
+            acquire,
+            "decode a.mcap -o b.mcap",
+            "error: decode is gone: use import LOG.mcap -o OUT.mcap",
+        ),
+        (
+            identify,
+            "fit a --cluster=tcp://host:1",
+            "error: --cluster is gone: use --workers tcp://HOST:8786",
+        ),
         (identify, "study a --rrd s.rrd", "error: study --rrd is gone: use --report FILE.html"),
     ],
 )
@@ -219,12 +283,19 @@ def test_a_method_may_be_in_capitals():
 def test_a_shell_completes_commands_options_and_files_with_a_package(capsys, monkeypatch):
     pytest.importorskip("shtab")
     for program, status, words in (
-        (identify, 0, ["_fit___method_choices=(ols wls iv)", "_fit_pos_0_COMPGEN=_shtab_compgen_files"]),
+        (
+            identify,
+            0,
+            ["_fit___method_choices=(ols wls iv)", "_fit_pos_0_COMPGEN=_shtab_compgen_files"],
+        ),
         (acquire, 0, ["_import_option_strings=(", "_check_pos_0_COMPGEN=_shtab_compgen_files"]),
         (
             identify,
             2,
-            ["robot-identify: error: --print-completion needs shtab: pip install 'robot-idim[completion]'\n"],
+            [
+                "robot-identify: error: --print-completion needs shtab: pip install "
+                "'robot-idim[completion]'\n"
+            ],
         ),
     ):
         if status:
@@ -242,7 +313,8 @@ def test_exchanged_arguments_are_told(capsys):
         assert identify(["validate", *map(str, command)]) == 1
         right = " ".join(map(str, [FIT, *command[:-1]]))
         assert capsys.readouterr().err == (
-            f"robot-identify: {SESSION}: is no fit: expected the fit first: `robot-identify validate {right}`\n"
+            f"robot-identify: {SESSION}: is no fit: expected the fit first: `robot-identify "
+            f"validate {right}`\n"
         )
 
 
@@ -250,7 +322,10 @@ def test_a_urdf_in_place_of_a_description_is_told(tmp_path, monkeypatch, capsys)
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "arm.urdf").write_text('<?xml version="1.0"?><robot name="a"/>')
     monkeypatch.chdir(tmp_path)
-    told = "folder/arm.urdf: is a URDF: expected a robot.toml; `robot-identify init folder/arm.urdf -o robot.toml` makes one"
+    told = (
+        "folder/arm.urdf: is a URDF: expected a robot.toml; `robot-identify init "
+        "folder/arm.urdf -o robot.toml` makes one"
+    )
     for program, command in (
         (acquire, "check"),
         (identify, f"fit {SESSION} --robot"),
@@ -265,5 +340,6 @@ def test_a_urdf_in_place_of_a_description_is_told(tmp_path, monkeypatch, capsys)
 def test_drives_that_nobody_could_join_are_not_emulated(capsys):
     assert acquire(["emulate", str(SCARA), "--duration", "0.1"]) == 1
     assert capsys.readouterr().err.startswith(
-        f"robot-acquire: {SCARA}: bus.interface = 'virtual': other programs cannot join it: expected udp_multicast or "
+        f"robot-acquire: {SCARA}: bus.interface = 'virtual': other programs cannot join it: "
+        "expected udp_multicast or "
     )

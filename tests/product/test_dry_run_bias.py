@@ -1,4 +1,6 @@
-"""What dry runs without noise are off by, cause by cause: interpolation, the sampled effort, the law that is described."""
+"""What dry runs without noise are off by, cause by cause: interpolation, the sampled effort, the
+law that is described.
+"""
 
 from dataclasses import replace
 
@@ -15,7 +17,13 @@ from acquisition.protocol import State
 from acquisition.recording import read_recording
 from acquisition.robot import DriveFile, load_robot, ripple_notes
 from acquisition.robot.bus import demand_ripple
-from acquisition.simulated import DrivenPlant, LoopGains, SimulatedDrives, cascaded_loops, describe_loops
+from acquisition.simulated import (
+    DrivenPlant,
+    LoopGains,
+    SimulatedDrives,
+    cascaded_loops,
+    describe_loops,
+)
 from acquisition.simulated.mechanism import JointwisePlant
 from identification.data import load_signals
 from identification.methods import fit_document, identify_ls
@@ -34,10 +42,14 @@ FINE = (
 
 
 def sampled(text: str, loops: LoopGains, *, seconds: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and efforts at the joint that an enabled drive reports while it moves an inertia to and fro."""
+    """Positions and efforts at the joint that an enabled drive reports while it moves
+    an inertia to and fro.
+    """
     robot = robot_of(text)
     bus, one = bus_of(robot), np.ones(1)
-    plant = JointwisePlant(INERTIA * one, 0 * one, 0 * one, 0 * one, slides=np.zeros(1, bool), position=0 * one)
+    plant = JointwisePlant(
+        INERTIA * one, 0 * one, 0 * one, 0 * one, slides=np.zeros(1, bool), position=0 * one
+    )
     drives = SimulatedDrives(robot, bus, DrivenPlant(plant=plant, loops=loops))
     node, drive = drives.nodes[0], bus.drives[0]
     node.nmt, node.state, node.values[0x6061, 0] = 5, State.OPERATION_ENABLED, 8
@@ -52,7 +64,9 @@ def sampled(text: str, loops: LoopGains, *, seconds: float = 4.0) -> tuple[np.nd
 
 
 def inertia_and_lag(q: np.ndarray, effort: np.ndarray) -> tuple[float, float]:
-    """Inertia as a share of the true one, less one, and lag in periods, of the effort against the acceleration."""
+    """Inertia as a share of the true one, less one, and lag in periods, of the effort
+    against the acceleration.
+    """
     motion = CubicSpline(np.arange(len(q)) * PERIOD_S, q)
     t_s = np.arange(len(q))[200:-50] * PERIOD_S
     a, jerk = motion(t_s, 2), np.gradient(motion(t_s, 2), PERIOD_S)
@@ -61,26 +75,35 @@ def inertia_and_lag(q: np.ndarray, effort: np.ndarray) -> tuple[float, float]:
 
 
 def cascade(*, smooth: bool) -> LoopGains:
-    """A position loop of the bandwidth, a velocity loop four times as fast with an integral, no speed fed forward."""
+    """A position loop of the bandwidth, a velocity loop four times as fast with an
+    integral, no speed fed forward.
+    """
     velocity = 4 * W * INERTIA / 50**2 * np.ones(1)
     return LoopGains(
-        position=W * velocity, velocity=velocity, integral=W * velocity, position_share=W * np.ones(1), feedforward=0.0,
+        position=W * velocity, velocity=velocity, integral=W * velocity,
+        position_share=W * np.ones(1), feedforward=0.0,
         smooth=smooth,
     )  # fmt: skip
 
 
 def test_a_demand_at_one_phase_has_a_ripple_where_targets_are_joined_by_lines():
-    """(w T)²/3 of the inertia; a twentieth of it with a smooth reference, with and without speed fed forward."""
+    """(w T)²/3 of the inertia; a twentieth of it with a smooth reference, with and
+    without speed fed forward.
+    """
     expected = demand_ripple(BANDWIDTH_HZ, PERIOD_S)
     assert expected == pytest.approx((W * PERIOD_S) ** 2 / 3)
-    assert abs(inertia_and_lag(*sampled(FINE, cascade(smooth=False)))[0]) == pytest.approx(expected, rel=0.2)
+    assert abs(inertia_and_lag(*sampled(FINE, cascade(smooth=False)))[0]) == pytest.approx(
+        expected, rel=0.2
+    )
     assert abs(inertia_and_lag(*sampled(FINE, cascade(smooth=True)))[0]) < expected / 20
     loops = cascaded_loops(robot_of(FINE), np.array([INERTIA]))
     assert abs(inertia_and_lag(*sampled(FINE, loops))[0]) < expected / 20
 
 
 def test_loops_of_a_bandwidth_are_cascades_of_the_motors():
-    """Kd (w e + de) (1 + w / s) at each motor, Kd being 4 w times the inertia that turns with it; joint 6 hangs on both."""
+    """Kd (w e + de) (1 + w / s) at each motor, Kd being 4 w times the inertia that turns with it;
+    joint 6 hangs on both.
+    """
     robot = load_robot(REPLAY / "tx40" / "robot.toml")
     loops = cascaded_loops(robot, np.arange(1.0, 7.0))
     inertia = np.array([1 / 32**2, 2 / 32**2, 3 / 45**2, 4 / 48**2, (5 + 6) / 45**2, 6 / 32**2])
@@ -89,7 +112,10 @@ def test_loops_of_a_bandwidth_are_cascades_of_the_motors():
     assert loops.integral / loops.velocity == pytest.approx(np.full(6, W * W))
     scara = load_robot(REPLAY / "scara" / "robot.toml")
     described = drive_loops(scara, np.ones(2))
-    assert (described.position.tolist(), described.velocity.tolist()) == ([3700.0, 60.0], [190.0, 3.1])
+    assert (described.position.tolist(), described.velocity.tolist()) == (
+        [3700.0, 60.0],
+        [190.0, 3.1],
+    )
     assert (described.integral.tolist(), described.feedforward) == ([0.0, 0.0], 1.0)
 
 
@@ -118,7 +144,8 @@ def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
     )
     assert [notes_of(at_10_hz.replace(*change)) for change in changes] == [(), (), ()]
     assert notes_of(at_10_hz[: at_10_hz.index("[bus]")]) == ()
-    assert DriveFile(node=1, reference="6874:0", counts_per_turn=1).reports_demand  # of a second axis
+    # of a second axis
+    assert DriveFile(node=1, reference="6874:0", counts_per_turn=1).reports_demand
     monkeypatch.setattr(checking_module, "check_drives", lambda link, bus: [])
     monkeypatch.setattr(checking_module, "_positions", lambda robot, master: [])
     robot = robot_of(at_10_hz)
@@ -128,7 +155,10 @@ def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
 
 def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning():
     signals = load_signals(REPLAY / "tx40" / "session.mcap")
-    drives = [msgspec.structs.replace(one, actual=None, reference="6074") for one in signals.robot.bus.drive]
+    drives = [
+        msgspec.structs.replace(one, actual=None, reference="6074")
+        for one in signals.robot.bus.drive
+    ]
     robot = replace(signals.robot, bus=msgspec.structs.replace(signals.robot.bus, drive=drives))
     signals = replace(signals, robot=robot)
     fit, told = identify_ls(signals, Overrides()), "torque (6074) is read once per SYNC"
@@ -146,34 +176,55 @@ def test_only_a_recording_of_simulated_drives_states_their_law():
     described = describe_loops(robot, loops)
     law = recorded_loop(described)
     assert robot.controller.structure is None
-    assert (law.feedforward, 1 / law.period_s, law.velocity_estimate) == (1.0, pytest.approx(2000.0), "exact")
-    for mine, theirs in ((law.Kp, loops.position), (law.Kd, loops.velocity), (law.Ki, loops.integral)):
+    assert (law.feedforward, 1 / law.period_s, law.velocity_estimate) == (
+        1.0,
+        pytest.approx(2000.0),
+        "exact",
+    )
+    for mine, theirs in (
+        (law.Kp, loops.position),
+        (law.Kd, loops.velocity),
+        (law.Ki, loops.integral),
+    ):
         assert mine == pytest.approx(theirs, rel=1e-12)
-    assert described.files["robot.toml"] == robot.files["robot.toml"]  # from which a description is exported
+    # from which a description is exported
+    assert described.files["robot.toml"] == robot.files["robot.toml"]
     assert set(described.files) - set(robot.files) == {"simulated_controller.toml"}
     scara = load_robot(REPLAY / "scara" / "robot.toml")  # states a law, which its drives have
     assert describe_loops(scara, loops) is scara
 
 
-@pytest.mark.parametrize(("controller", "told"), [("10.0", False), ("5.0", True), ('10.0\nstructure = "pid"', True)])
+@pytest.mark.parametrize(
+    ("controller", "told"), [("10.0", False), ("5.0", True), ('10.0\nstructure = "pid"', True)]
+)
 def test_a_controller_that_a_dry_run_does_not_use_is_told(controller, told):
     text, recording = (REPLAY / "tx40" / "robot.toml").read_text(), REPLAY / "tx40" / "session.mcap"
     assert "\nbandwidth_hz = 10.0" in text
     changed = robot_of(text.replace("\nbandwidth_hz = 10.0", f"\nbandwidth_hz = {controller}"))
     signals = load_signals(recording, changed)
     assert signals.robot.controller == load_signals(recording).robot.controller
-    warning = "session.mcap: the given [controller] is not used: the drives of a dry run have their own"
+    warning = (
+        "session.mcap: the given [controller] is not used: the drives of a dry run have their own"
+    )
     assert (warning in make_settings(signals, Overrides()).warnings) == told
 
 
 @pytest.mark.parametrize("of_the_description", [True, False])
 def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
-    """Plants are stepped at the middle position: from that of the start they would gain 5 % in 4 s."""
-    text = bus_text(1).replace("alpha_deg = 0", "alpha_deg = 90").replace("ratio = 50.0", "ratio = 1")
+    """Plants are stepped at the middle position: from that of the start they
+    would gain 5 % in 4 s.
+    """
+    text = (
+        bus_text(1).replace("alpha_deg = 0", "alpha_deg = 90").replace("ratio = 50.0", "ratio = 1")
+    )
     text = text.replace("[controller]", "[parameters]\nZZ1 = 1.0\nMX1 = 5.0\n[controller]")
-    text = text.replace('type = "revolute"', 'type = "revolute"\nfriction = []\nrotor_inertia = false')
+    text = text.replace(
+        'type = "revolute"', 'type = "revolute"\nfriction = []\nrotor_inertia = false'
+    )
     one, zero, energies = np.ones(1), np.zeros(1), []
-    plant = JointwisePlant(one, zero, zero, 5.0 * 9.81 * one, slides=np.zeros(1, bool), position=zero)
+    plant = JointwisePlant(
+        one, zero, zero, 5.0 * 9.81 * one, slides=np.zeros(1, bool), position=zero
+    )
     if of_the_description:
         plant, _ = described_robot(robot_of(text))
     for _ in range(8000):
@@ -185,9 +236,13 @@ def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
 
 @pytest.mark.parametrize("period_s", [0.0007, 0.003])
 def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
-    """A mass with viscous and dry friction under a constant force F: v = F / Fv (1 - exp(-Fv t / M))."""
+    """A mass with viscous and dry friction under a constant force F: v = F /
+    Fv (1 - exp(-Fv t / M)).
+    """
     robot, bus = robot_named("emps"), robot_named("scara").bus
-    plant, _ = described_robot(replace(robot, bus=msgspec.structs.replace(bus, sync_period_s=period_s)))
+    plant, _ = described_robot(
+        replace(robot, bus=msgspec.structs.replace(bus, sync_period_s=period_s))
+    )
     M, Fv, Fc, Off = (robot.parameters[name] for name in ("M1", "Fv1", "Fc1", "Off1"))
     periods = round(0.21 / period_s)
     for _ in range(4 * periods):
@@ -197,7 +252,10 @@ def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
 
 
 def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(tmp_path, monkeypatch):
-    """The wrist is coupled: the law acts on motors. Without it a stand-in PD was 90 mrad off at joint 6."""
+    """The wrist is coupled: the law acts on motors.
+
+    Without it a stand-in PD was 90 mrad off at joint 6.
+    """
     monkeypatch.setattr(demo, "DURATION_S", 2.0)
     robot, out = robot_named("tx40"), tmp_path / "a.mcap"
     record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)

@@ -1,4 +1,6 @@
-"""What a caller reads from an error: the file or the place in it, the key, the value, and what was expected."""
+"""What a caller reads from an error: the file or the place in it, the key, the value,
+and what was expected.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -61,7 +63,15 @@ def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, 
     signals = replace(signals, q=signals.q * scale, q_ref=signals.q_ref * scale)
     for method in (None, "iv"):
         with pytest.raises(RobotIdimError) as refused:
-            fit(signals.q, signals.effort, 1000.0, signals.robot, signals.q_ref, method=method, **change)
+            fit(
+                signals.q,
+                signals.effort,
+                1000.0,
+                signals.robot,
+                signals.q_ref,
+                method=method,
+                **change,
+            )
         caught.append(refused)
     assert data_of(caught[0]) == data_of(caught[1])
     assert data_of(caught[0])[1:3] == (key, value)

@@ -1,4 +1,6 @@
-"""A capture of EtherCAT in two parts: with its mapping and with a stated one, with a payload, fitted together."""
+"""A capture of EtherCAT in two parts: with its mapping and with a stated one, with a
+payload, fitted together.
+"""
 
 import struct
 
@@ -39,5 +41,11 @@ def test_two_parts_of_the_real_capture_are_fitted_together(tmp_path):
     [payload] = fit.payloads  # nothing was carried: its inertia about the axis is none
     assert abs(payload.values[5]) < 1.5 * payload.half[5] < 1e-4
     with pytest.raises(BadInputError) as told:
-        import_log(second, tmp_path / "none.mcap", robot_of(robot_text(1, drive="station = 1002\n")), "r", **stated)
+        import_log(
+            second,
+            tmp_path / "none.mcap",
+            robot_of(robot_text(1, drive="station = 1002\n")),
+            "r",
+            **stated,
+        )
     assert "station 1002" in told.value.args[0]

@@ -31,24 +31,42 @@ def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     given = references(body, [1], duration_s=8.0, rate_hz=RATE_HZ)
     runs = simulate(body, designed_pd(body, 6.0, RATE_HZ), given, CELL, seed=1)
     t, q, ref, tau = np.arange(runs.q.shape[1]) / RATE_HZ, runs.q[0], runs.q_ref[0], runs.effort[0]
-    kinds = ("target_q", "target_qd", "target_current", "actual_q", "actual_qd", "actual_current", "actual_TCP_pose")
+    kinds = (
+        "target_q",
+        "target_qd",
+        "target_current",
+        "actual_q",
+        "actual_qd",
+        "actual_current",
+        "actual_TCP_pose",
+    )
     header = " ".join(["timestamp", *(f"{kind}_{j}" for kind in kinds for j in range(6))])
     speed, current = np.gradient(q, 1 / RATE_HZ, axis=0), tau / (RATIO * np.array(GAINS))
-    write(Path("ur5.csv"), header, " ", [1234.5 + t, ref, speed, 0 * q, q, speed, current, 0.3 + 0 * q])
+    write(
+        Path("ur5.csv"),
+        header,
+        " ",
+        [1234.5 + t, ref, speed, 0 * q, q, speed, current, 0.3 + 0 * q],
+    )
     gains = ",".join(map(str, GAINS))
     options = ["--effort", "A", "--ratio", str(RATIO), "--drive-gain", gains, "-o", "robot.toml"]
     assert identify(["init", "ur5.urdf", *options]) == 0
     assert acquire(["import", "ur5.csv", "--robot", "robot.toml"]) == 0
     out, err = capsys.readouterr()
     assert "ur5.map.toml: proposed; complete\n" in out
-    assert "ur5.mcap: six, 2001 samples at 250 Hz, effort in N m, with reference, with velocity\n" in out
+    assert (
+        "ur5.mcap: six, 2001 samples at 250 Hz, effort in N m, with reference, with velocity\n"
+        in out
+    )
     assert err == ""
     assert identify(["fit", "ur5.mcap", "--report", "report.html", "--json", "fit.json"]) in (0, 3)
     assert "six: IV (reference recorded), converged" in capsys.readouterr().out
     assert Path("report.html").stat().st_size > 10_000
     dynamics, rng = InverseModel(load_robot(Path("robot.toml"))), np.random.default_rng(0)
     base = base_parameters(dynamics)
-    q, dq, ddq = (rng.uniform(low, high, (100, body.n)) for low, high in ((-2, 2), (0.5, 3), (-9, 9)))
+    q, dq, ddq = (
+        rng.uniform(low, high, (100, body.n)) for low, high in ((-2, 2), (0.5, 3), (-9, 9))
+    )
     dq *= rng.choice([-1, 1], dq.shape)
     rows = dynamics.regressor(q, dq, ddq)[:, :, base.columns].reshape(-1, base.b)
     true, *_ = np.linalg.lstsq(rows, body.inverse(q, dq, ddq).ravel(), rcond=None)
@@ -58,7 +76,11 @@ def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
         assert found[f"Fc{j}"]["value"] == pytest.approx(coulomb, rel=0.05)
         assert found[f"Fv{j}"]["value"] == pytest.approx(viscous, rel=0.1)
     assert list(found) == list(base.names)
-    outside = [name for name, x in zip(found, true, strict=True) if not found[name]["low"] <= x <= found[name]["high"]]
+    outside = [
+        name
+        for name, x in zip(found, true, strict=True)
+        if not found[name]["low"] <= x <= found[name]["high"]
+    ]
     assert len(outside) <= 5  # of 52
 
 
@@ -70,7 +92,9 @@ def small_table(folder: Path, names: str = "time,q_1,q_2,tau_1,tau_2") -> Path:
 
 ROW = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\n"
 TWO = 'name = "two"\n' + "".join(
-    f'[[joint]]\nname = "{j}"\ntype = "revolute"\n{ROW}[[motor]]\nname = "m_{j}"\neffort_unit = "N m"\n' for j in "ab"
+    f'[[joint]]\nname = "{j}"\ntype = "revolute"\n{ROW}[[motor]]\nname = "m_{j}"\neffort_unit = "N '
+    'm"\n'
+    for j in "ab"
 )
 
 
@@ -80,7 +104,11 @@ def test_a_map_that_is_not_complete_is_named_until_it_is(tmp_path, monkeypatch, 
     Path("robot.toml").write_text(TWO + "[controller]\n")
     command = ["import", "x.csv", "--robot", "robot.toml", "-o", "log.mcap"]
     assert acquire(command) == 0
-    lines = [k for k, line in enumerate(Path("x.map.toml").read_text().splitlines(), 1) if "FILL IN" in line and k > 1]
+    lines = [
+        k
+        for k, line in enumerate(Path("x.map.toml").read_text().splitlines(), 1)
+        if "FILL IN" in line and k > 1
+    ]
     assert capsys.readouterr().out.splitlines() == [
         f"x.map.toml: proposed; to be filled in: lines {lines}",
         "next: robot-acquire import x.csv --robot robot.toml -o log.mcap",
@@ -88,13 +116,18 @@ def test_a_map_that_is_not_complete_is_named_until_it_is(tmp_path, monkeypatch, 
     assert not Path("log.mcap").exists()
     assert acquire(command) == 1
     expected = "expected values instead, then the same command again"
-    assert capsys.readouterr().err == f"robot-acquire: x.map.toml: lines = {lines}: still have FILL IN: {expected}\n"
+    assert (
+        capsys.readouterr().err
+        == f"robot-acquire: x.map.toml: lines = {lines}: still have FILL IN: {expected}\n"
+    )
     text = Path("x.map.toml").read_text()
     for unit, value in (("unit", "rad"), ("unit", "N m"), ("side", "joint")):
         text = text.replace(f'{unit} = "FILL IN"', f'{unit} = "{value}"', 1)
     Path("x.map.toml").write_text(text)
     assert acquire(command) == 0
-    assert capsys.readouterr().out.startswith("log.mcap: two, 400 samples at 100 Hz, effort in N m\n")
+    assert capsys.readouterr().out.startswith(
+        "log.mcap: two, 400 samples at 100 Hz, effort in N m\n"
+    )
     assert Path("x.map.toml").read_text() == text, "a map that is there is used"
 
 
@@ -104,12 +137,16 @@ def test_without_a_description_the_map_is_written_and_init_is_named(tmp_path, mo
     assert acquire(["import", "x.csv"]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "x.map.toml: proposed; complete",
-        'without a robot.toml: robot-identify init ARM.urdf --effort "N m" --torque-sensor -o robot.toml',
+        'without a robot.toml: robot-identify init ARM.urdf --effort "N m" --torque-sensor -o '
+        "robot.toml",
         "next: robot-acquire import x.csv --robot robot.toml -o x.mcap",
     ]
     Path("x.map.toml").unlink()
     Path("robot.toml").write_text(TWO + "[controller]\n")
     assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
     out = capsys.readouterr().out
-    assert "note: torque sensors behind the gears do not see the rotors: state rotor_inertia = false in " in out
+    assert (
+        "note: torque sensors behind the gears do not see the rotors: state rotor_inertia = false "
+        "in " in out
+    )
     assert "x.mcap: two, 400 samples at 100 Hz" in out

@@ -1,4 +1,6 @@
-"""From a URDF to a reference, and back to a model to simulate with: the six commands of the README."""
+"""From a URDF to a reference, and back to a model to simulate with: the six
+commands of the README.
+"""
 
 import json
 import re
@@ -16,8 +18,13 @@ from acquisition.robot import load_robot
 from identification.model import InverseModel
 
 
-def test_the_six_commands_export_models_that_move_as_the_robot_that_was_recorded(tmp_path, monkeypatch, capsys):
-    """The robot that is moved is known, so what comes out is compared with it. A study simulates it."""
+def test_the_six_commands_export_models_that_move_as_the_robot_that_was_recorded(
+    tmp_path, monkeypatch, capsys
+):
+    """The robot that is moved is known, so what comes out is compared with it.
+
+    A study simulates it.
+    """
     shutil.copy(packaged_urdf("ur5_robot.urdf"), tmp_path)
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "identification" / "README.md").read_text()
@@ -35,15 +42,29 @@ def test_the_six_commands_export_models_that_move_as_the_robot_that_was_recorded
     robot, exported = (load_robot(Path(name)) for name in ("robot.toml", "new.toml"))
     assert [joint.name for joint in exported.joints] == [joint.name for joint in robot.joints]
     limits = np.array(
-        [(*joint.si("position"), joint.si("speed"), joint.si("acceleration")) for joint in robot.joints]
+        [
+            (*joint.si("position"), joint.si("speed"), joint.si("acceleration"))
+            for joint in robot.joints
+        ]
     ).T
-    q, dq, ddq = np.random.default_rng(5).uniform((limits[0], *-limits[2:]), limits[1:], (200, 3, 6)).swapaxes(0, 1)
+    q, dq, ddq = (
+        np.random.default_rng(5)
+        .uniform((limits[0], *-limits[2:]), limits[1:], (200, 3, 6))
+        .swapaxes(0, 1)
+    )
     true, found = (
-        InverseModel(one).regressor(q, dq, ddq) @ described_chi(InverseModel(one)) for one in (robot, exported)
+        InverseModel(one).regressor(q, dq, ddq) @ described_chi(InverseModel(one))
+        for one in (robot, exported)
     )
     assert (np.linalg.norm(found - true, axis=0) / np.linalg.norm(true, axis=0)).max() < 0.03
     capsys.readouterr()
-    short = ["new.toml", "--duration-s", "2", "--rate-hz", f"{exported.controller.sample_rate_hz or 500:g}"]
+    short = [
+        "new.toml",
+        "--duration-s",
+        "2",
+        "--rate-hz",
+        f"{exported.controller.sample_rate_hz or 500:g}",
+    ]
     assert IDENTIFY.main(["study", *short, "--runs", "1", "--json", "study.json"]) == 0
     assert capsys.readouterr().err == ""
     (run,) = json.loads(Path("study.json").read_text())["runs"]

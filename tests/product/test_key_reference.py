@@ -1,7 +1,16 @@
 """The generated reference is that of the code; each key and option has a description."""
 
 import pytest
-from key_reference import ACQUIRE, BUS_TABLES, IDENTIFY, MAP_TABLES, ROBOT_TABLES, keys_of, options_of, pages
+from key_reference import (
+    ACQUIRE,
+    BUS_TABLES,
+    IDENTIFY,
+    MAP_TABLES,
+    ROBOT_TABLES,
+    keys_of,
+    options_of,
+    pages,
+)
 
 from acquisition.importing.tables import TableMap
 from acquisition.robot import RobotFile
@@ -28,4 +37,6 @@ def test_commands_and_options_stay_few():
     """Long options are counted once for each command that has them."""
     found = [action for program in (ACQUIRE, IDENTIFY) for _, action in options_of(program)]
     assert len([*ACQUIRE.commands, *IDENTIFY.commands]) <= 24
-    assert sum(any(name.startswith("--") for name in action.option_strings) for action in found) <= 144
+    assert (
+        sum(any(name.startswith("--") for name in action.option_strings) for action in found) <= 144
+    )

@@ -11,12 +11,18 @@ from identification.regression import Overrides
 
 
 def test_tx40_agrees_with_the_earlier_identification(tx40):
-    """All rows, as in that identification. Those at low speed are what its error is mostly made of."""
+    """All rows, as in that identification.
+
+    Those at low speed are what its error is mostly made of.
+    """
     fit = identify_ls(signals_of(tx40), Overrides(low_speed_percent=0.0))
     assert fit.errors[-1].relative_error_percent <= 5.6
     assert ls_of(tx40).errors[-1].relative_error_percent == pytest.approx(6.28, abs=0.05)
     estimate = fit.estimate
-    found = {name: (x, s) for name, x, s in zip(estimate.names, estimate.beta, estimate.sigma, strict=True)}
+    found = {
+        name: (x, s)
+        for name, x, s in zip(estimate.names, estimate.beta, estimate.sigma, strict=True)
+    }
     assert len(found) == 60
     for name, earlier in EARLIER.items():
         assert abs(found[name][0] - earlier) <= max(3 * found[name][1], 0.06 * earlier), name
@@ -25,12 +31,20 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
 
 
 def test_the_page_of_published_digits_is_that_of_the_code(emps, tx40):
-    assert without_seconds(PAGE.read_text()) == without_seconds(page(emps, tx40)), "run `python tests/published.py`"
+    assert without_seconds(PAGE.read_text()) == without_seconds(page(emps, tx40)), (
+        "run `python tests/published.py`"
+    )
 
 
 def test_the_page_has_every_printed_digit_of_the_emps():
-    """Value, value and command; 5 rows of least squares, cond(W), and friction by direction with its error."""
-    rows = [line.strip("| ").split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| ")][1:]
+    """Value, value and command; 5 rows of least squares, cond(W), and friction by
+    direction with its error.
+    """
+    rows = [
+        line.strip("| ").split(" | ")
+        for line in PAGE.read_text().splitlines()
+        if line.startswith("| ")
+    ][1:]
     assert all(len(row) == 4 and row[3].startswith("`robot-identify ") for row in rows)
     equal = [row for row in rows if re.match("EMPS, (least squares|asymmetric friction)", row[0])]
     assert len(equal) == 8

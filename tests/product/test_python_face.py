@@ -1,4 +1,6 @@
-"""The packages from Python: light to import, typed, a fit of arrays, results that say what they are."""
+"""The packages from Python: light to import, typed, a fit of arrays, results
+that say what they are.
+"""
 
 import doctest
 import html.parser
@@ -31,7 +33,9 @@ def signals():
 
     robot = robot_named("scara")
     q_ref = random_reference(robot, duration_s=4.0, sample_rate_hz=1000.0, seed=3)
-    return closed_loop(robot, q_ref, 1000.0, noise=Noise(encoder_step=1e-5, effort_percent=2.0), seed=3)
+    return closed_loop(
+        robot, q_ref, 1000.0, noise=Noise(encoder_step=1e-5, effort_percent=2.0), seed=3
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +46,14 @@ def by_iv(signals):
 
 def test_importing_loads_no_library():
     code = (
-        "import sys, acquisition, identification; dir(identification); identification.RobotIdimError\n"
+        "import sys, acquisition, identification; dir(identification); "
+        "identification.RobotIdimError\n"
         "rooms = [m for m in sys.modules if m.startswith(('acquisition.', 'identification.'))]\n"
         "print({'numpy', 'scipy', 'msgspec', 'pinocchio'} & set(sys.modules) or sorted(rooms))"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     assert done.stdout == "['acquisition.errors', 'acquisition.lazy', 'identification.errors']\n"
 
 
@@ -63,7 +70,11 @@ def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     from identification.study import study_truth
 
     base, true = study_truth(signals.robot)
-    assert (by_iv.status, by_iv.base.names, by_iv.iv.reference) == ("converged", base.names, "recorded")
+    assert (by_iv.status, by_iv.base.names, by_iv.iv.reference) == (
+        "converged",
+        base.names,
+        "recorded",
+    )
     assert np.linalg.norm(by_iv.beta - true) < 0.01 * np.linalg.norm(true)
     without = identification.fit(signals.q, signals.effort, 1000.0, signals.robot)
     assert (by_iv.method, without.method) == ("iv", "wls")
@@ -75,11 +86,16 @@ def test_arrays_are_copied_and_tell_recordings_apart(signals):
     from identification.data import signals_from_arrays
 
     def made(*others, **columns):
-        return signals_from_arrays(q, signals.effort.tolist(), 1000.0, signals.robot, *others, **columns)
+        return signals_from_arrays(
+            q, signals.effort.tolist(), 1000.0, signals.robot, *others, **columns
+        )
 
     q, ahead = np.array(signals.q), np.array(signals.effort)
     one = made(q, feedforward=ahead)
-    digests = [made(*others, **columns).sha256 for others, columns in (((), {}), ((q,), {}), ((), {"feedforward": q}))]
+    digests = [
+        made(*others, **columns).sha256
+        for others, columns in (((), {}), ((q,), {}), ((), {"feedforward": q}))
+    ]
     digests.append(made(known_torque=q).sha256)
     assert len({*digests}) == 4, "the same numbers under another name are another recording"
     q[:] = ahead[:] = 0.0
@@ -96,20 +112,43 @@ def test_arrays_are_copied_and_tell_recordings_apart(signals):
         ({"q": np.zeros(50)}, "arrays", "q.shape", (50,), "(N, 2), time first"),
         ({"q": [["a", "b"]] * 50}, "arrays", "q", None, "numbers of shape (N, 2)"),
         ({"tau": np.zeros((49, 2))}, "arrays", "effort.shape", (49, 2), "(50, 2), as q has"),
-        ({"tau": np.full((50, 2), np.inf)}, "arrays", "effort[0]", [np.inf, np.inf], "finite numbers"),
+        (
+            {"tau": np.full((50, 2), np.inf)},
+            "arrays",
+            "effort[0]",
+            [np.inf, np.inf],
+            "finite numbers",
+        ),
         ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
         ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
         ({"velocity": np.zeros((49, 2))}, "arrays", "velocity.shape", (49, 2), "(50, 2), as q has"),
-        ({"known_torque": np.zeros((50, 1))}, "arrays", "known_torque.shape", (50, 1), "(N, 2), time first"),
+        (
+            {"known_torque": np.zeros((50, 1))},
+            "arrays",
+            "known_torque.shape",
+            (50, 1),
+            "(N, 2), time first",
+        ),
         ({"feedforward": [[0, np.nan]] * 50}, "arrays", "feedforward[0]", ANY, "finite numbers"),
         ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "a number from 0"),
         ({"sample_rate_hz": 0.008}, "arrays", "sample_rate_hz", 0.008, "1 or more"),
-        ({"bandwidth_hz": 5.0, "robot": robot_named("scara")}, "", "bandwidth_hz", 5.0, "a URDF's path with it"),
+        (
+            {"bandwidth_hz": 5.0, "robot": robot_named("scara")},
+            "",
+            "bandwidth_hz",
+            5.0,
+            "a URDF's path with it",
+        ),
         ({"bandwidth_hz": 5.0}, str(SCARA), "", None, "a URDF; robot.toml has a key for it"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
-    given = {"q": np.zeros((50, 2)), "tau": np.zeros((50, 2)), "sample_rate_hz": 100.0, "robot": SCARA}
+    given = {
+        "q": np.zeros((50, 2)),
+        "tau": np.zeros((50, 2)),
+        "sample_rate_hz": 100.0,
+        "robot": SCARA,
+    }
     with pytest.raises(identification.BadInputError) as caught:
         identification.fit(**{**given, **change})
     error = caught.value
@@ -121,9 +160,12 @@ def test_a_velocity_is_compared_with_the_derivative(signals):
     fit = identification.fit(*arrays, method="wls", velocity=0.8 * speed)
     np.testing.assert_array_equal(fit.problem.signals.velocity, 0.8 * speed)
     assert [text.split(", ")[0] for text in fit.warnings if "velocity" in text] == [
-        f"recording: velocity of joint {name} = 0.8 x the derivative of its position" for name in ("shoulder", "elbow")
+        f"recording: velocity of joint {name} = 0.8 x the derivative of its position"
+        for name in ("shoulder", "elbow")
     ]
-    with pytest.raises(acquisition.BadInputError, match="arrays: velocity of joint shoulder = -1 x the derivative"):
+    with pytest.raises(
+        acquisition.BadInputError, match="arrays: velocity of joint shoulder = -1 x the derivative"
+    ):
         identification.fit(*arrays, velocity=-speed)
 
 
@@ -131,18 +173,22 @@ def test_results_say_in_a_line_what_they_are(signals, by_iv):
     error, essential = by_iv.errors[-1].moving_relative_error_percent, len(by_iv.essential_names)
     assert (
         repr(by_iv)
-        == f"Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, {essential} essential, moving error {error:.3g} %)"
+        == f"Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, {essential} "
+        f"essential, moving error {error:.3g} %)"
     )
     assert repr(signals).endswith(": SCARA, 4001 samples of 2 joints at 1000 Hz, with reference)")
     assert repr(acquisition.load_robot(str(SCARA))) == "Robot(SCARA: 2 joints, 2 drives)"
     recording = acquisition.read_recording(str(REPLAY / "scara" / "session.mcap"))
     assert repr(recording) == (
-        f"Recording(SCARA: {len(recording.samples)} samples at 1000 Hz, {sum(map(len, recording.frames.values()))} CAN frames)"
+        f"Recording(SCARA: {len(recording.samples)} samples at 1000 Hz, "
+        f"{sum(map(len, recording.frames.values()))} CAN frames)"
     )
 
 
 class Page(html.parser.HTMLParser):
-    """The texts of a page by their tags, those of table cells row by row; every tag must be closed."""
+    """The texts of a page by their tags, those of table cells row by row;
+    every tag must be closed.
+    """
 
     def __init__(self, text):
         super().__init__()
@@ -177,9 +223,12 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
     assert {text for figure in report.figures for text in figure} <= {*page.texts}
     assert "<b>SCARA & Co" in report.title
     tables = [section.table for section in report.sections if section.table]
-    shown = [row for table in tables for row in ([heading for heading, _ in table.columns], *table.rows)]
+    shown = [
+        row for table in tables for row in ([heading for heading, _ in table.columns], *table.rows)
+    ]
     assert page.rows == [
-        [" ".join((x if isinstance(x, str) else x.text).split()) for x in row if x != ""] for row in shown
+        [" ".join((x if isinstance(x, str) else x.text).split()) for x in row if x != ""]
+        for row in shown
     ]
     for section in report.sections:
         lines = (*section.lines, *(f"warning: {text}" for text in section.warnings))
@@ -188,14 +237,21 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
 
 def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
     at_iv = by_iv.errors[-1].relative_error_percent
-    assert identification.validate(by_iv, signals).relative_error_percent == pytest.approx(at_iv, rel=0.05)
+    assert identification.validate(by_iv, signals).relative_error_percent == pytest.approx(
+        at_iv, rel=0.05
+    )
     study = identification.Study(seed=9, duration_s=5.0)
     other = identification.simulate_recording(SCARA, tmp_path / "other.mcap", study)
     with pytest.raises(acquisition.BadInputError, match=r"other\.mcap: "):
         identification.simulate_recording(SCARA, tmp_path / "other.mcap")
     by_iv.to_json(tmp_path / "fit.json")
-    pairs = (by_iv, other), (identification.read_fit(tmp_path / "fit.json"), str(tmp_path / "other.mcap"))
-    found = [identification.validate(*pair, identification.Overrides(decimation=10)) for pair in pairs]
+    pairs = (
+        (by_iv, other),
+        (identification.read_fit(tmp_path / "fit.json"), str(tmp_path / "other.mcap")),
+    )
+    found = [
+        identification.validate(*pair, identification.Overrides(decimation=10)) for pair in pairs
+    ]
     assert found[0].decimation == 10
     assert found[0].joints == found[1].joints
     assert found[0].provenance.recording == "other.mcap"
@@ -207,7 +263,16 @@ def test_a_fit_tells_its_verdict_and_its_parameters(by_iv, tmp_path):
     by_iv.to_json(tmp_path / "fit.json")
     for fit in (by_iv, identification.read_fit(tmp_path / "fit.json")):
         columns = fit.parameters.to_dict()
-        assert [*columns] == ["name", "value", "half_width", "low", "high", "unit", "expression", "essential"]
+        assert [*columns] == [
+            "name",
+            "value",
+            "half_width",
+            "low",
+            "high",
+            "unit",
+            "expression",
+            "essential",
+        ]
         assert columns["name"] == list(by_iv.base.names)
         assert columns["value"] == pytest.approx(by_iv.beta)
         assert columns["half_width"] == pytest.approx(by_iv.intervals.half)
@@ -221,7 +286,9 @@ def test_settings_are_plain_keywords(signals):
     def fitted(**given):
         return identification.fit(signals.q, signals.effort, 1000.0, SCARA, method="wls", **given)
 
-    settings = fitted(cutoff_hz=37.0, decimation=7, low_speed_percent=3.0, torque_lag_s=0.002).settings
+    settings = fitted(
+        cutoff_hz=37.0, decimation=7, low_speed_percent=3.0, torque_lag_s=0.002
+    ).settings
     assert (settings.cutoff_hz, settings.decimation, settings.torque_lag_s) == (37.0, 7, 0.002)
     assert settings.low_speed.ls == 3.0
     assert fitted(cutoff_hz=0.0).settings.cutoff_hz is None
@@ -242,7 +309,10 @@ def test_what_is_not_to_be_used_warns_where_it_was_asked_for(signals, by):
     with pytest.warns(identification.DoNotUseWarning, match=first_words) as told:
         fit = ways[by]()
     assert [warning.filename for warning in told] == [__file__]
-    with pytest.raises(identification.BadInputError, match=r"^not exported: (arrays|simulated): verdict do not use: "):
+    with pytest.raises(
+        identification.BadInputError,
+        match=r"^not exported: (arrays|simulated): verdict do not use: ",
+    ):
         fit.export(mjcf="never.xml")
 
 
@@ -254,7 +324,9 @@ def test_two_fits_are_compared(signals, by_iv):
     text = signals.robot.files["robot.toml"].replace(b"d_m = 0.5", b"d_m = 0.6")
     moved = replace(signals.robot, files={"robot.toml": text})
     other = identification.fit(signals.q, signals.effort, 1000.0, moved, method="wls")
-    with pytest.warns(UserWarning, match="^the link frames differ: two different DH rows; ") as told:
+    with pytest.warns(
+        UserWarning, match="^the link frames differ: two different DH rows; "
+    ) as told:
         by_iv.compare(other)
     assert [warning.filename for warning in told] == [__file__]
 
@@ -263,10 +335,16 @@ def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
     urdf = tmp_path / "arm.urdf"
     by_iv.consistent().export(urdf=urdf)
     limits = {"position": 2.0, "speed": 3, "acceleration": [20.0, 30.0]}
-    robot = identification.read_robot(urdf, joints=["shoulder", "elbow"], bandwidth_hz=8.0, **limits)
+    robot = identification.read_robot(
+        urdf, joints=["shoulder", "elbow"], bandwidth_hz=8.0, **limits
+    )
     assert robot.bandwidth_hz == 8.0
-    assert [np.deg2rad(joint.acceleration_deg_s2) for joint in robot.joints] == pytest.approx([20.0, 30.0])
-    with pytest.raises(acquisition.RobotIdimError, match=r"robot SCARA: controller\.bandwidth_hz is missing"):
+    assert [np.deg2rad(joint.acceleration_deg_s2) for joint in robot.joints] == pytest.approx(
+        [20.0, 30.0]
+    )
+    with pytest.raises(
+        acquisition.RobotIdimError, match=r"robot SCARA: controller\.bandwidth_hz is missing"
+    ):
         identification.simulate_recording(urdf, tmp_path / "log.mcap")
     log = identification.simulate_recording(robot, tmp_path / "log.mcap")
     fits = [
@@ -286,14 +364,21 @@ def test_references_and_studies_are_there_from_python(tmp_path):
     assert [run.number for run in runs] == [0]
 
 
-def test_examples_the_lines_of_the_readme_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
+def test_examples_the_lines_of_the_readme_and_the_script_of_a_user_run(
+    tmp_path, monkeypatch, capsys
+):
     import mujoco
 
     shutil.copy(SCARA, tmp_path / "robot.toml")
     monkeypatch.chdir(tmp_path)
     assert doctest.testmod(identification) == (0, 7)
     assert doctest.testmod(acquisition) == (0, 2)
-    section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
+    section = (
+        (ROOT / "identification" / "README.md")
+        .read_text()
+        .split("## From Python\n")[1]
+        .split("\n## ")[0]
+    )
     (block,) = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
     exec(compile(textwrap.dedent(block), "README", "exec"), {})
     told = capsys.readouterr().out
@@ -312,7 +397,10 @@ STORED = REPLAY / "tx40" / "fit.json"
 
 def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
     stored = identification.read_fit(STORED)
-    expected = "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, moving error 0.69 %)"
+    expected = (
+        "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, "
+        "moving error 0.69 %)"
+    )
     assert (repr(stored), repr(stored.file)) == (f"StoredFit{expected}", f"FitFile{expected}")
     shown = stored._repr_html_()
     assert len(shown) < 20_000
@@ -320,11 +408,22 @@ def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
     frame, page = Page(html.unescape(shown.split('srcdoc="')[1].split('"')[0])), Page(shown)
     assert (page.open, frame.open) == ([], [])
     assert any("parameters of " in text for text in frame.texts)
-    assert {"0.69 %", "held out", "half of the 37 determined parameters", "the worst, ZZ6", "±85 %"} <= {*page.texts}
+    assert {
+        "0.69 %",
+        "held out",
+        "half of the 37 determined parameters",
+        "the worst, ZZ6",
+        "±85 %",
+    } <= {*page.texts}
     assert expected.strip("()") in page.texts[0]
     value = {p.name: p for p in stored.parameters}
-    assert [row[0] for row in page.rows[1:]] == sorted(value, key=lambda x: value[x].half / abs(value[x].value))[:10]
-    assert (stored.verdict, stored.assumed[0].what) == (stored.file.verdict, stored.file.assumed[0].what)
+    assert [row[0] for row in page.rows[1:]] == sorted(
+        value, key=lambda x: value[x].half / abs(value[x].value)
+    )[:10]
+    assert (stored.verdict, stored.assumed[0].what) == (
+        stored.file.verdict,
+        stored.file.assumed[0].what,
+    )
     known = msgspec.structs.replace(stored.file, verdict=msgspec.UNSET)
     assert repr(known) == "FitFile(60 parameters)"
 
@@ -336,7 +435,9 @@ def test_a_fit_predicts_the_torque_of_its_model(by_iv, tmp_path):
     fit = by_iv.consistent()
     fit.to_json(tmp_path / "fit.json")
     q, dq, ddq = np.random.default_rng(0).normal(size=(3, 20, 2))
-    expected = InverseModel(robot_named("scara")).regressor(q, dq, ddq)[:, :, fit.base.columns] @ fit.beta
+    expected = (
+        InverseModel(robot_named("scara")).regressor(q, dq, ddq)[:, :, fit.base.columns] @ fit.beta
+    )
     for one in (fit, identification.read_fit(tmp_path / "fit.json")):
         np.testing.assert_allclose(one.predict(q, dq, ddq), expected, rtol=1e-9, atol=1e-9)
     with pytest.raises(identification.BadInputError, match=r"expected \(rows, 2\) of q"):
@@ -361,11 +462,19 @@ def test_recordings_are_lists_of_arrays(signals, tmp_path):
     slow = [q[0], q[1][::2]], [tau[0], tau[1][::2]], [1000.0, 500.0]
     rates = identification.fit(*slow, SCARA, method="wls", payload=[None, "2"]).recordings
     assert [one.problem.signals.sample_rate_hz for one in rates] == [1000.0, 500.0]
-    assert [one.problem.signals.payload and one.problem.signals.payload.mass_kg for one in rates] == [None, 2.0]
+    assert [
+        one.problem.signals.payload and one.problem.signals.payload.mass_kg for one in rates
+    ] == [None, 2.0]
     for change, key in (({"tau": tau[:1]}, "len(effort)"), ({"payload": ["1"]}, "len(payload)")):
         with pytest.raises(identification.BadInputError) as caught:
-            identification.fit(**{"q": q, "tau": tau, "sample_rate_hz": 1000.0, "robot": SCARA, **change})
-        assert (caught.value.key, caught.value.value, caught.value.expected) == (key, 1, "2, one for each of q")
+            identification.fit(
+                **{"q": q, "tau": tau, "sample_rate_hz": 1000.0, "robot": SCARA, **change}
+            )
+        assert (caught.value.key, caught.value.value, caught.value.expected) == (
+            key,
+            1,
+            "2, one for each of q",
+        )
 
 
 @pytest.mark.parametrize(
@@ -392,5 +501,7 @@ def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
     assert "period_s" in str(caught.value)
     words = f"excite {SCARA} -o {tmp_path / 'r.csv'} --harmonics 30 --period 1 --noise 0.1"
     assert main(words.split()) == 1
-    told = capsys.readouterr().err.replace("--period", "period_s").replace("--harmonics", "harmonics")
+    told = (
+        capsys.readouterr().err.replace("--period", "period_s").replace("--harmonics", "harmonics")
+    )
     assert told.endswith(f"{caught.value}\n")

@@ -1,4 +1,6 @@
-"""The READMEs: every command is one the programs take and those without hardware run; links, pictures."""
+"""The READMEs: every command is one the programs take and those without
+hardware run; links, pictures.
+"""
 
 import re
 import shlex
@@ -13,7 +15,9 @@ from urdfs import TWO_TURNING
 
 from acquisition.recording import read_recording
 
-FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))
+FIRST, ACQUISITION, IDENTIFICATION = (
+    ROOT / folder / "README.md" for folder in (".", "acquisition", "identification")
+)
 SESSION, FORMATS = ROOT / "identification" / "first_session.md", ROOT / "acquisition" / "formats.md"
 FOLDERS = ("acquisition", "identification", "replay_data", "tests")
 BESIDE = [*ROOT.glob("*.md"), *ROOT.glob(".github/*.md")]
@@ -21,7 +25,8 @@ ALL = [*BESIDE, *sorted(path for folder in FOLDERS for path in (ROOT / folder).r
 TEXT = {path: path.read_text() for path in ALL}
 # In blocks and in sentences. What follows " #" is a remark.
 COMMAND = re.compile(
-    r"^ {4,}(robot-(?:acquire|identify) .*)$|`(robot-(?:acquire|identify) [a-z]+ [^`]*)`", re.MULTILINE
+    r"^ {4,}(robot-(?:acquire|identify) .*)$|`(robot-(?:acquire|identify) [a-z]+ [^`]*)`",
+    re.MULTILINE,
 )
 COMMANDS = list(
     dict.fromkeys(
@@ -54,7 +59,10 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
         shutil.copy(REPLAY / "scara" / "robot.toml", tmp_path / name)
     monkeypatch.chdir(tmp_path)
     # Fits come before the commands that read them.
-    later, run = [command for command in COMMANDS if command.split()[1] in ("compare", "validate")], set()
+    later, run = (
+        [command for command in COMMANDS if command.split()[1] in ("compare", "validate")],
+        set(),
+    )
     for command in [command for command in COMMANDS if command not in later] + later:
         program, *arguments = shlex.split(command)
         runs = {"base", "info", "fit", "validate", "import", "export", "view", "compare"}
@@ -66,9 +74,17 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
     shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / "log.mcap")
     assert IDENTIFY.main(["fit", "log.mcap"]) == 0
     # The beginning of the report; " ..." stands for the rest of a line.
-    shown = TEXT[SESSION].split("the recording of the demo prints:\n\n")[1].split("\n\n")[0].splitlines()
+    shown = (
+        TEXT[SESSION]
+        .split("the recording of the demo prints:\n\n")[1]
+        .split("\n\n")[0]
+        .splitlines()
+    )
     for line, now in zip(shown, capsys.readouterr().out.splitlines(), strict=False):
-        (words, numbers), (words_now, numbers_now) = masked(line.strip().removesuffix(" ...")), masked(now.strip())
+        (words, numbers), (words_now, numbers_now) = (
+            masked(line.strip().removesuffix(" ...")),
+            masked(now.strip()),
+        )
         assert words == words_now if not line.endswith(" ...") else words_now.startswith(words)
         assert numbers_now[: len(numbers)] == pytest.approx(numbers, rel=0.05)
 
@@ -95,14 +111,20 @@ def test_the_map_that_is_shown_maps_the_columns_that_are_named(tmp_path):
     options = ["--robot", robot, "--map", str(tmp_path / "map.toml"), "-o", out]
     assert ACQUIRE.main(["import", str(tmp_path / "log.csv"), *options]) == 0
     samples = read_recording(tmp_path / "log.mcap").samples
-    for name, columns in (("position", slice(1, 3)), ("reference", slice(3, 5)), ("effort", slice(5, 7))):
+    for name, columns in (
+        ("position", slice(1, 3)),
+        ("reference", slice(3, 5)),
+        ("effort", slice(5, 7)),
+    ):
         np.testing.assert_array_equal(samples[name], values[:, columns])
 
 
 @pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
 def test_every_option_and_command_of_a_program_stands_in_the_first_readme(program):
     for action in program.parser()._actions:
-        assert not action.option_strings or f"`{action.option_strings[-1]}`" in TEXT[FIRST], action.option_strings
+        assert not action.option_strings or f"`{action.option_strings[-1]}`" in TEXT[FIRST], (
+            action.option_strings
+        )
     text = TEXT[FIRST].partition("## Commands")[2].partition(f"`{program.name}`:\n")[2]
     items = re.match(r"(\n*- .*)+", text)[0].splitlines()
     listed = {name for item in items for name in re.findall(r"`([a-z]+)`", item.partition(": ")[0])}

@@ -1,4 +1,6 @@
-"""The robots that come along: each recording fits as it stands and gives the fit and the truth beside it."""
+"""The robots that come along: each recording fits as it stands and gives the fit
+and the truth beside it.
+"""
 
 import json
 import re
@@ -34,7 +36,10 @@ def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     # The truth is that of the description's [parameters].
     idm = InverseModel(signals.robot)
     np.testing.assert_allclose(
-        [p["value"] for p in true], described_parameters(idm, base_parameters(idm)), rtol=1e-9, atol=1e-15
+        [p["value"] for p in true],
+        described_parameters(idm, base_parameters(idm)),
+        rtol=1e-9,
+        atol=1e-15,
     )
 
 
@@ -46,14 +51,18 @@ def compare_with_readme(out: str) -> None:
             next(line for line in text.splitlines() if line.strip().startswith(f"{method}: "))
             for text in (shown, against)
         )
-        a, b = ([float(x) for x in re.findall(r"[0-9.]+", text.split(": ")[1])] for text in (line, now))
+        a, b = (
+            [float(x) for x in re.findall(r"[0-9.]+", text.split(": ")[1])] for text in (line, now)
+        )
         assert re.sub(r"[0-9.]+", "x", line).strip() == re.sub(r"[0-9.]+", "x", now).strip()
         assert a[0] == pytest.approx(b[0], abs=1)
         assert a[3] == pytest.approx(b[3], rel=0.05, abs=0.011)  # printed to two decimals
 
 
 def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
-    """Six simulated drives on a bus, recorded, identified by both methods, compared with the truth."""
+    """Six simulated drives on a bus, recorded, identified by both methods,
+    compared with the truth.
+    """
     assert main(["demo", "--out", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "TX40: IV (as requested), converged, trust; " in out
@@ -63,16 +72,25 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     names = {p.name for p in (tmp_path / "out").iterdir()}
     assert names == {"session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"}
     assert has_one_parent_each(tmp_path / "out" / "demo.rrd")
-    iv, ls, true = (json.loads((tmp_path / "out" / f"{n}.json").read_text()) for n in ("iv", "ls", "truth"))
-    assert (ls["verdict"], iv["status"], iv["reference"]) == ("caution", "converged", "recorded")  # ls: the lag
-    found, off, values = (np.array([p["value"] for p in fit["parameters"]]) for fit in (iv, ls, true))
+    iv, ls, true = (
+        json.loads((tmp_path / "out" / f"{n}.json").read_text()) for n in ("iv", "ls", "truth")
+    )
+    # ls: the lag
+    assert (ls["verdict"], iv["status"], iv["reference"]) == ("caution", "converged", "recorded")
+    found, off, values = (
+        np.array([p["value"] for p in fit["parameters"]]) for fit in (iv, ls, true)
+    )
     assert np.linalg.norm(found - values) < 0.01 * np.linalg.norm(values)
-    assert np.linalg.norm(off - values) < 2.0 * np.linalg.norm(found - values)  # of all rows it is 18 times
+    # of all rows it is 18 times
+    assert np.linalg.norm(off - values) < 2.0 * np.linalg.norm(found - values)
     compare_with_shipped("tx40", tmp_path / "out" / "session.mcap")
 
 
 def test_demo_finds_the_gains_of_drives_in_amperes(capsys, tmp_path, monkeypatch):
-    """Drives whose gains differ from the catalogue's by motor; the second recording states 2 kg. Sessions of a third."""
+    """Drives whose gains differ from the catalogue's by motor; the second recording states 2 kg.
+
+    Sessions of a third.
+    """
     monkeypatch.setattr(demo, "DURATION_S", 4.0)
     assert main(["demo", "--gains", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
@@ -93,7 +111,10 @@ def test_demo_finds_the_gains_of_drives_in_amperes(capsys, tmp_path, monkeypatch
 
 
 def compare_with_shipped(name: str, made: Path) -> None:
-    """Simulated time: the same session again. Rounding differs from processor to processor, and moves a count now and then."""
+    """Simulated time: the same session again.
+
+    Rounding differs from processor to processor, and moves a count now and then.
+    """
     again, shipped = load_signals(made), signals_of(REPLAY / name / "session.mcap")
     np.testing.assert_allclose(again.q, shipped.q, atol=2e-5)
     assert (again.q == shipped.q).mean() > 0.9
@@ -105,7 +126,9 @@ def compare_with_shipped(name: str, made: Path) -> None:
 
 
 def rounded(files: dict[str, bytes]) -> dict[str, str]:
-    """Files with their decimal fractions to ten digits: gains follow from inertias, whose rounding differs."""
+    """Files with their decimal fractions to ten digits: gains follow from inertias,
+    whose rounding differs.
+    """
     return {
         name: re.sub(r"\d+\.\d{6,}", lambda found: f"{float(found[0]):.10g}", text.decode())
         for name, text in files.items()
@@ -114,16 +137,25 @@ def rounded(files: dict[str, bytes]) -> dict[str, str]:
 
 def test_the_shipped_session_of_the_axis_is_that_which_its_readme_makes(tmp_path):
     made = tmp_path / "session.mcap"
-    (line,) = re.findall(r"robot-identify (simulate .*)", (REPLAY / "emps" / "README.md").read_text())
-    assert main(line.replace("replay_data", str(REPLAY)).replace("session.mcap", str(made)).split()) == 0
+    (line,) = re.findall(
+        r"robot-identify (simulate .*)", (REPLAY / "emps" / "README.md").read_text()
+    )
+    assert (
+        main(line.replace("replay_data", str(REPLAY)).replace("session.mcap", str(made)).split())
+        == 0
+    )
     compare_with_shipped("emps", made)
 
 
 def test_the_story_of_the_paper_holds():
-    """LS is biased by noise of the position, IV is not; any start leads to it; the update saves passes."""
+    """LS is biased by noise of the position, IV is not; any start leads to it;
+    the update saves passes.
+    """
     known = [str(DATA / "emps" / "DATA_EMPS.mat")] if (DATA / "emps").exists() else []
     command = [sys.executable, str(REPLAY / "paper.py"), *known]
-    lines = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.splitlines()
+    lines = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=ROOT
+    ).stdout.splitlines()
     numbers = [[float(x) for x in re.findall(r"\d+\.\d+", line)] for line in lines]
     noisy, clean = numbers[lines.index(next(x for x in lines if "20 µm" in x))], numbers[1]
     assert clean[0] == pytest.approx(95.1089, abs=clean[1])

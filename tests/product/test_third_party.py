@@ -1,4 +1,6 @@
-"""Stacks of others: npm's `canopen` as drive and as master, and Python's `canopen` as master of our simulated drives."""
+"""Stacks of others: npm's `canopen` as drive and as master, and Python's `canopen` as master
+of our simulated drives.
+"""
 
 import json
 import queue
@@ -46,19 +48,26 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     (folder / "npm.toml").write_text(text)
     out = folder / "log.mcap"
     with third_party_drive(folder, npm) as drive:
-        output_of(acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3"))
+        output_of(
+            acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3")
+        )
         output = end(drive, signal.SIGTERM)[1]
     recording = read_recording(out)
     frames = frames_of(recording)
     syncs = count(frames, 0x80)
     pdos = frames[frames["can_id"] == 0x187]
     assert syncs >= 0.5 * 3 / SYNC_S
-    assert syncs - LAST <= len(pdos) <= syncs  # each is answered once; its values tell that none lacks in between
+    # each is answered once; its values tell that none lacks in between
+    assert syncs - LAST <= len(pdos) <= syncs
     assert "node 7 end: rx" in output
     # k counts SYNCs since it became operational; T is 1 ms whatever the clock.
     k = np.arange(1, len(pdos) + 1)
     w = 2 * np.pi * (0.2 + 0.05 * 7)
-    q, v, a = 0.5 * np.sin(w * k * 1e-3), 0.5 * w * np.cos(w * k * 1e-3), -0.5 * w * w * np.sin(w * k * 1e-3)
+    q, v, a = (
+        0.5 * np.sin(w * k * 1e-3),
+        0.5 * w * np.cos(w * k * 1e-3),
+        -0.5 * w * w * np.sin(w * k * 1e-3),
+    )
     counts = np.rint(q * 6553600 / (2 * np.pi))
     assert pdos["data"][:, 2:6].copy().view("<i4")[:, 0].tolist() == counts.tolist()
     torque = 60 * a + 80 * v + 25 * np.sign(v) + 200 * np.cos(q)
@@ -88,16 +97,26 @@ def test_a_third_party_drive_is_scanned(folder, npm):
         (folder / "bus.toml").read_text().replace("# counts_per_turn = ...", "counts_per_turn = 1")
     ).values()
     assert [found["node"] for found in bus["drive"]] == [1, 2, 7]
-    assert bus["drive"][2] == {"node": 7, "reference": "6074", "rated_torque_nm": 0.42, "counts_per_turn": 1}
+    assert bus["drive"][2] == {
+        "node": 7,
+        "reference": "6074",
+        "rated_torque_nm": 0.42,
+        "counts_per_turn": 1,
+    }
     rows = [line for line in output.splitlines() if re.match(r"(ok|NO) .*  7  ", line)]
     assert any("1018:1 0x123, 1018:2 0x192, 1018:3 0x1, 1018:4 0x7" in row for row in rows)
     assert any("6075 5000, 6076 420" in row for row in rows)
-    assert any("tpdo 1 0x187 6041 6064 6074; tpdo 2 0x287 606C 6077 6078; rpdo 1 0x207" in row for row in rows)
+    assert any(
+        "tpdo 1 0x187 6041 6064 6074; tpdo 2 0x287 606C 6077 6078; rpdo 1 0x207" in row
+        for row in rows
+    )
     assert any("6092:1 -, 6092:2 -, 6091:1 -, 6091:2 -, 608F:1 -, 608F:2 -" in row for row in rows)
 
 
 def test_a_third_party_master_is_recorded_passively(folder, npm):
-    """It configures and moves our simulated drives; sent and recorded are equal in number and value."""
+    """It configures and moves our simulated drives; sent and recorded are
+    equal in number and value.
+    """
     group, _, master_port = bus_at(folder).channel.partition(":")
     syncs = 120
     text = (folder / "robot.toml").read_text()
@@ -109,20 +128,29 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
         script, period_ms = Path(__file__).with_name("third_party_master.js"), f"{SYNC_S * 1e3:g}"
         output = output_of(node(npm, script, group, master_port, str(syncs), period_ms, "1", "2"))
         ids = (0x80, 0x181, 0x182, 0x201, 0x202)
-        wait_for(out, lambda r: all(len(data) >= syncs for data in data_by_id(r, *ids).values()), listener)
+        wait_for(
+            out,
+            lambda r: all(len(data) >= syncs for data in data_by_id(r, *ids).values()),
+            listener,
+        )
         output_of(listener, signal.SIGINT)
     spoken = json.loads(output)
     recording = read_recording(out)
     frames = frames_of(recording)
     assert count(frames, 0x80) == syncs
     for number in (1, 2):
-        to_drive = frames[frames["can_id"] == 0x200 + number]["data"][:, 2:6].copy().view("<i4")[:, 0]
+        to_drive = (
+            frames[frames["can_id"] == 0x200 + number]["data"][:, 2:6].copy().view("<i4")[:, 0]
+        )
         assert to_drive.tolist() == spoken["targets"][str(number)]
-        from_drive = frames[frames["can_id"] == 0x180 + number]["data"][:, 2:6].copy().view("<i4")[:, 0]
+        from_drive = (
+            frames[frames["can_id"] == 0x180 + number]["data"][:, 2:6].copy().view("<i4")[:, 0]
+        )
         assert from_drive.tolist() == spoken["received"][str(number)]
         assert len(to_drive) == len(from_drive) == syncs
     samples = recording.samples
-    # A SYNC that this master sends a whole period late, on a busy machine, looks like two with one lost between them.
+    # A SYNC that this master sends a whole period late, on a busy machine, looks like two with
+    # one lost between them.
     late = int((np.diff(frames["time_ns"][frames["can_id"] == 0x80]) > 1.5e9 * SYNC_S).sum())
     assert syncs - 2 * late <= len(samples) <= syncs
     motor = recording.robot.motor_position(samples["reference"]) * 65536 / (2 * np.pi)
@@ -150,9 +178,19 @@ def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
         assert remote.sdo.upload(0x6041, 0)[0] & 0x4F == 0x40
         with pytest.raises(canopen.SdoAbortedError):
             remote.sdo.upload(0x5000, 0)
-        mapped = [(0x1A00, sub, entry, 4) for sub, entry in enumerate((0x60410010, 0x60640020, 0x60740010), 1)]
+        mapped = [
+            (0x1A00, sub, entry, 4)
+            for sub, entry in enumerate((0x60410010, 0x60640020, 0x60740010), 1)
+        ]
         off, on = (0x1800, 1, 0x80000181, 4), (0x1800, 1, 0x181, 4)
-        for *entry, value, size in (off, (0x1800, 2, 1, 1), (0x1A00, 0, 0, 1), *mapped, (0x1A00, 0, 3, 1), on):
+        for *entry, value, size in (
+            off,
+            (0x1800, 2, 1, 1),
+            (0x1A00, 0, 0, 1),
+            *mapped,
+            (0x1A00, 0, 3, 1),
+            on,
+        ):
             remote.sdo.download(*entry, value.to_bytes(size, "little"))
         remote.nmt.state = "OPERATIONAL"
         network.subscribe(0x181, lambda _, data, __: seen.put(bytes(data)))

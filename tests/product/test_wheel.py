@@ -14,7 +14,9 @@ from conftest import REPLAY, ROOT
 import acquisition
 import identification
 
-pytest.importorskip("hatchling", reason="no hatchling here to build a wheel with: pip install -e '.[test]'")
+pytest.importorskip(
+    "hatchling", reason="no hatchling here to build a wheel with: pip install -e '.[test]'"
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +32,10 @@ def installed(tmp_path_factory):
 
 
 def test_programs_and_demo_are_in_it(installed, tmp_path):
-    """Without `site` no installation of this checkout is found. The demo reads its robot before it makes its folder."""
+    """Without `site` no installation of this checkout is found.
+
+    The demo reads its robot before it makes its folder.
+    """
     (entries,) = installed.glob("*.dist-info/entry_points.txt")
     scripts = configparser.ConfigParser()
     scripts.read(entries)
@@ -41,36 +46,66 @@ def test_programs_and_demo_are_in_it(installed, tmp_path):
     code = (
         "import contextlib, acquisition.__main__ as a, identification.__main__ as i\n"
         "print(a.__file__, i.__file__)\n"
-        "for robot in ('scara', 'tx40'): assert i.main(['demo', '--robot', robot, '--out', '/dev/null']) == 1\n"
+        "for robot in ('scara', 'tx40'): assert i.main(['demo', '--robot', robot, '--out', "
+        "'/dev/null']) == 1\n"
         "with contextlib.suppress(SystemExit): a.main(['--help'])\n"
     )
     packages = [path for path in sys.path if "site-packages" in path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(installed), *packages])}
     done = subprocess.run(
-        [sys.executable, "-S", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-S", "-c", code],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    assert done.stderr == 2 * "robot-identify: /dev/null: cannot be created: File exists: expected a folder\n"
-    assert done.stdout.startswith(f"{installed}/acquisition/__main__.py {installed}/identification/__main__.py\n")
+    assert (
+        done.stderr
+        == 2 * "robot-identify: /dev/null: cannot be created: File exists: expected a folder\n"
+    )
+    assert done.stdout.startswith(
+        f"{installed}/acquisition/__main__.py {installed}/identification/__main__.py\n"
+    )
     assert "usage: robot-acquire" in done.stdout
 
 
 def test_a_type_checker_sees_the_types_of_an_editable_installation(tmp_path):
-    """A user's script, checked in a folder and an environment that know of this checkout by the installation alone."""
+    """A user's script, checked in a folder and an environment that know of this checkout by
+    the installation alone.
+    """
     build = f"import hatchling.build; hatchling.build.build_editable({str(tmp_path)!r})"
     subprocess.run([sys.executable, "-c", build], cwd=ROOT, check=True, capture_output=True)
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")], check=True
+    )
     (packages,) = (tmp_path / "venv").glob("lib/python3*/site-packages")
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(packages)
-    (packages / "borrowed.pth").write_text("\n".join(path for path in sys.path if "site-packages" in path))
+    (packages / "borrowed.pth").write_text(
+        "\n".join(path for path in sys.path if "site-packages" in path)
+    )
     shutil.copy(Path(__file__).with_name("user_script.py"), tmp_path)
-    names = [f"{package.__name__}.{name}" for package in (acquisition, identification) for name in package.__all__]
-    (tmp_path / "names.py").write_text("\n".join(["import acquisition", "import identification", *names, ""]))
+    names = [
+        f"{package.__name__}.{name}"
+        for package in (acquisition, identification)
+        for name in package.__all__
+    ]
+    (tmp_path / "names.py").write_text(
+        "\n".join(["import acquisition", "import identification", *names, ""])
+    )
     words = "-m mypy --strict --python-executable venv/bin/python user_script.py names.py"
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")
+    }
     checked = subprocess.run(
-        [sys.executable, *words.split()], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, *words.split()],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert checked.stdout == "Success: no issues found in 2 source files\n"
 

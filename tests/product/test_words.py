@@ -1,4 +1,6 @@
-"""What the programs print on the shipped robots: lines that fit a terminal, in words that a user knows."""
+"""What the programs print on the shipped robots: lines that fit a terminal, in
+words that a user knows.
+"""
 
 import re
 import shutil
@@ -48,8 +50,12 @@ SMALL = (
 )
 
 
-@pytest.mark.parametrize(("name", "commands"), [("scara", EVERY + SMALL), ("tx40", EVERY[:2]), ("emps", EVERY)])
-def test_every_line_fits_a_terminal_and_is_in_words_of_users(name, commands, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("name", "commands"), [("scara", EVERY + SMALL), ("tx40", EVERY[:2]), ("emps", EVERY)]
+)
+def test_every_line_fits_a_terminal_and_is_in_words_of_users(
+    name, commands, tmp_path, monkeypatch, capsys
+):
     for file, source in (("log.mcap", "session.mcap"), ("robot.toml", "robot.toml")):
         shutil.copy(REPLAY / name / source, tmp_path / file)
     monkeypatch.chdir(tmp_path)
@@ -64,6 +70,8 @@ def test_every_line_fits_a_terminal_and_is_in_words_of_users(name, commands, tmp
         if "--all" not in arguments:
             assert len(printed.out.splitlines()) <= MAX_LINES, command
         if "--all" not in arguments and "info" not in arguments:  # in a pipe these have whole lines
-            assert [line for line in lines if len(line) > MAX_CHARACTERS and "─" not in line] == [], command
+            assert [
+                line for line in lines if len(line) > MAX_CHARACTERS and "─" not in line
+            ] == [], command
         for words in UNKNOWN_TO_USERS:
             assert not [line for line in lines if re.search(words, line)], (command, words)

@@ -1,11 +1,16 @@
-"""What a user writes: arrays, a fit, its report, a model for MuJoCo. Runs in a folder with a robot.toml."""
+"""What a user writes: arrays, a fit, its report, a model for MuJoCo.
+
+Runs in a folder with a robot.toml.
+"""
 
 import numpy as np
 
 import identification
 
 log = identification.simulate_recording("robot.toml", "log.mcap")
-fit = identification.fit(log.q, log.effort, log.sample_rate_hz, "robot.toml", log.q_ref, method="iv", cutoff_hz=None)
+fit = identification.fit(
+    log.q, log.effort, log.sample_rate_hz, "robot.toml", log.q_ref, method="iv", cutoff_hz=None
+)
 rms = np.sqrt(np.mean(fit.residuals() ** 2, axis=0))
 widest = max((p for p in fit.parameters if p.essential), key=lambda p: p.half / abs(p.value))
 print(

@@ -1,8 +1,10 @@
-"""Equations of motion of the shipped robots, written a second time: nothing here is the package's dynamics.
+"""Equations of motion of the shipped robots, written a second time: nothing here is
+the package's dynamics.
 
-`plant` reads a robot.toml with tomllib and gives the robot's plant: rigid bodies by spatial vectors at the world's origin
-(Featherstone 2008, chapters 2 and 5), in one pass without a recursion over forces; friction tanh(v/v0); rotors and friction
-of motors through the coupled wrist; cogging, a payload.
+`plant` reads a robot.toml with tomllib and gives the robot's plant: rigid bodies by spatial
+vectors at the world's origin (Featherstone 2008, chapters 2 and 5), in one pass without a
+recursion over forces; friction tanh(v/v0); rotors and friction of motors through the coupled
+wrist; cogging, a payload.
 States are batches (S, n): one row for each run that is simulated at the same time.
 """
 
@@ -35,10 +37,12 @@ def skew(a: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
-    """A serial chain of rigid bodies. Modified Denavit-Hartenberg frames: Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r).
+    """A serial chain of rigid bodies.
 
-    alpha, d, theta, r, prismatic: (n,). inertia (n, 3, 3) and moment (n, 3) about and from the origin of each link's frame,
-    mass (n,). gravity (3,) in the world's frame.
+    Modified Denavit-Hartenberg frames: Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r).
+
+    alpha, d, theta, r, prismatic: (n,). inertia (n, 3, 3) and moment (n, 3) about and from the
+    origin of each link's frame, mass (n,). gravity (3,) in the world's frame.
     """
 
     alpha: Array
@@ -59,10 +63,12 @@ class Chain:
             self.prismatic[:, None],
             np.concatenate([np.zeros_like(axis), axis], axis=-1),
             np.concatenate([axis, cross(origin, axis)], axis=-1),
-        )  # (S, n, 6): the motion that each joint gives, angular before linear, seen at the world's origin
+        )
         V = np.cumsum(S * dq[..., None], axis=1)
         w, v = V[..., :3], V[..., 3:]
-        turned = np.concatenate([cross(w, S[..., :3]), cross(w, S[..., 3:]) + cross(v, S[..., :3])], axis=-1)
+        turned = np.concatenate(
+            [cross(w, S[..., :3]), cross(w, S[..., 3:]) + cross(v, S[..., :3])], axis=-1
+        )
         A = np.cumsum(turned * dq[..., None], axis=1)
         A[..., 3:] -= self.gravity
         inertia = self._at_the_origin(origin, rotation)  # (S, n, 6, 6)
@@ -73,18 +79,23 @@ class Chain:
         carried = np.cumsum(force[:, ::-1], axis=1)[:, ::-1]
         bias = (S * carried).sum(axis=-1)
         composite = np.cumsum(inertia[:, ::-1], axis=1)[:, ::-1]
-        moved = (composite @ S[..., None])[..., 0]  # momentum of all that joint k carries, for unit speed of joint k
+        # momentum of all that joint k carries, for unit speed of joint k
+        moved = (composite @ S[..., None])[..., 0]
         M = S @ moved.transpose(0, 2, 1)  # entry (j, k) holds for j <= k
         upper = np.triu(np.ones((n, n), dtype=bool))
         return np.where(upper, M, M.transpose(0, 2, 1)), bias
 
     def _frames(self, q: Array) -> tuple[Array, Array, Array]:
-        """Axis and origin (S, n, 3) and rotation (S, n, 3, 3) of each link's frame, in the world."""
+        """Axis and origin (S, n, 3) and rotation (S, n, 3, 3) of each
+        link's frame, in the world.
+        """
         turn = self.theta + np.where(self.prismatic, 0.0, q)
         slide = self.r + np.where(self.prismatic, q, 0.0)
         c, s, ca, sa = np.cos(turn), np.sin(turn), np.cos(self.alpha), np.sin(self.alpha)
         zero = np.zeros_like(c)
-        local = np.stack([c, -s, zero, ca * s, ca * c, zero - sa, sa * s, sa * c, zero + ca], axis=-1)
+        local = np.stack(
+            [c, -s, zero, ca * s, ca * c, zero - sa, sa * s, sa * c, zero + ca], axis=-1
+        )
         local = local.reshape(*q.shape, 3, 3)
         step = np.stack([zero + self.d, -sa * slide, ca * slide], axis=-1)
         rotation, origin = np.empty_like(local), np.empty_like(step)
@@ -95,7 +106,9 @@ class Chain:
         return rotation[..., 2], origin, rotation
 
     def _at_the_origin(self, p: Array, rotation: Array) -> Array:
-        """Spatial inertias (S, n, 6, 6) of the links about the world's origin, p being their own origins."""
+        """Spatial inertias (S, n, 6, 6) of the links about the world's origin, p
+        being their own origins.
+        """
         m = (rotation @ self.moment[..., None])[..., 0]
         about = rotation @ self.inertia @ rotation.swapaxes(-1, -2)
         pm = p[..., :, None] * m[..., None, :]
@@ -104,17 +117,26 @@ class Chain:
         shift = np.trace(shift, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - shift
         h = skew(m + self.mass[:, None] * p)
         out = np.empty((*p.shape[:-1], 6, 6))
-        out[..., :3, :3], out[..., :3, 3:], out[..., 3:, :3], out[..., 3:, 3:] = about + shift, h, -h, M * np.eye(3)
+        out[..., :3, :3], out[..., :3, 3:], out[..., 3:, :3], out[..., 3:, 3:] = (
+            about + shift,
+            h,
+            -h,
+            M * np.eye(3),
+        )
         return out
 
 
 def scara(q: Array, dq: Array) -> tuple[Array, Array]:
-    """The closed form of section 4 of Janot2014 with its values: what `Chain` gives of the SCARA, much faster."""
+    """The closed form of section 4 of Janot2014 with its values: what `Chain` gives of
+    the SCARA, much faster.
+    """
     ZZ1R, ZZ2, LMX2, LMY2 = 3.45, 0.061, 0.123, 0.007
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     v1, v2 = dq.T
     near, across = LMX2 * c2 - LMY2 * s2, LMX2 * s2 + LMY2 * c2
-    M = np.stack([ZZ1R + ZZ2 + 2 * near, ZZ2 + near, ZZ2 + near, np.full_like(c2, ZZ2)], axis=-1).reshape(-1, 2, 2)
+    M = np.stack(
+        [ZZ1R + ZZ2 + 2 * near, ZZ2 + near, ZZ2 + near, np.full_like(c2, ZZ2)], axis=-1
+    ).reshape(-1, 2, 2)
     return M, np.stack([-across * v2 * (2 * v1 + v2), across * v1**2], axis=-1)
 
 
@@ -131,9 +153,10 @@ def level_axis(mass: float) -> Rigid:
 class Friction:
     """Friction along directions D (c, n), and what no description of the package knows of it.
 
-    coulomb (c,), viscous (n, n), smooth (c,): v0 of tanh(v/v0). `asymmetry`: friction is 1 + a of it for v > 0 and 1 - a for
-    v < 0. `stribeck`: at rest Coulomb friction is 1 + s of it, and falls to it as exp(-(v/(20 v0))²).
-    root (c,): times sqrt(|v|) tanh(v/v0). load (n,): of the torque that the links take, whatever its sign; without rotors.
+    coulomb (c,), viscous (n, n), smooth (c,): v0 of tanh(v/v0). `asymmetry`: friction is 1 + a of
+    it for v > 0 and 1 - a for v < 0. `stribeck`: at rest Coulomb friction is 1 + s of it, and falls
+    to it as exp(-(v/(20 v0))²). root (c,): times sqrt(|v|) tanh(v/v0). load (n,): of the torque
+    that the links take, whatever its sign; without rotors.
     """
 
     directions: Array
@@ -153,7 +176,10 @@ class Friction:
         if self.stribeck:
             force = force * (1.0 + self.stribeck * np.exp(-((x / 20.0) ** 2)))
         if self.asymmetry:
-            force, linear = force * (1.0 + self.asymmetry * side), linear * (1.0 + self.asymmetry * np.sign(v))
+            force, linear = (
+                force * (1.0 + self.asymmetry * side),
+                linear * (1.0 + self.asymmetry * np.sign(v)),
+            )
         if self.root.any():
             force = force + self.root * np.sqrt(np.abs(x) * self.smooth) * side
         return force @ self.directions + linear
@@ -167,15 +193,19 @@ class Friction:
         return self.load * np.abs(rigid) * np.tanh(v / self.smooth[: v.shape[1]])
 
     def left(self, torque: Array, v: Array) -> Array:
-        """What the links take (S, n) of a torque (S, n): rigid + load |rigid| tanh(v/v0) = torque, load below 1."""
+        """What the links take (S, n) of a torque (S, n): rigid + load |rigid| tanh(v/v0)
+        = torque, load below 1.
+        """
         return torque / (1.0 + self.load * np.sign(torque) * np.tanh(v / self.smooth[: v.shape[1]]))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """M(q) ddq + rigid bias + rotors + friction + offset + cogging = tau, and the arm's limits as robot.toml states them.
+    """M(q) ddq + rigid bias + rotors + friction + offset + cogging = tau, and the arm's limits as
+    robot.toml states them.
 
-    cogging (n,): amplitude of a torque that is periodic in the joint's position, once a `pitch` (n,) in rad or m.
+    cogging (n,): amplitude of a torque that is periodic in the joint's position, once a
+    `pitch` (n,) in rad or m.
     """
 
     name: str
@@ -193,7 +223,9 @@ class Plant:
         return len(self.offset)
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """M (S, n, n) with the rotors, and the torques (S, n) of speed, gravity, offset and cogging."""
+        """M (S, n, n) with the rotors, and the torques (S, n) of speed,
+        gravity, offset and cogging.
+        """
         M, bias = self.rigid(q, dq)
         if self.cogging.any():
             bias = bias + self.cogging * np.sin(2 * np.pi * q / self.pitch)
@@ -206,11 +238,14 @@ class Plant:
         return rigid + self.friction(dq) + self.friction.of_load(rigid - self.offset, dq)
 
 
-def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, closed_form: bool = True) -> Plant:
+def plant(
+    robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, closed_form: bool = True
+) -> Plant:
     """The plant that robot.toml describes by its `dh`, `motor_matrix` and `[parameters]`.
 
-    smooth: v0 of friction in parts of the joint's speed limit. tilt_rad: the base is turned about x, unknown to whoever
-    reads the description. closed_form: take the closed forms of SCARA and EMPS in place of the chain.
+    smooth: v0 of friction in parts of the joint's speed limit. tilt_rad: the base is turned about
+    x, unknown to whoever reads the description. closed_form: take the closed forms of SCARA and
+    EMPS in place of the chain.
     """
     text = tomllib.loads(robot_toml.read_text())
     joints, values = text["joint"], text["parameters"]
@@ -219,9 +254,14 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
     def of_joint(name: str) -> Array:
         return np.array([values.get(f"{name}{j + 1}", 0.0) for j in range(n)])
 
-    tensor = np.stack([of_joint(x) for x in ("XX", "XY", "XZ", "XY", "YY", "YZ", "XZ", "YZ", "ZZ")], axis=-1)
+    tensor = np.stack(
+        [of_joint(x) for x in ("XX", "XY", "XZ", "XY", "YY", "YZ", "XZ", "YZ", "ZZ")], axis=-1
+    )
     gravity = np.array([0.0, -9.81 * np.sin(tilt_rad), -9.81 * np.cos(tilt_rad)])
-    dh = {key: np.array([joint["dh"][key] for joint in joints]) for key in ("alpha_deg", "d_m", "theta_deg", "r_m")}
+    dh = {
+        key: np.array([joint["dh"][key] for joint in joints])
+        for key in ("alpha_deg", "d_m", "theta_deg", "r_m")
+    }
     chain = Chain(
         alpha=np.deg2rad(dh["alpha_deg"]),
         d=dh["d_m"],
@@ -233,21 +273,32 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
         mass=of_joint("M"),
         gravity=gravity,
     )
-    rotor, viscous, directions, coulomb = np.diag(of_joint("Ia")), np.diag(of_joint("Fv")), np.eye(n), of_joint("Fc")
+    rotor, viscous, directions, coulomb = (
+        np.diag(of_joint("Ia")),
+        np.diag(of_joint("Fv")),
+        np.eye(n),
+        of_joint("Fc"),
+    )
     R = np.array(text["motor_matrix"], dtype=float) if "motor_matrix" in text else np.eye(n)
-    if text["name"] == "TX40":  # motor 6 turns with joints 5 and 6; what it adds to joint 5 alone is in Ia5 and Fv5
+    # motor 6 turns with joints 5 and 6; what it adds to joint 5 alone is in Ia5 and Fv5
+    if text["name"] == "TX40":
         rotor[4, 5] = rotor[5, 4] = values["Ia6"]
         viscous[4, 5] = viscous[5, 4] = values["Fvm6"]
         directions = np.vstack([directions, [0, 0, 0, 0, 1, 1]])
         coulomb = np.append(coulomb, values["Fcm6"])
-    speed = np.array([j["speed_m_s"] if "speed_m_s" in j else np.deg2rad(j["speed_deg_s"]) for j in joints])
+    speed = np.array(
+        [j["speed_m_s"] if "speed_m_s" in j else np.deg2rad(j["speed_deg_s"]) for j in joints]
+    )
     closed: dict[str, Rigid] = {"SCARA": scara, "EMPS": level_axis(float(chain.mass[0]))}
     return Plant(
         name=text["name"],
         rigid=closed.get(text["name"], chain) if closed_form and not tilt_rad else chain,
         rotor=rotor,
         friction=Friction(
-            directions=directions, coulomb=coulomb, viscous=viscous, smooth=smooth * np.abs(directions) @ speed
+            directions=directions,
+            coulomb=coulomb,
+            viscous=viscous,
+            smooth=smooth * np.abs(directions) @ speed,
         ),
         offset=of_joint("Off"),
         R=R,
@@ -256,7 +307,9 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
 
 
 def with_payload(body: Plant, mass: float, at: Sequence[float] = (0.0, 0.0, 0.0)) -> Plant:
-    """The same arm with a point mass `at` (3,) in the frame of its last link, whose rigid bodies are a `Chain`."""
+    """The same arm with a point mass `at` (3,) in the frame of its last link, whose
+    rigid bodies are a `Chain`.
+    """
     chain, c = body.rigid, np.array(at)
     assert isinstance(chain, Chain)
     inertia, moment, masses = chain.inertia.copy(), chain.moment.copy(), chain.mass.copy()

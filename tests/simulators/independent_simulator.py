@@ -1,9 +1,10 @@
 """Recordings of robots whose truth is known, by a simulator that shares no code with the package.
 
-Many runs go side by side, one row of every array each. In each control period the controller sees what the encoder gives
-(noise and counts are fed back), and its command is recorded at its tick and held for a period, which may begin later than the
-tick. Between ticks the plant is integrated by Runge-Kutta of order 4 in `substeps` steps; the inertia matrix and the torques of
-speed and gravity, which change far more slowly than friction, are those of the middle of the period.
+Many runs go side by side, one row of every array each. In each control period the controller sees
+what the encoder gives (noise and counts are fed back), and its command is recorded at its tick and
+held for a period, which may begin later than the tick. Between ticks the plant is integrated by
+Runge-Kutta of order 4 in `substeps` steps; the inertia matrix and the torques of speed and gravity,
+which change far more slowly than friction, are those of the middle of the period.
 """
 
 import math
@@ -25,7 +26,9 @@ AR = 0.98  # of coloured noise, from sample to sample
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """Sums of sines between rest and rest: position, speed, acceleration (S, N, n), the last two zero at both ends."""
+    """Sums of sines between rest and rest: position, speed, acceleration (S, N, n), the last
+    two zero at both ends.
+    """
 
     q: Array
     dq: Array
@@ -33,9 +36,16 @@ class Reference:
 
 
 def references(
-    plant: Plant, seeds: Iterable[int], *, duration_s: float, rate_hz: float, highest_hz: float = 1.0
+    plant: Plant,
+    seeds: Iterable[int],
+    *,
+    duration_s: float,
+    rate_hz: float,
+    highest_hz: float = 1.0,
 ) -> Reference:
-    """One reference for each seed: five sines a joint, faded in and out, up to 80 % of the limits of robot.toml."""
+    """One reference for each seed: five sines a joint, faded in and out, up to 80 % of
+    the limits of robot.toml.
+    """
     t = np.arange(round(duration_s * rate_hz) + 1)[:, None] / rate_hz
     fade_s = 0.15 * duration_s
     x = np.clip(np.minimum(t, duration_s - t) / fade_s, 0.0, 1.0)
@@ -60,7 +70,9 @@ def references(
             limits = [(high - low) / 2, joint["speed_deg_s" if in_rad else "speed_m_s"]]
             limits += [joint["acceleration_deg_s2"]] if "acceleration_deg_s2" in joint else []
             per = np.pi / 180 if in_rad else 1.0
-            path *= 0.8 * min(per * limit / np.abs(part).max() for part, limit in zip(path, limits, strict=False))
+            path *= 0.8 * min(
+                per * limit / np.abs(part).max() for part, limit in zip(path, limits, strict=False)
+            )
             path[0] += per * (low + high) / 2
             paths.append(path)
         found.append(np.stack(paths, axis=-1))
@@ -70,7 +82,9 @@ def references(
 
 @dataclass(frozen=True, kw_only=True)
 class Controller:
-    """A control law as README.md describes it; gains (n,) by motor, `drive_gain` torque per unit of its output."""
+    """A control law as README.md describes it; gains (n,) by motor, `drive_gain` torque
+    per unit of its output.
+    """
 
     structure: str
     rate_hz: float
@@ -83,7 +97,9 @@ class Controller:
 
     def stiffness(self) -> Array:
         """Torque per position error (n,) at the motors, in the units of the drive's output."""
-        return self.position_gain * (self.velocity_gain if self.structure.startswith("cascade") else 1.0)
+        return self.position_gain * (
+            self.velocity_gain if self.structure.startswith("cascade") else 1.0
+        )
 
 
 def described_controller(plant: Plant) -> Controller:
@@ -102,7 +118,9 @@ def described_controller(plant: Plant) -> Controller:
 
 
 def designed_pd(plant: Plant, bandwidth_hz: float, rate_hz: float) -> Controller:
-    """A PD with velocity feed-forward: each joint an oscillator of the bandwidth, damped by 0.8, at its middle pose."""
+    """A PD with velocity feed-forward: each joint an oscillator of the bandwidth, damped by
+    0.8, at its middle pose.
+    """
     pose = np.array([[np.deg2rad(sum(j["position_deg"]) / 2) for j in plant.description["joint"]]])
     J = np.diag(plant.inertia_and_bias(pose, 0 * pose)[0][0])
     w, ratio = 2 * np.pi * bandwidth_hz, np.diag(plant.R)
@@ -118,7 +136,9 @@ def designed_pd(plant: Plant, bandwidth_hz: float, rate_hz: float) -> Controller
 
 
 def description(robot_toml: Path, controller: Controller | None = None) -> Robot:
-    """The package's description of the robot, with this controller in it where robot.toml has none."""
+    """The package's description of the robot, with this controller in it
+    where robot.toml has none.
+    """
     robot = load_robot(robot_toml)
     if controller is None:
         return robot
@@ -130,7 +150,9 @@ def description(robot_toml: Path, controller: Controller | None = None) -> Robot
         position_gain=tuple(controller.position_gain.tolist()),
         velocity_gain=tuple(controller.velocity_gain.tolist()),
         integral_gain=integral if any(integral) else None,
-        velocity_estimate="two_sample_mean" if controller.two_sample_mean else "backward_difference",
+        velocity_estimate="two_sample_mean"
+        if controller.two_sample_mean
+        else "backward_difference",
     )
 
 
@@ -141,11 +163,15 @@ def with_control(robot: Robot, **changes: object) -> Robot:
 
 def without_control_law(robot: Robot) -> Robot:
     """The description without its control law: of `[controller]` the bandwidth is left."""
-    return replace(robot, controller=type(robot.controller)(bandwidth_hz=robot.controller.bandwidth_hz))
+    return replace(
+        robot, controller=type(robot.controller)(bandwidth_hz=robot.controller.bandwidth_hz)
+    )
 
 
 def without_settings(robot: Robot) -> Robot:
-    """The description without `[identification]`: the package's rules hold, not what reproduces digits of others."""
+    """The description without `[identification]`: the package's rules hold, not what
+    reproduces digits of others.
+    """
     return replace(robot, identification=type(robot.identification)())
 
 
@@ -153,13 +179,15 @@ def without_settings(robot: Robot) -> Robot:
 class Imperfections:
     """What a real cell adds. Percent are of each joint's rms torque along its reference.
 
-    encoder_noise, encoder_step: noise and counts of the motor's position over its ratio, rad or m at the joint.
-    encoder_correlation: of the noise from sample to sample, 0 if white. torque_noise_percent, coloured_noise_percent: of the
-    recorded torque, white and AR(0.98). disturbance_percent: AR(0.98), of the torque that acts. drift_percent: torque that
-    grows from 0 to this over the run. friction_drift: friction grows over the run by this part of itself, about its mean.
-    recorded: the `command` of the tick, or the `mean` of the torque that acts over the period about the tick. lag: samples by
-    which the record of it is late, between two samples on the straight line. actuation_delay_s: a command acts this much
-    after its tick.
+    encoder_noise, encoder_step: noise and counts of the motor's position over its ratio,
+        rad or m at the joint.
+    encoder_correlation: of the noise from sample to sample, 0 if white. torque_noise_percent,
+    coloured_noise_percent: of the recorded torque, white and AR(0.98). disturbance_percent:
+    AR(0.98), of the torque that acts. drift_percent: torque that grows from 0 to this over the run.
+    friction_drift: friction grows over the run by this part of itself, about its mean.
+    recorded: the `command` of the tick, or the `mean` of the torque that acts over the period about
+    the tick. lag: samples by which the record of it is late, between two samples on the straight
+    line. actuation_delay_s: a command acts this much after its tick.
     """
 
     encoder_noise: float = 0.0
@@ -175,14 +203,18 @@ class Imperfections:
     actuation_delay_s: float = 0.0
 
     def lag_s(self, rate_hz: float) -> float:
-        """How late the recorded torque is against the one that acts: a command is written down before it acts, and held."""
+        """How late the recorded torque is against the one that acts: a command is written down
+        before it acts, and held.
+        """
         early_s = 0.5 / rate_hz + self.actuation_delay_s if self.recorded == "command" else 0.0
         return self.lag / rate_hz - early_s
 
 
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """What was recorded of S runs: q, q_ref, effort (S, N, n); and q_true, dq_true, which nobody records."""
+    """What was recorded of S runs: q, q_ref, effort (S, N, n); and q_true,
+    dq_true, which nobody records.
+    """
 
     q: Array
     q_ref: Array
@@ -193,18 +225,26 @@ class Runs:
     recorded: Literal["command", "mean"] = "command"
 
     def signals(self, robot: Robot, run: int, effort_timing: str | None = None) -> Signals:
-        """One run as the package's signals; `effort_timing` says what the recording is stamped with, by default the truth."""
+        """One run as the package's signals; `effort_timing` says what the recording is stamped
+        with, by default the truth.
+        """
         q, q_ref, effort = (x[run].copy() for x in (self.q, self.q_ref, self.effort))
         t_s = np.arange(len(q)) / self.rate_hz
         return Signals(
-            t_s=t_s, q=q, q_ref=q_ref, effort=effort, sample_rate_hz=self.rate_hz, track=None, robot=robot,
-            recording=f"run {run}", sha256="", effort_timing=cast(Any, effort_timing or self.recorded),
+            t_s=t_s, q=q, q_ref=q_ref, effort=effort, sample_rate_hz=self.rate_hz, track=None,
+            robot=robot,
+            recording=f"run {run}", sha256="", effort_timing=cast(Any,
+                                                                  effort_timing or self.recorded),
         )  # fmt: skip
 
 
 def with_lost_rows(signals: Signals, lost: Array) -> Signals:
-    """The recording without the samples that are `lost` (N,) bool, closed up as if there had been none."""
-    q, q_ref, effort = (None if x is None else x[~lost] for x in (signals.q, signals.q_ref, signals.effort))
+    """The recording without the samples that are `lost` (N,) bool, closed up as
+    if there had been none.
+    """
+    q, q_ref, effort = (
+        None if x is None else x[~lost] for x in (signals.q, signals.q_ref, signals.effort)
+    )
     return replace(signals, t_s=signals.t_s[: len(q)], q=q, q_ref=q_ref, effort=effort)
 
 
@@ -213,8 +253,12 @@ def at_rate(signals: Signals, rate_hz: float) -> Signals:
     return replace(signals, t_s=np.arange(len(signals.q)) / rate_hz, sample_rate_hz=rate_hz)
 
 
-def step(plant: Plant, q: Array, v: Array, tau: Array, middle_v: Array, h: float, substeps: int) -> tuple[Array, Array]:
-    """State (S, n) a period h later under the torque tau (S, n), `middle_v` being about the speed half a period later."""
+def step(
+    plant: Plant, q: Array, v: Array, tau: Array, middle_v: Array, h: float, substeps: int
+) -> tuple[Array, Array]:
+    """State (S, n) a period h later under the torque tau (S, n), `middle_v` being about the
+    speed half a period later.
+    """
     M, bias = plant.inertia_and_bias(q + 0.5 * h * v, middle_v)
     inverse, d = np.linalg.inv(M), h / substeps
     free, friction = (inverse @ (tau - bias)[..., None])[..., 0], plant.friction
@@ -236,7 +280,9 @@ def step(plant: Plant, q: Array, v: Array, tau: Array, middle_v: Array, h: float
 
 
 def shifted(x: Array, samples: float) -> Array:
-    """x (S, N, n) that many samples later, on the straight line between two; before its begin it is its first row."""
+    """x (S, N, n) that many samples later, on the straight line between two; before its
+    begin it is its first row.
+    """
     at = np.clip(np.arange(x.shape[1]) - samples, 0, x.shape[1] - 1)
     before = np.floor(at).astype(int)
     part = (at - before)[:, None]
@@ -248,7 +294,11 @@ def coloured(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """AR(0.98) of deviation 1 along the second axis."""
     white = rng.standard_normal(shape)
     return lfilter(
-        [np.sqrt(1 - AR**2)], [1.0, -AR], white, axis=1, zi=AR * rng.standard_normal((shape[0], 1, shape[2]))
+        [np.sqrt(1 - AR**2)],
+        [1.0, -AR],
+        white,
+        axis=1,
+        zi=AR * rng.standard_normal((shape[0], 1, shape[2])),
     )[0]
 
 
@@ -265,7 +315,8 @@ def simulate(
 ) -> Runs:
     """All runs along their references, from rest where the position loop carries the arm's weight.
 
-    `feedforward` (S, N, n) is added to the controller's output, by motor. `later` is the plant from the middle of the run on.
+    `feedforward` (S, N, n) is added to the controller's output, by motor. `later` is the plant from
+    the middle of the run on.
     """
     c, T, rng = controller, 1.0 / controller.rate_hz, np.random.default_rng([2, seed])
     S, N, n = reference.q.shape
@@ -276,9 +327,13 @@ def simulate(
     ki = c.integral_gain * kd if cascade else c.integral_gain
     target, target_speed = reference.q @ plant.R.T, reference.dq @ plant.R.T
     flat = (x.reshape(-1, n) for x in (reference.q, reference.dq, reference.ddq))
-    level = np.sqrt(np.mean(plant.inverse(*flat).reshape(S, N, n) ** 2, axis=1, keepdims=True)) / 100
+    level = (
+        np.sqrt(np.mean(plant.inverse(*flat).reshape(S, N, n) ** 2, axis=1, keepdims=True)) / 100
+    )
     push = (
-        level * cell.disturbance_percent * coloured(rng, (S, N, n)) if cell.disturbance_percent else np.zeros((1, N, 1))
+        level * cell.disturbance_percent * coloured(rng, (S, N, n))
+        if cell.disturbance_percent
+        else np.zeros((1, N, 1))
     )
     push = push + level * cell.drift_percent * np.linspace(0, 1, N)[:, None]
 
@@ -293,8 +348,14 @@ def simulate(
         )
     seen, seen_before, seen_earlier, v_before = q @ plant.R.T, q @ plant.R.T, q @ plant.R.T, v
     measured, commanded, q_true, dq_true = np.empty((4, S, N, n))
-    count, noise = cell.encoder_step * np.abs(np.diag(plant.R)), cell.encoder_noise * np.abs(np.diag(plant.R))
-    rho, error_seen = cell.encoder_correlation, np.random.default_rng([3, seed]).standard_normal((S, n))
+    count, noise = (
+        cell.encoder_step * np.abs(np.diag(plant.R)),
+        cell.encoder_noise * np.abs(np.diag(plant.R)),
+    )
+    rho, error_seen = (
+        cell.encoder_correlation,
+        np.random.default_rng([3, seed]).standard_normal((S, n)),
+    )
     # In the part of a period that has begun, the command before the newest still acts.
     periods, begun = divmod(round(cell.actuation_delay_s / T, 9), 1.0)
     back, body = np.linalg.inv(plant.R).T, plant
@@ -303,7 +364,9 @@ def simulate(
         seen = q @ plant.R.T + noise * error_seen
         if cell.encoder_step:
             seen = np.round(seen / count) * count
-        speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / (T * (2 if c.two_sample_mean else 1))
+        speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / (
+            T * (2 if c.two_sample_mean else 1)
+        )
         seen_before, seen_earlier = seen, seen_before
         error = target[:, k] - seen
         u = kp * error + kd * (speed_share * target_speed[:, k] - speed)
@@ -318,20 +381,28 @@ def simulate(
         if later is not None and k == N // 2:
             body = later
         if cell.friction_drift:
-            body = replace(body, friction=plant.friction.times(1 + cell.friction_drift * (k / N - 0.5)))
+            body = replace(
+                body, friction=plant.friction.times(1 + cell.friction_drift * (k / N - 0.5))
+            )
         acceleration, v_before, newest = (v - v_before) / T, v, k - int(periods)
         for part, from_tick in ((begun, newest - 1), (1 - begun, newest)):
             if part:
-                tau, h, steps = commanded[:, max(0, from_tick)] + push[:, k], part * T, math.ceil(part * substeps)
+                tau, h, steps = (
+                    commanded[:, max(0, from_tick)] + push[:, k],
+                    part * T,
+                    math.ceil(part * substeps),
+                )
                 q, v = step(body, q, v, tau, v + 0.5 * h * acceleration, h, steps)
     recorded = commanded
-    if cell.recorded == "mean":  # of a torque that is held: half a period and the delay after the command
+    # of a torque that is held: half a period and the delay after the command
+    if cell.recorded == "mean":
         recorded = shifted(recorded, 0.5 + cell.actuation_delay_s / T)
     recorded = shifted(recorded, cell.lag)
     recorded = recorded + level * cell.torque_noise_percent * rng.standard_normal((S, N, n))
     if cell.coloured_noise_percent:
         recorded = recorded + level * cell.coloured_noise_percent * coloured(rng, (S, N, n))
     return Runs(
-        q=measured, q_ref=reference.q, effort=recorded, q_true=q_true, dq_true=dq_true, rate_hz=c.rate_hz,
+        q=measured, q_ref=reference.q, effort=recorded, q_true=q_true, dq_true=dq_true,
+        rate_hz=c.rate_hz,
         recorded=cell.recorded,
     )  # fmt: skip

@@ -1,4 +1,6 @@
-"""The equations of motion of a serial URDF, its limits and control: its XML is read here, nothing is the package's dynamics."""
+"""The equations of motion of a serial URDF, its limits and control: its XML is read here, nothing
+is the package's dynamics.
+"""
 
 import tomllib
 import xml.etree.ElementTree as ET
@@ -16,7 +18,9 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfChain(Chain):
-    """A chain of revolute joints: origin (n, 3) and rotation (n, 3, 3) in the link before, and axis (n, 3)."""
+    """A chain of revolute joints: origin (n, 3) and rotation (n, 3, 3) in the link
+    before, and axis (n, 3).
+    """
 
     at: Array
     turned: Array
@@ -54,11 +58,18 @@ def chain_of(text: str) -> UrdfChain:
     bodies = [links[joint.find("child").get("link")] for joint in joints]
     mass = np.array([float(body.find("mass").get("value")) for body in bodies])
     c = np.array([numbers(body.find("origin"), "xyz") for body in bodies])
-    about = np.array([np.diag([float(body.find("inertia").get(k)) for k in ("ixx", "iyy", "izz")]) for body in bodies])
+    about = np.array(
+        [
+            np.diag([float(body.find("inertia").get(k)) for k in ("ixx", "iyy", "izz")])
+            for body in bodies
+        ]
+    )
     origins, none = [joint.find("origin") for joint in joints], np.zeros(len(joints))
     return UrdfChain(
-        alpha=none, d=none, theta=none, r=none, prismatic=none.astype(bool), gravity=np.array([0, 0, -9.81]),
-        inertia=about - mass[:, None, None] * skew(c) @ skew(c), moment=mass[:, None] * c, mass=mass,
+        alpha=none, d=none, theta=none, r=none, prismatic=none.astype(bool),
+        gravity=np.array([0, 0, -9.81]),
+        inertia=about - mass[:, None, None] * skew(c) @ skew(c), moment=mass[:, None] * c,
+        mass=mass,
         at=np.array([numbers(one, "xyz") for one in origins]),
         turned=np.array([rotation_of(numbers(one, "rpy")) for one in origins]),
         along=np.array([numbers(joint.find("axis"), "xyz") for joint in joints]),
@@ -76,7 +87,10 @@ acceleration_deg_s2 = 500
 name = "m_{0}"
 effort_unit = "N m"
 """
-FRICTION_OF_TORQUE = np.array([(6.0, 8.0), (8.0, 10.0), (5.0, 6.0), (1.0, 1.2), (1.0, 1.2), (0.6, 0.8)])  # Fv, Fc
+# Fv, Fc
+FRICTION_OF_TORQUE = np.array(
+    [(6.0, 8.0), (8.0, 10.0), (5.0, 6.0), (1.0, 1.2), (1.0, 1.2), (0.6, 0.8)]
+)
 ROTORS = np.array([0.9, 0.9, 0.5, 0.06, 0.06, 0.05])
 RATE_HZ = 500.0
 
@@ -88,7 +102,8 @@ def arm_of(text: str) -> tuple[Plant, Controller]:
     viscous, coulomb = FRICTION_OF_TORQUE[: len(joints)].T
     n = len(joints)
     body = Plant(
-        name="six", rigid=chain_of(text), rotor=np.diag(ROTORS[:n]), offset=np.zeros(n), R=np.eye(n),
+        name="six", rigid=chain_of(text), rotor=np.diag(ROTORS[:n]), offset=np.zeros(n),
+        R=np.eye(n),
         friction=Friction(
             directions=np.eye(n), coulomb=coulomb, viscous=np.diag(viscous), smooth=np.full(n, 0.01)
         ),
@@ -98,6 +113,10 @@ def arm_of(text: str) -> tuple[Plant, Controller]:
 
 
 def robot_of(text: str, names: list[str], joint: Callable[[str], str] = str) -> Robot:
-    """The description that a fit is given, with the URDF `text` of the same joints; `joint` changes the text of each."""
+    """The description that a fit is given, with the URDF `text` of the same joints; `joint`
+    changes the text of each.
+    """
     toml = HEAD + "".join(joint(JOINT.format(name)) for name in names)
-    return robot_from_files({"robot.toml": toml.encode(), "robot.urdf": text.encode()}, "robot.toml")
+    return robot_from_files(
+        {"robot.toml": toml.encode(), "robot.urdf": text.encode()}, "robot.toml"
+    )

@@ -1,4 +1,6 @@
-"""Frames on their way from the kernel, from python-can and from logs into rows, and what a link lets out."""
+"""Frames on their way from the kernel, from python-can and from logs into rows,
+and what a link lets out.
+"""
 
 import socket
 import struct
@@ -9,31 +11,61 @@ import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
 
-from acquisition.bus import Frame, Link, Receiver, WallClock, block_of, describe_step, links, open_bus
+from acquisition.bus import (
+    Frame,
+    Link,
+    Receiver,
+    WallClock,
+    block_of,
+    describe_step,
+    links,
+    open_bus,
+)
 from acquisition.errors import BusFaultError, RefusedError
-from acquisition.recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, overview, read_recording
+from acquisition.recording import (
+    CAN_FD,
+    ERROR,
+    EXTENDED,
+    FRAME,
+    REMOTE_REQUEST,
+    SENT,
+    overview,
+    read_recording,
+)
 from acquisition.robot import BusFile, DriveFile
 from acquisition.session.recorder import Recorder
 
 
 def test_a_row_byte_for_byte():
-    """The layout that recordings hold: time, identifier, length, flags, data, little-endian, without gaps."""
+    """The layout that recordings hold: time, identifier, length, flags, data,
+    little-endian, without gaps.
+    """
     block = block_of([Frame(0x0102030405060708, 0x185, bytes.fromhex("3712FB"), SENT | EXTENDED)])
-    assert block.tobytes().hex(" ") == "08 07 06 05 04 03 02 01 85 01 00 00 03 03 37 12 fb 00 00 00 00 00"
+    assert (
+        block.tobytes().hex(" ")
+        == "08 07 06 05 04 03 02 01 85 01 00 00 03 03 37 12 fb 00 00 00 00 00"
+    )
     assert (SENT, EXTENDED, ERROR, REMOTE_REQUEST, CAN_FD) == (1, 2, 4, 8, 16)
     assert len(block_of([])) == 0
     assert block_of([]).dtype == FRAME
 
 
-# The kernel's frames (struct can_frame of linux/can.h): identifier and flags, length, three bytes, data
+# The kernel's frames (struct can_frame of linux/can.h): identifier and flags,
+# length, three bytes, data
 
 MESSAGES = [
-    ("85 01 00 00 08 00 00 00 37 12 FB FF FF FF D4 FE", (1, 2), 0, (1_000_000_002, 0x185, 8, 0, "3712FBFFFFFFD4FE")),
-    ("80 00 00 00 00 00 00 00 AA 00 00 00 00 00 00 00", (3, 0), 4, (3_000_000_000, 0x080, 0, SENT, "")),
-    ("78 56 34 92 01 00 00 00 01 00 00 00 00 00 00 00", (4, 0), 0, (4_000_000_000, 0x12345678, 1, EXTENDED, "01")),
-    ("85 01 00 40 08 00 00 00 00 00 00 00 00 00 00 00", (5, 0), 0, (5_000_000_000, 0x185, 8, REMOTE_REQUEST, "00" * 8)),
-    ("04 00 00 20 08 00 00 00 00 10 00 00 00 00 00 00", (6, 0), 0, (6_000_000_000, 4, 8, ERROR, "0010" + "00" * 6)),
-    ("FF 0F 00 00 0F 00 00 00 01 02 03 04 05 06 07 08", (7, 0), 0, (7_000_000_000, 0x7FF, 8, 0, "0102030405060708")),
+    ("85 01 00 00 08 00 00 00 37 12 FB FF FF FF D4 FE", (1, 2), 0,
+     (1_000_000_002, 0x185, 8, 0, "3712FBFFFFFFD4FE")),
+    ("80 00 00 00 00 00 00 00 AA 00 00 00 00 00 00 00", (3, 0), 4,
+     (3_000_000_000, 0x080, 0, SENT, "")),
+    ("78 56 34 92 01 00 00 00 01 00 00 00 00 00 00 00", (4, 0), 0,
+     (4_000_000_000, 0x12345678, 1, EXTENDED, "01")),
+    ("85 01 00 40 08 00 00 00 00 00 00 00 00 00 00 00", (5, 0), 0,
+     (5_000_000_000, 0x185, 8, REMOTE_REQUEST, "00" * 8)),
+    ("04 00 00 20 08 00 00 00 00 10 00 00 00 00 00 00", (6, 0), 0,
+     (6_000_000_000, 4, 8, ERROR, "0010" + "00" * 6)),
+    ("FF 0F 00 00 0F 00 00 00 01 02 03 04 05 06 07 08", (7, 0), 0,
+     (7_000_000_000, 0x7FF, 8, 0, "0102030405060708")),
 ]  # fmt: skip
 
 
@@ -62,19 +94,23 @@ class KernelSocket(socket.socket):
         assert ancillary >= socket.CMSG_SPACE(16)
         if self.messages and isinstance(self.messages[0], OSError):
             raise self.messages[0]
-        self.receiver_of().stopped |= len(self.messages) <= 3  # the last ones are taken on the way out
+        # the last ones are taken on the way out
+        self.receiver_of().stopped |= len(self.messages) <= 3
         if not self.messages:
             raise BlockingIOError
         return self.messages.pop(0)
 
 
 def test_frames_of_the_kernel():
-    """Identifier, flags and time by hand; beyond the length there are zeros, whatever the kernel left there."""
+    """Identifier, flags and time by hand; beyond the length there are zeros, whatever
+    the kernel left there.
+    """
     raw = [
         (bytes.fromhex(text), [(socket.SOL_SOCKET, 35, struct.pack("qq", *stamp))], flags, None)
         for text, stamp, flags, _ in MESSAGES
     ]
-    too_long = (bytes.fromhex("86 01 00 00 40 01 00 00") + bytes(range(64)), raw[0][1], 0, None)  # of CAN FD
+    # of CAN FD
+    too_long = (bytes.fromhex("86 01 00 00 40 01 00 00") + bytes(range(64)), raw[0][1], 0, None)
     without_time = (raw[0][0], [], 0, None)
     sock = KernelSocket([too_long, *raw[:4], without_time, *raw[4:]], lambda: receiver)
     receiver = Receiver(SimpleNamespace(socket=sock))
@@ -82,7 +118,13 @@ def test_frames_of_the_kernel():
     assert receiver.error is None
     block = receiver.take()
     found = [
-        (int(r["time_ns"]), int(r["can_id"]), int(r["length"]), int(r["flags"]), r["data"].tobytes().hex().upper())
+        (
+            int(r["time_ns"]),
+            int(r["can_id"]),
+            int(r["length"]),
+            int(r["flags"]),
+            r["data"].tobytes().hex().upper(),
+        )
         for r in block
     ]
     assert found.pop(0) == (1_000_000_002, 0x186, 8, CAN_FD, "0001020304050607")
@@ -109,8 +151,12 @@ class FakeBus:
         self.ended = True
 
 
-def message(can_id: int = 0x185, data: bytes = b"\1\2", time_s: float = 1.5, **kind: bool) -> can.Message:
-    return can.Message(timestamp=time_s, arbitration_id=can_id, data=data, **({"is_extended_id": False} | kind))
+def message(
+    can_id: int = 0x185, data: bytes = b"\1\2", time_s: float = 1.5, **kind: bool
+) -> can.Message:
+    return can.Message(
+        timestamp=time_s, arbitration_id=can_id, data=data, **({"is_extended_id": False} | kind)
+    )
 
 
 FRAMES = [
@@ -127,7 +173,8 @@ def test_frames_of_python_can(given, expected):
     tapped: list[Frame] = []
     frame = Link(FakeBus(given), passive=True, tap=tapped.append).take(0)
     assert frame[1:] == expected[1:]
-    assert frame.time_ns == pytest.approx(expected.time_ns, abs=200)  # a double holds no more of such a time
+    # a double holds no more of such a time
+    assert frame.time_ns == pytest.approx(expected.time_ns, abs=200)
     assert tapped == [frame]
 
 
@@ -135,7 +182,10 @@ def test_frames_of_python_can(given, expected):
     ("bus", "told"),
     [
         (FakeBus(can.CanOperationError("adapter gone")), "adapter gone"),
-        (SimpleNamespace(socket=KernelSocket([OSError(19, "No such device")], None)), "[Errno 19] No such device"),
+        (
+            SimpleNamespace(socket=KernelSocket([OSError(19, "No such device")], None)),
+            "[Errno 19] No such device",
+        ),
     ],
 )
 def test_a_receiver_ends_with_the_bus_and_says_why(bus, told):
@@ -154,7 +204,9 @@ def test_can_fd_is_counted_and_in_no_recording(tmp_path, fd):
     assert found.frames == len(recording.frames["test"]) == 5 - fd
     assert not recording.frames["test"]["flags"].any()
     assert found.warnings == ((text,) if fd else ())
-    assert [event.text for event in overview(recording)["events"] if "CAN FD" in event.text] == list(found.warnings)
+    assert [
+        event.text for event in overview(recording)["events"] if "CAN FD" in event.text
+    ] == list(found.warnings)
 
 
 def test_a_receiver_keeps_the_order_and_marks_can_fd():
@@ -216,7 +268,10 @@ def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_f
 
 
 def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
-    """As gs_usb does, marked as not received. What others send from this machine may be marked so too, and stays."""
+    """As gs_usb does, marked as not received.
+
+    What others send from this machine may be marked so too, and stays.
+    """
     monkeypatch.setattr(FakeBus, "__module__", "can.interfaces.gs_usb")
     fake = FakeBus()
     link = Link(fake, passive=False)
@@ -230,21 +285,33 @@ def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
 
 
 def test_frames_that_a_group_gives_back_are_left_out_once_and_can_fd_is_for_the_recorder_alone():
-    """A multicast group returns what was sent; the same bytes from somebody else, later, are a frame like any other."""
-    heard = (message(0x80, b""), message(data=bytes(12), is_fd=True), message(0x185), message(0x80, b""))
-    for bus, ids in ((group(*heard), [0x185, 0x80]), (FakeBus(*heard), [0x80, 0x185, 0x80])):  # one gives nothing back
+    """A multicast group returns what was sent; the same bytes from somebody else, later, are
+    a frame like any other.
+    """
+    heard = (
+        message(0x80, b""),
+        message(data=bytes(12), is_fd=True),
+        message(0x185),
+        message(0x80, b""),
+    )
+    # one gives nothing back
+    for bus, ids in ((group(*heard), [0x185, 0x80]), (FakeBus(*heard), [0x80, 0x185, 0x80])):
         tapped: list[Frame] = []
         link = Link(bus, passive=False, tap=tapped.append)
         link.send(0x80, b"")
         assert [link.take(1.0).can_id for _ in ids] == ids
         assert link.take(0) is None
-        assert [(frame.can_id, frame.flags) for frame in tapped if frame.flags & CAN_FD] == [(0x185, CAN_FD)]
+        assert [(frame.can_id, frame.flags) for frame in tapped if frame.flags & CAN_FD] == [
+            (0x185, CAN_FD)
+        ]
 
 
 def test_drops_that_the_kernel_counts():
     """SO_MEMINFO: nine counters, the last one of drops; option 55 of SOL_SOCKET."""
     sock = SimpleNamespace(
-        getsockopt=lambda *option: struct.pack("9I", *range(10, 19)) if option == (1, 55, 36) else b""
+        getsockopt=lambda *option: (
+            struct.pack("9I", *range(10, 19)) if option == (1, 55, 36) else b""
+        )
     )
     assert links.kernel_drops(sock) == 18
     assert links.kernel_drops(None) == 0
@@ -253,7 +320,12 @@ def test_drops_that_the_kernel_counts():
 
 def bus_file(**keys) -> BusFile:
     drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
-    return BusFile(**({"interface": "socketcan", "channel": "can0", "drive": (drive,), "sync_period_s": 0.002} | keys))
+    return BusFile(
+        **(
+            {"interface": "socketcan", "channel": "can0", "drive": (drive,), "sync_period_s": 0.002}
+            | keys
+        )
+    )
 
 
 @pytest.mark.parametrize(
@@ -262,7 +334,8 @@ def bus_file(**keys) -> BusFile:
         ({}, False, {"channel": "can0", "fd": True}),
         ({"interface": "pcan", "bitrate": 500_000}, False, {"channel": "can0", "bitrate": 500_000}),
         ({"interface": "slcan"}, False, {"channel": "can0", "bitrate": 1_000_000}),
-        ({"interface": "slcan"}, True, {"channel": "can0", "bitrate": 1_000_000, "listen_only": True}),
+        ({"interface": "slcan"}, True, {"channel": "can0", "bitrate": 1_000_000,
+                                        "listen_only": True}),
         ({"interface": "gs_usb", "channel": "1"}, True, {"channel": 1, "bitrate": 1_000_000}),
         ({"interface": "udp_multicast", "channel": "239.1.2.3:4321"}, False,
          {"channel": "239.1.2.3", "port": 4321, "hop_limit": 0, "fd": False}),
@@ -275,7 +348,10 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
     monkeypatch.setattr(can, "Bus", lambda **options: asked.append(options) or FakeBus())
     bus = open_bus(bus_file(**keys), passive=passive)
     (options,) = asked
-    assert options == {"interface": keys.get("interface", "socketcan"), "ignore_config": True} | expected
+    assert (
+        options
+        == {"interface": keys.get("interface", "socketcan"), "ignore_config": True} | expected
+    )
     if not passive:
         bus.send(message())
         return
@@ -287,7 +363,9 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
 def test_a_queue_is_enlarged_past_the_limit_where_we_may():
     for granted, forced in ((212_992, [(1, 33, 4 * 2**20)]), (8 * 2**20, [])):  # SO_RCVBUFFORCE
         asked = []
-        sock = SimpleNamespace(setsockopt=lambda *option, a=asked: a.append(option), getsockopt=lambda *_, g=granted: g)
+        sock = SimpleNamespace(
+            setsockopt=lambda *option, a=asked: a.append(option), getsockopt=lambda *_, g=granted: g
+        )
         links.request_queue_size(sock)
         assert asked == [(1, 8, 4 * 2**20), *forced]  # SO_RCVBUF
         assert links.queue_bytes(sock) == granted
@@ -299,7 +377,10 @@ def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
         assert links.socket_of(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock))) is sock
         file = bus_file(interface="udp_multicast", channel="239.1.2.3:4321")
         links.stay_on_loopback(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock)), file)
-        assert socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
+        assert (
+            socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4))
+            == "127.0.0.1"
+        )
     assert links.socket_of(SimpleNamespace(socket="of another kind")) is None
     assert links.socket_of(SimpleNamespace()) is None
 
@@ -307,7 +388,9 @@ def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
 @pytest.mark.parametrize("seen_after", [0, 3])
 def test_times_go_on_where_the_clock_is_set(step_ns, seen_after):
-    """Frames 2 ms apart, block by block; that the clock was set is noticed with the first new stamp, or a block before."""
+    """Frames 2 ms apart, block by block; that the clock was set is noticed with the first new
+    stamp, or a block before.
+    """
     now, wall = [0], [0]
     clock = WallClock(lambda: now[0] + wall[0], lambda: now[0], offset_ns=0)
     true_ns, found = 10**9 + 2_000_000 * np.arange(500), []
@@ -335,7 +418,12 @@ def test_an_adapter_with_a_clock_of_its_own_keeps_it():
 def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():
     wall, monotonic, found, hour_ns = [1_000_000_000], [5_000_000_000], [], 3_600_000_000_000
     clock = WallClock(lambda: wall[0], lambda: monotonic[0])
-    for elapsed_ns, by_ns in ((500_000_000, 0), (500_000_000, 10_000_000), (100, hour_ns), (100, -50_000_000)):
+    for elapsed_ns, by_ns in (
+        (500_000_000, 0),
+        (500_000_000, 10_000_000),
+        (100, hour_ns),
+        (100, -50_000_000),
+    ):
         wall[0] += elapsed_ns + by_ns
         monotonic[0] += elapsed_ns
         found.append(clock.step_ns())

@@ -1,4 +1,6 @@
-"""A session over the kernel's own SocketCAN, in User-Mode Linux, so that no module and no adapter is needed."""
+"""A session over the kernel's own SocketCAN, in User-Mode Linux, so that no module
+and no adapter is needed.
+"""
 
 import shutil
 import subprocess
@@ -39,9 +41,15 @@ if __name__ == "__main__":
 
 def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     if not UML.exists() or shutil.which("linux.uml") is None:
-        pytest.skip("no User-Mode Linux: Debian's user-mode-linux and ../shared/tools/uml_can.sh give a kernel vcan")
-    # One slow processor for master, drives and recorder together: a test of the socket, not of speed.
-    text = bus_text(2, period_s=0.1, interface="socketcan", channel="vcan0", extra="heartbeat_s = 1.0")
+        pytest.skip(
+            "no User-Mode Linux: Debian's user-mode-linux and ../shared/tools/uml_can.sh give a "
+            "kernel vcan"
+        )
+    # One slow processor for master, drives and recorder together: a test of the
+    # socket, not of speed.
+    text = bus_text(
+        2, period_s=0.1, interface="socketcan", channel="vcan0", extra="heartbeat_s = 1.0"
+    )
     (tmp_path / "robot.toml").write_text(text)
     job = tmp_path / "job.sh"
     job.write_text(JOB.format(root=ROOT, python=sys.executable, folder=tmp_path))
@@ -55,7 +63,8 @@ def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     syncs = int((frames["can_id"] == 0x80).sum())
     assert 15 <= syncs <= 31  # never faster than asked for; a machine that stalls leaves some out
     for node in (1, 2):
-        assert syncs - 3 <= (frames["can_id"] == 0x180 + node).sum() <= syncs  # the last ones may lack
+        # the last ones may lack
+        assert syncs - 3 <= (frames["can_id"] == 0x180 + node).sum() <= syncs
     sent = frames["can_id"][(frames["flags"] & SENT) != 0]
     assert set(sent.tolist()) == {0, 0x80, 0x601, 0x602}
     assert (np.diff(frames["time_ns"]) >= 0).all()

@@ -1,4 +1,6 @@
-"""Passive recordings: python-can's own adapter classes, over made-up drivers, are set to only listen; the user is told."""
+"""Passive recordings: python-can's own adapter classes, over made-up drivers, are set to only
+listen; the user is told.
+"""
 
 import subprocess
 from collections.abc import Callable
@@ -21,7 +23,9 @@ Asked = list[tuple[object, ...]]
 
 
 def bus_at(interface: str, channel: str) -> BusFile:
-    return BusFile(interface=interface, channel=channel, drive=(), sync_period_s=1.0, bitrate=500_000)
+    return BusFile(
+        interface=interface, channel=channel, drive=(), sync_period_s=1.0, bitrate=500_000
+    )
 
 
 class Noting:
@@ -32,15 +36,18 @@ class Noting:
         return lambda *given, **named: self.asked.append((name, *given)) or 0
 
 
-def pcan_driver(monkeypatch: pytest.MonkeyPatch, asked: Asked, confirms: tuple[int, int] = (0, 1)) -> None:
+def pcan_driver(
+    monkeypatch: pytest.MonkeyPatch, asked: Asked, confirms: tuple[int, int] = (0, 1)
+) -> None:
     values = {basic.PCAN_LISTEN_ONLY.value: confirms, basic.PCAN_API_VERSION.value: (0, b"4.9.0")}
     driver = Noting(asked)
     driver.GetValue = lambda handle, parameter: values.get(parameter.value, (0, 0))
     monkeypatch.setattr(pcan.pcan, "PCANBasic", lambda: driver)
 
 
-KVASER = """canGetNumberOfChannels canOpenChannel canIoCtlInit canSetBusParams canSetBusOutputControl canBusOn kvReadTimer
-canSetAcceptanceFilter canFlushTransmitQueue canWriteSync canBusOff canClose"""
+KVASER = """
+canGetNumberOfChannels canOpenChannel canIoCtlInit canSetBusParams canSetBusOutputControl canBusOn
+kvReadTimer canSetAcceptanceFilter canFlushTransmitQueue canWriteSync canBusOff canClose"""
 
 
 def kvaser_driver(monkeypatch: pytest.MonkeyPatch, asked: Asked) -> None:
@@ -62,18 +69,28 @@ def cantact_driver(monkeypatch: pytest.MonkeyPatch, asked: Asked) -> None:
 
 # Interface, channel, driver, and what it is told: to only listen, to take part.
 ADAPTERS = {
-    "pcan": ("PCAN_USBBUS1", pcan_driver, *(("SetValue", 0x51, basic.PCAN_LISTEN_ONLY, on) for on in (1, 0))),
+    "pcan": (
+        "PCAN_USBBUS1",
+        pcan_driver,
+        *(("SetValue", 0x51, basic.PCAN_LISTEN_ONLY, on) for on in (1, 0)),
+    ),
     # silent, normal
     "kvaser": ("0", kvaser_driver, *(("canSetBusOutputControl", 0, mode) for mode in (1, 4))),
     "slcan": ("/dev/ttyACM0", serial_driver, ("write", b"L\r"), ("write", b"O\r")),
     "cantact": ("0", cantact_driver, ("set_monitor", 0, True), ("set_monitor", 0, False)),
-    "seeedstudio": ("/dev/ttyUSB0", serial_driver, 0x02, 0x00),  # mode in the frame that begins with AA 55 12
+    # mode in the frame that begins with AA 55 12
+    "seeedstudio": ("/dev/ttyUSB0", serial_driver, 0x02, 0x00),
 }
 
 
 def told(asked: Asked) -> Asked:
-    values = [tuple(getattr(x, "value", x) if x is not basic.PCAN_LISTEN_ONLY else x for x in call) for call in asked]
-    modes = [call[1][13] for call in values if call[0] == "write" and call[1][:3] == b"\xaa\x55\x12"]
+    values = [
+        tuple(getattr(x, "value", x) if x is not basic.PCAN_LISTEN_ONLY else x for x in call)
+        for call in asked
+    ]
+    modes = [
+        call[1][13] for call in values if call[0] == "write" and call[1][:3] == b"\xaa\x55\x12"
+    ]
     return values + modes
 
 
@@ -91,7 +108,8 @@ def test_an_adapter_is_told_to_only_listen(monkeypatch, interface):
         bus.shutdown()
 
 
-@pytest.mark.parametrize("confirms", [(0, 0), (0x04000, 1)])  # off; a parameter that the driver does not have
+# off; a parameter that the driver does not have
+@pytest.mark.parametrize("confirms", [(0, 0), (0x04000, 1)])
 def test_a_pcan_that_does_not_confirm_is_no_passive_bus(monkeypatch, confirms):
     asked: Asked = []
     pcan_driver(monkeypatch, asked, confirms)
@@ -103,7 +121,10 @@ def test_a_pcan_that_does_not_confirm_is_no_passive_bus(monkeypatch, confirms):
 
 
 # As `ip -details link show` of iproute2 6.1 prints them.
-HEAD = "3: can0: <NOARP,UP,LOWER_UP> mtu 16 qdisc pfifo_fast state UP\n    link/can  promiscuity 0  allmulti 0\n"
+HEAD = (
+    "3: can0: <NOARP,UP,LOWER_UP> mtu 16 qdisc pfifo_fast state UP\n    link/can  promiscuity "
+    "0  allmulti 0\n"
+)
 ALONE = "listens only: a drive that is alone on the bus gets no acknowledge"
 TAKES_PART = "acknowledges all frames, and destroys them at a wrong bit rate; "
 WAY_OUT = TAKES_PART + "to prevent it: ip link set can0 type can bitrate 500000 listen-only on"
@@ -113,7 +134,11 @@ NO_WAY = TAKES_PART + "python-can has no listen-only"
 @pytest.mark.parametrize(
     ("interface", "shown", "words"),
     [
-        ("socketcan", "    can <LISTEN-ONLY> state ERROR-ACTIVE restart-ms 0 \n\t  bitrate 500000\n", ALONE),
+        (
+            "socketcan",
+            "    can <LISTEN-ONLY> state ERROR-ACTIVE restart-ms 0 \n\t  bitrate 500000\n",
+            ALONE,
+        ),
         ("socketcan", "    can <BERR-REPORTING> state ERROR-ACTIVE restart-ms 0 \n", WAY_OUT),
         ("socketcan", "    vcan numtxqueues 1 gso_max_size 65536 \n", None),
         ("socketcan", None, WAY_OUT.replace("acknowledges", "may acknowledge")),

@@ -1,4 +1,6 @@
-"""The one stop: when voltage goes off at each drive, by measured speed, and which drives count as disabled."""
+"""The one stop: when voltage goes off at each drive, by measured speed, and which
+drives count as disabled.
+"""
 
 from collections.abc import Callable
 
@@ -19,7 +21,9 @@ CAP_S = 0.5 + 1.2 * SPEED / LIMIT  # the simulated drives' ramp is the accelerat
 
 
 class Coasting(Moved):
-    """Joint 1 turns at SPEED until it is held, then as `after` says (s since then, to the share of SPEED); joint 2 stands."""
+    """Joint 1 turns at SPEED until it is held, then as `after` says (s since then, to the share of
+    SPEED); joint 2 stands.
+    """
 
     def __init__(self, after: Callable[[float], float]) -> None:
         self.after, self.held_s = after, 0.0
@@ -58,7 +62,9 @@ def moving(
 
 
 def off_s(sent: list[tuple[int, int, bytes]], node: int) -> float:
-    """From the first quick stop to the first disable voltage by PDO: controlwords 0002h and 0000h."""
+    """From the first quick stop to the first disable voltage by PDO:
+    controlwords 0002h and 0000h.
+    """
     words = [(t, data[:2]) for t, can_id, data in sent if can_id == 0x200 + node]
     assert words[0][1] == b"\x02\x00"
     return (next(t for t, word in words if word == b"\x00\x00") - words[0][0]) * 1e-9
@@ -88,21 +94,31 @@ def slowly(t: float) -> float:
         (halved, {"ramp": ONE_RAD_S2}, 0.5 + 1.2 * 0.985 * SPEED, 0.02),
         (halved, {"ramp": TWO_RAD_S2}, 0.5 + 1.2 * SPEED / 2.0, 0.02),
         (halved, {"ramp": {0x605A: 0}}, 0.5 + SPEED / LIMIT, 0.02),  # unknown
-        (lambda t: 1 - 0.5 * t, {"ramp": {0x605A: 3}}, 0.05, 0.02),  # unknown, and too slow for that
+        # unknown, and too slow for that
+        (lambda t: 1 - 0.5 * t, {"ramp": {0x605A: 3}}, 0.05, 0.02),
         (slowly, {"ramp": ONE_RAD_S2}, 1.98, 0.02),  # 2.5 % slower after 0.05 s
-        (slowly, {"ramp": ONE_RAD_S2, "simulated": SlowAnswers}, 1.98, 0.02),  # the ramp is still being read
+        # the ramp is still being read
+        (slowly, {"ramp": ONE_RAD_S2, "simulated": SlowAnswers}, 1.98, 0.02),
         # Above the start, but it falls; it runs away at last.
-        (lambda t: 1.0 + (t > 0.01) if t < 0.03 else max(0.0, 2 - 90 * (t - 0.03)), {}, 0.074, 0.02),
+        (
+            lambda t: 1.0 + (t > 0.01) if t < 0.03 else max(0.0, 2 - 90 * (t - 0.03)),
+            {},
+            0.074,
+            0.02,
+        ),
         (lambda t: 1 - 0.5 * t if t < 0.3 else 1.2, {"ramp": ONE_RAD_S2}, 0.302, 0.02),
     ],
 )
-def test_voltage_goes_off_at_standstill_after_the_ramp_or_where_nothing_else_helps(after, how, at_s, within_s):
+def test_voltage_goes_off_at_standstill_after_the_ramp_or_where_nothing_else_helps(
+    after, how, at_s, within_s
+):
     run, master, sent = moving(after, **how)
     assert safe_stop(master) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert off_s(sent, 1) == pytest.approx(at_s, abs=within_s)
     if "simulated" not in how:
-        assert off_s(sent, 2) == pytest.approx(0.014, abs=0.012)  # it stands, whatever the other does
+        # it stands, whatever the other does
+        assert off_s(sent, 2) == pytest.approx(0.014, abs=0.012)
 
 
 def test_where_sync_of_another_producer_ends_nothing_stands():
@@ -137,7 +153,8 @@ def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
     run, master, sent = moving(lambda t: 0.0, started=False)
     assert safe_stop(master) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
-    assert not any(can_id in (0x201, 0x202) for _, can_id, _ in sent)  # no position was heard: no target is made up
+    # no position was heard: no target is made up
+    assert not any(can_id in (0x201, 0x202) for _, can_id, _ in sent)
 
 
 def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
@@ -160,7 +177,8 @@ def test_a_late_sync_of_the_stop_is_made_up_for_by_the_next_one_alone_if_at_all(
 
         def receive(self, until_ns):
             frame = super().receive(until_ns)
-            if frame is None and len([1 for _, can_id, _ in sent if can_id == 0x80]) == 20:  # the next SYNC is due
+            # the next SYNC is due
+            if frame is None and len([1 for _, can_id, _ in sent if can_id == 0x80]) == 20:
                 self.link._time_ns, self.late_ns = self.now_ns() + self.late_ns, 0
             return frame
 

@@ -1,4 +1,6 @@
-"""What drives notice of a master that dies: its heartbeat, their consumers of it, and what check tells of them."""
+"""What drives notice of a master that dies: its heartbeat, their consumers of it, and
+what check tells of them.
+"""
 
 import itertools
 
@@ -16,7 +18,8 @@ from acquisition.simulated import node as simulated_supervision
 
 MS = 1_000_000
 TRACK = Task(reference=swing(2, seconds=0.5, amplitude=0.1))
-# 1016h:1 = 127 << 16 | 300 ms as an expedited SDO of four bytes (CiA 301, 7.2.4 and 7.5.2.17), and its removal.
+# 1016h:1 = 127 << 16 | 300 ms as an expedited SDO of four bytes (CiA 301, 7.2.4 and
+# 7.5.2.17), and its removal.
 ASKED, REMOVED = bytes.fromhex("231610012c017f00"), bytes.fromhex("2316100100000000")
 
 
@@ -27,7 +30,8 @@ def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
     beats = frames[frames["can_id"] == 0x77F]
     assert {bytes(d[:n]) for d, n in zip(beats["data"], beats["length"], strict=True)} == {b"\x05"}
     syncs = frames["time_ns"][frames["can_id"] == 0x80]
-    # Three in every time-out of 300 ms, from the first SYNC on; none between SYNCs but those of the end.
+    # Three in every time-out of 300 ms, from the first SYNC on; none between SYNCs
+    # but those of the end.
     times = beats["time_ns"].tolist()
     assert times[0] == syncs[0]
     assert max(b - a for a, b in itertools.pairwise(times)) <= 100 * MS
@@ -43,8 +47,12 @@ def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
     assert not (frames["can_id"] == 0x81).any()
 
 
-def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[LockStepLink, Master, MasterHeartbeat]:
-    """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
+def enabled(
+    *, abort_connection: int = 1, supervised: bool = True
+) -> tuple[LockStepLink, Master, MasterHeartbeat]:
+    """Two drives in operation enabled, whose master has sent one heartbeat and
+    now says nothing more.
+    """
     run, master = connected(supervised=supervised)
     heartbeat = MasterHeartbeat(master)
     heartbeat.request()
@@ -58,7 +66,16 @@ def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[Lock
 
 @pytest.mark.parametrize(
     ("option", "state"),
-    list(enumerate((State.OPERATION_ENABLED, State.FAULT, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE))),
+    list(
+        enumerate(
+            (
+                State.OPERATION_ENABLED,
+                State.FAULT,
+                State.SWITCH_ON_DISABLED,
+                State.QUICK_STOP_ACTIVE,
+            )
+        )
+    ),
 )
 def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, state):
     monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)
@@ -73,7 +90,10 @@ def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, st
 
 def test_an_unsupervised_drive_notices_nothing():
     run, master, heartbeat = enabled(abort_connection=0, supervised=False)
-    assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [True, True]
+    assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [
+        True,
+        True,
+    ]
     master.wait(run.now_ns() + 2000 * MS)
     assert run.drives.states == [State.OPERATION_ENABLED] * 2
 
@@ -82,7 +102,10 @@ def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
     other, ours = 5 << 16 | 700, 127 << 16 | 300
 
     def entries(node):
-        node.values |= {(0x1016, 1): other, (0x1016, 2): other + 0x10000 if node.drive.node == 1 else ours}
+        node.values |= {
+            (0x1016, 1): other,
+            (0x1016, 2): other + 0x10000 if node.drive.node == 1 else ours,
+        }
 
     at_boot(monkeypatch, entries)
     session = dry_session(tmp_path / "a.mcap", TRACK)
@@ -96,7 +119,8 @@ def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("entries", "sub"),
-    [([], None), ([0], 1), ([5 << 16 | 100, 0], 2), ([5 << 16 | 100, 5 << 16], 2), ([0, 127 << 16 | 90], 2),
+    [([], None), ([0], 1), ([5 << 16 | 100, 0], 2), ([5 << 16 | 100, 5 << 16], 2),
+     ([0, 127 << 16 | 90], 2),
      ([127 << 16, 0], 1), ([5 << 16 | 100], None), ([200 << 16 | 100], 1)],
 )  # fmt: skip
 def test_a_free_entry(entries, sub):
@@ -106,22 +130,28 @@ def test_a_free_entry(entries, sub):
 def test_the_time_out_is_three_heartbeats_or_periods():
     assert timeout_ms(bus_of(robot_of(bus_text(2))).file) == 300
     assert timeout_ms(bus_of(robot_of(bus_text(2, extra="heartbeat_s = 0.01"))).file) == 30
-    assert timeout_ms(bus_of(robot_of(bus_text(2, period_s=0.02, extra="heartbeat_s = 0.01"))).file) == 60
+    assert (
+        timeout_ms(bus_of(robot_of(bus_text(2, period_s=0.02, extra="heartbeat_s = 0.01"))).file)
+        == 60
+    )
 
 
 @pytest.mark.parametrize(
     ("values", "missing", "expected"),
     [
         ({(0x6007, 0): 0}, (), "6007 = 0: a lost heartbeat has no effect"),
-        ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; --track writes 0x007F012C (node 127, 300 ms) to sub-index 2"),
-        ({(0x1016, 0): 0}, (), "1016 = none in use: no free sub-index: the drive does not detect the loss of the master"),
+        ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; --track writes 0x007F012C (node "
+                                          "127, 300 ms) to sub-index 2"),
+        ({(0x1016, 0): 0}, (), "1016 = none in use: no free sub-index: the drive does not detect "
+                               "the loss of the " "master"),
         ({}, (0x1016,), "1016 = not there: the drive does not detect the loss of the master"),
         ({(0x1029, 1): 0}, (), "1029:1 = 0: pre-operational"),
         ({(0x1400, 5): 0}, (), "1400:5 = 0: a missing PDO to the drive has no effect"),
         ({(0x605A, 0): 0}, (), "quick stop 605A = 0: voltage off at once, the motor coasts"),
         ({}, (0x605E,), "fault reaction 605E = not there"),
         ({(0x6065, 0): 2**32 - 1}, (), "following error 6065 = 0xFFFFFFFF: off"),
-        ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error above 900 of the drive's position units, after 20 ms"),
+        ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error above 900 of the drive's "
+                                                  "position units, after 20 ms"),
     ],
 )  # fmt: skip
 def test_supervision_in_words(values, missing, expected):

@@ -38,12 +38,23 @@ def folder(tmp_path: Path) -> Path:
 
 
 def import_command(folder: Path, out: Path) -> list[str]:
-    return ["import", str(folder / "a.csv"), "--robot", str(SCARA), "--map", str(folder / "map.toml"), "-o", str(out)]
+    return [
+        "import",
+        str(folder / "a.csv"),
+        "--robot",
+        str(SCARA),
+        "--map",
+        str(folder / "map.toml"),
+        "-o",
+        str(out),
+    ]
 
 
 def run(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "acquisition", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)  # type: ignore[call-overload,no-any-return]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=False, **options
+    )  # type: ignore[call-overload,no-any-return]
 
 
 def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
@@ -63,24 +74,33 @@ def test_info_tells_everything_and_passes_no_terminal_codes_on(tmp_path, capsys)
     position = recording.samples["position"][:, 1]
     assert (found["samples"], found["cut"], found["sha256"]) == (240, False, recording.sha256)
     assert found["joints"][1]["position"] == [position.min(), position.max()]
-    assert found["attachments"] == {name: len(content) for name, content in recording.attachments.items()}
+    assert found["attachments"] == {
+        name: len(content) for name, content in recording.attachments.items()
+    }
     assert main(["info", str(log)]) == 0
     text = capsys.readouterr().out
     sent = np.count_nonzero(some_frames(240)["flags"] & SENT)
     for part in (
-        "SCARA", "a test", "made up", "240 at 1000 Hz", "with reference", "kernel_drops 200", "CAN can0",
-        f"240 frames, {sent} of them sent, 0.239 s", "../../etc/drive.eds (11 bytes)", "whole", "shoulder", "elbow", "track",
+        "SCARA", "a test", "made up", "240 at 1000 Hz", "with reference", "kernel_drops 200",
+        "CAN can0",
+        f"240 frames, {sent} of them sent, 0.239 s", "../../etc/drive.eds (11 bytes)", "whole",
+        "shoulder", "elbow", "track",
         "stop", "gaps      none", "s from the first sample",
     ):  # fmt: skip
         assert part in text
-    with RecordingWriter(tmp_path / "b.mcap", replace(header(robot_named("scara")), source="[bold]x\x1b[2J")) as writer:
+    with RecordingWriter(
+        tmp_path / "b.mcap", replace(header(robot_named("scara")), source="[bold]x\x1b[2J")
+    ) as writer:
         samples = np.delete(some_samples(100), [50, 51])
         samples["stamp_ns"] += start_ns
         writer.samples(samples)
         writer.event(start_ns - 22_000_000, "phase", "\x1b]0;title\x07 [red]track[/red]")
     assert main(["info", str(tmp_path / "b.mcap")]) == 0
     text = capsys.readouterr().out
-    assert all(part in text for part in ("1, 2 samples missing", "[bold]x", "[red]track[/red]", "-0.022000"))
+    assert all(
+        part in text
+        for part in ("1, 2 samples missing", "[bold]x", "[red]track[/red]", "-0.022000")
+    )
     assert not {c for c in text if ord(c) < 32} - {"\n"}
 
 
@@ -95,11 +115,26 @@ def test_known_errors_are_one_line_and_leave_nothing(folder, capsys, monkeypatch
         (["info", "a\nb.mcap"], "a b.mcap: cannot be read"),
         (["import", "a.mcap", "a.mcap", "-o", "out"], "a second recording: expected one"),
         (["import", "a.mcap", "-o", "out", "--payload", "2"], "--payload = '2': expected none"),
-        (["import", "a.csv", "--map", "map.toml", "-o", "out"], "--robot is missing: expected the robot's"),
-        (["import", "bad.csv", *of_robot, "-o", "old.mcap", "--overwrite"], "line 2: column 4 = 'x'"),
-        (["record", "robot.toml", "-o", "old.mcap", "--dry-run", "--duration", "1"], "already exists"),
-        (["record", "robot.toml", "-o", "out", "--passive", "--dry-run"], "--passive: sends nothing"),
-        (["record", "robot.toml", "-o", "out", "--duration", "0"], "--duration = 0.0: expected more than 0"),
+        (
+            ["import", "a.csv", "--map", "map.toml", "-o", "out"],
+            "--robot is missing: expected the robot's",
+        ),
+        (
+            ["import", "bad.csv", *of_robot, "-o", "old.mcap", "--overwrite"],
+            "line 2: column 4 = 'x'",
+        ),
+        (
+            ["record", "robot.toml", "-o", "old.mcap", "--dry-run", "--duration", "1"],
+            "already exists",
+        ),
+        (
+            ["record", "robot.toml", "-o", "out", "--passive", "--dry-run"],
+            "--passive: sends nothing",
+        ),
+        (
+            ["record", "robot.toml", "-o", "out", "--duration", "0"],
+            "--duration = 0.0: expected more than 0",
+        ),
         (["record", str(REPLAY / "emps" / "robot.toml"), "-o", "out"], "bus is missing"),
         (["replay", "old.mcap", "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
     ):
@@ -122,7 +157,9 @@ def test_inputs_are_not_replaced(folder, capsys):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-@pytest.mark.parametrize("command", ["import", "import --topic /t", "import --map m.toml", "export"])
+@pytest.mark.parametrize(
+    "command", ["import", "import --topic /t", "import --map m.toml", "export"]
+)
 @pytest.mark.parametrize(("name", "content"), [("log.mcap", b"old"), ("log.bin", b"\x89MCAP0")])
 def test_a_recording_is_not_replaced(folder, capsys, command, name, content):
     log = folder / name
@@ -152,6 +189,11 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(folder):
 
 def test_a_terminal_without_unicode(tmp_path):
     write(tmp_path / "a.mcap", robot_named("scara"))
-    result = run("info", str(tmp_path / "a.mcap"), env={**os.environ, "PYTHONIOENCODING": "ascii"}, cwd=REPLAY.parent)
+    result = run(
+        "info",
+        str(tmp_path / "a.mcap"),
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        cwd=REPLAY.parent,
+    )
     assert (result.returncode, result.stderr) == (0, "")
     assert "made up, R?" in result.stdout

@@ -1,4 +1,6 @@
-"""What `robot-acquire check` prints: drives that are alike share a row, differences in words, the verdict in one line."""
+"""What `robot-acquire check` prints: drives that are alike share a row, differences in words,
+the verdict in one line.
+"""
 
 from dry_sessions import connected
 from made_up_buses import bus_text, robot_of

@@ -1,4 +1,6 @@
-"""Listening before sending: replay on a idle bus only, sessions and checks while another master is active, NMT by node."""
+"""Listening before sending: replay on a idle bus only, sessions and checks while another master
+is active, NMT by node.
+"""
 
 import itertools
 import threading
@@ -35,12 +37,16 @@ def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-# Identifiers of CiA 301 written out; the drives are nodes 1 and 2, with TPDO 1 and RPDO 1 on the usual identifiers.
+# Identifiers of CiA 301 written out; the drives are nodes 1 and 2, with TPDO 1 and RPDO 1 on
+# the usual identifiers.
 SERVICES = [
     (0x000, "NMT command", True), (0x080, "SYNC", True), (0x081, "emergency of node 1", False),
-    (0x181, "TPDO 1 of node 1", False), (0x201, "RPDO 1 to node 1", True), (0x303, "RPDO 2 to node 3", True),
-    (0x4FF, "TPDO 4 of node 127", False), (0x57F, "RPDO 4 to node 127", True), (0x581, "SDO answer of node 1", False),
-    (0x602, "SDO request to node 2", True), (0x701, "heartbeat of node 1", False), (0x77F, "heartbeat of node 127", True),
+    (0x181, "TPDO 1 of node 1", False), (0x201, "RPDO 1 to node 1", True),
+    (0x303, "RPDO 2 to node 3", True),
+    (0x4FF, "TPDO 4 of node 127", False), (0x57F, "RPDO 4 to node 127", True),
+    (0x581, "SDO answer of node 1", False),
+    (0x602, "SDO request to node 2", True), (0x701, "heartbeat of node 1", False),
+    (0x77F, "heartbeat of node 127", True),
     (0x700, "frame 0x700", False), (0x690, "frame 0x690", False),
 ]  # fmt: skip
 
@@ -59,21 +65,30 @@ def test_what_is_no_sign_of_a_master():
     frame = Frame(0, 0x77F, b"\0")
     assert (service_of(frame, 0x80), sign_of_master(frame, BUS)) == ("boot-up of node 127", None)
     assert [other_node(Frame(0, 0x705, data), BUS) for data in (b"\0", b"\x05")] == [None, 5]
-    assert [other_node(Frame(0, can_id, b"\x05"), BUS) for can_id in (0x701, 0x700, 0x185)] == [None] * 3
+    assert [other_node(Frame(0, can_id, b"\x05"), BUS) for can_id in (0x701, 0x700, 0x185)] == [
+        None
+    ] * 3
     other = bus_of(robot_of(bus_text(2, extra='sync_producer = "other"')))
     assert sign_of_master(Frame(0, 0x80, b""), other) is None
-    swapped = bus_of(robot_of(bus_text(1, drive="""tpdo = [{ objects = ["6041", "6064", "6074"], can_id = 0x201 }]
+    swapped = bus_of(robot_of(bus_text(1, drive="""
+tpdo = [{ objects = ["6041", "6064", "6074"], can_id = 0x201 }]
 rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
     assert sign_of_master(Frame(0, 0x201, bytes(8)), swapped) is None
     assert sign_of_master(Frame(0, 0x181, bytes(6)), swapped) == "TPDO 1 of node 1"
-    assert sign_of_master(Frame(0, 0x701, b"", REMOTE_REQUEST), swapped) == "remote request for heartbeat of node 1"
+    assert (
+        sign_of_master(Frame(0, 0x701, b"", REMOTE_REQUEST), swapped)
+        == "remote request for heartbeat of node 1"
+    )
 
 
 @pytest.mark.parametrize("can_id", [0x80, 0x83, 0x185, 0x585, 0x701, 0x705, 0x123])
 def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     file = bus_file(f"replay_{can_id:03X}")
     ear = Ear(file.channel)
-    with closing(open_link(file, passive=False)) as somebody, closing(open_link(file, passive=False)) as ours:
+    with (
+        closing(open_link(file, passive=False)) as somebody,
+        closing(open_link(file, passive=False)) as ours,
+    ):
         somebody.send(can_id, b"\x01")
         monkeypatch.setattr(running, "open_link", lambda *_, **__: ours)
         with pytest.raises(RefusedError) as caught:
@@ -86,14 +101,32 @@ def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
 def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
     file = bus_file("replay_silent")
     ear = Ear(file.channel)
-    assert main(["replay", str(tracked), "--interface", "virtual", "--channel", file.channel, "--speed", "4"]) == 0
+    assert (
+        main(
+            [
+                "replay",
+                str(tracked),
+                "--interface",
+                "virtual",
+                "--channel",
+                file.channel,
+                "--speed",
+                "4",
+            ]
+        )
+        == 0
+    )
     recorded = next(iter(read_recording(tracked).frames.values()))
-    drives = np.isin(recorded["can_id"], [0x80, 0x81, 0x82, 0x181, 0x182, 0x581, 0x582, 0x701, 0x702])
+    drives = np.isin(
+        recorded["can_id"], [0x80, 0x81, 0x82, 0x181, 0x182, 0x581, 0x582, 0x701, 0x702]
+    )
     expected = recorded[drives]
     assert {0, 0x201, 0x202, 0x601, 0x602} <= set(recorded["can_id"][~drives].tolist())
     found = ear.frames()
     assert [frame.can_id for frame in found] == expected["can_id"].tolist()
-    assert [list(frame.data) for frame in found] == [r["data"][: r["length"]].tolist() for r in expected]
+    assert [list(frame.data) for frame in found] == [
+        r["data"][: r["length"]].tolist() for r in expected
+    ]
     # Over many spans of half the length: a few frames that a busy machine sends late do not decide.
     half, times_ns = len(found) // 2, np.array([frame.time_ns for frame in found])
     spans = [times[half:] - times[:-half] for times in (expected["time_ns"], times_ns)]
@@ -104,7 +137,9 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
     recording = read_recording(tracked)
     frames = next(iter(recording.frames.values())).copy()
     frames["time_ns"] += 1_700_000_000_000_000_000
-    monkeypatch.setattr(running, "read_recording", lambda _: replace(recording, frames={"test": frames}))
+    monkeypatch.setattr(
+        running, "read_recording", lambda _: replace(recording, frames={"test": frames})
+    )
     stop = Stop()
     timer = threading.Timer(60.0, lambda: setattr(stop, "reason", "not begun"))
     timer.start()
@@ -140,9 +175,15 @@ def neighbour(can_id: int) -> partial:
 
 
 def other_device(can_id: int = 0x185) -> partial:
-    """Node 5, a gripper, sends all that a device sends by itself, every 20 ms, throughout; `can_id` is that of its PDO."""
-    own = itertools.cycle([(0x705, b"\x05"), (0x705, b"\0"), (0x085, bytes(8)), (can_id, b"\x01\x02")])
-    return partial(Unasked, frames=[Frame(1_010_000_000 + k * 20_000_000, *next(own)) for k in range(500)])
+    """Node 5, a gripper, sends all that a device sends by itself, every 20 ms, throughout;
+    `can_id` is that of its PDO.
+    """
+    own = itertools.cycle(
+        [(0x705, b"\x05"), (0x705, b"\0"), (0x085, bytes(8)), (can_id, b"\x01\x02")]
+    )
+    return partial(
+        Unasked, frames=[Frame(1_010_000_000 + k * 20_000_000, *next(own)) for k in range(500)]
+    )
 
 
 def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
@@ -154,7 +195,9 @@ def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_device_that_is_not_listed_has_its_own_words_unless_there_is_another_master(tmp_path, task):
+def test_a_device_that_is_not_listed_has_its_own_words_unless_there_is_another_master(
+    tmp_path, task
+):
     session = dry_session(tmp_path / "a.mcap", task, through=other_device())
     error = session.outcome.error
     assert (error.place, error.key, error.value) == ("bus", "other_nodes", ())
@@ -179,7 +222,8 @@ def test_a_session_beside_another_master_sends_nothing(tmp_path, task, can_id):
 @pytest.mark.parametrize("task", TASKS)
 def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
     def enabled(frame: Frame) -> Frame:
-        data = frame.data[:4] + b"\x37\x02\0\0" if frame.can_id == 0x581 else frame.data  # 6041h: operation enabled
+        # 6041h: operation enabled
+        data = frame.data[:4] + b"\x37\x02\0\0" if frame.can_id == 0x581 else frame.data
         return frame._replace(data=data)
 
     session = dry_session(tmp_path / "a.mcap", task, through=partial(Edited, edit=enabled))
@@ -206,7 +250,10 @@ INTRUDED_NS = 2_300_000_000  # the session tracks its reference then
 
 def intruder(*frames: tuple[int, int]) -> partial:
     times = range(INTRUDED_NS, INTRUDED_NS + 50_000_000, 3_000_000)
-    return partial(Unasked, frames=[Frame(t, i, b"\x01\x03\0\0\0\0\0\0", flags) for t in times for i, flags in frames])
+    return partial(
+        Unasked,
+        frames=[Frame(t, i, b"\x01\x03\0\0\0\0\0\0", flags) for t in times for i, flags in frames],
+    )
 
 
 @pytest.mark.parametrize(("can_id", "flags", "service"), INTRUDERS)
@@ -221,12 +268,17 @@ def test_another_master_in_motion_is_a_fault_within_two_periods(tmp_path, can_id
 
 
 @pytest.mark.parametrize(
-    ("task", "frames"), [(LONG, STRANGERS), (Task(duration_s=1.0), {(0x202, 0): "RPDO 1 to node 2"})]
+    ("task", "frames"),
+    [(LONG, STRANGERS), (Task(duration_s=1.0), {(0x202, 0): "RPDO 1 to node 2"})],
 )
-def test_a_master_that_commands_no_drive_of_ours_or_none_in_motion_is_a_warning_once_each(tmp_path, task, frames):
+def test_a_master_that_commands_no_drive_of_ours_or_none_in_motion_is_a_warning_once_each(
+    tmp_path, task, frames
+):
     session = dry_session(tmp_path / "a.mcap", task, through=intruder(*frames))
     assert session.outcome.reason == "finished"
-    warned = [e for e in session.recording.events if e.kind == "warning" and "another master" in e.text]
+    warned = [
+        e for e in session.recording.events if e.kind == "warning" and "another master" in e.text
+    ]
     assert [e.text.split(": ")[1] for e in warned] == list(frames.values())
     assert all(0 <= e.stamp_ns - INTRUDED_NS <= 2 * 2_000_000 for e in warned)
 
@@ -246,7 +298,8 @@ def test_frames_of_the_second_stop_are_not_those_of_another_master(tmp_path, can
 def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out():
     sent: list[Frame] = []
     run = LockStepLink(
-        SimulatedDrives(ROBOT, BUS), tap=lambda frame: sent.append(frame) if frame.flags & SENT else None
+        SimulatedDrives(ROBOT, BUS),
+        tap=lambda frame: sent.append(frame) if frame.flags & SENT else None,
     )
     alone = findings(neighbour(0x181)(link=run), BUS)
     assert sum("switch on disabled" in finding.found for finding in alone) == 2

@@ -1,4 +1,6 @@
-"""Marks of an operator: noted beside a recording that is being written, copied into it, shown by `info`."""
+"""Marks of an operator: noted beside a recording that is being written, copied
+into it, shown by `info`.
+"""
 
 import fcntl
 import os
@@ -44,13 +46,16 @@ def test_marks_are_events_of_the_recording(tmp_path):
     assert not list(tmp_path.glob("*.marks*"))
 
 
-def test_a_mark_keeps_its_time_what_is_no_mark_is_left_out_and_info_shows_it_behind_others(tmp_path, capsys, recorder):
+def test_a_mark_keeps_its_time_what_is_no_mark_is_left_out_and_info_shows_it_behind_others(
+    tmp_path, capsys, recorder
+):
     path, second = tmp_path / "log.mcap", 10**9
     before, ahead = time.time_ns() - 2 * second, time.time_ns() + 9 * second
     lines = [f'[{before}, "before"]', "nonsense", "[1]", f'[{ahead}, "ahead"]', "[null, 1]"]
     for k in range(25):
         recorder.event(k, "mark", f"event {k}.")
-    Path(f"{path}.marks.taken").write_text(f'[{before - 1}, "left over"]\n')  # of a recorder that was killed
+    # of a recorder that was killed
+    Path(f"{path}.marks.taken").write_text(f'[{before - 1}, "left over"]\n')
     (tmp_path / "log.mcap.marks").write_bytes("\n".join(lines).encode() + b"\n\xff\n")
     recorder.finish(100 * second)
     found = [e for e in read_recording(path).events if e.kind == "operator"]

@@ -1,4 +1,6 @@
-"""Two devices with one node id: `scan`, `check` and `record` say so before anything moves; late answers are none."""
+"""Two devices with one node id: `scan`, `check` and `record` say so before anything moves;
+late answers are none.
+"""
 
 import pytest
 from dry_sessions import FaultyDrives, Unasked, connected, dry_session, findings, swing
@@ -26,7 +28,9 @@ class Twice(FaultyDrives):
 TRACK = Task(reference=swing(2, seconds=0.4, amplitude=0.02))
 
 
-@pytest.mark.parametrize(("task", "after_ms"), [(Task(duration_s=0.2), 5), (TRACK, 0), (TRACK, 5), (TRACK, 45)])
+@pytest.mark.parametrize(
+    ("task", "after_ms"), [(Task(duration_s=0.2), 5), (TRACK, 0), (TRACK, 5), (TRACK, 45)]
+)
 def test_a_session_ends_before_a_drive_is_enabled(tmp_path, task, after_ms):
     drives = type("Late", (Twice,), {"after_ns": after_ms * 1_000_000})
     done = dry_session(tmp_path / "log.mcap", task, simulated=drives)
@@ -41,7 +45,10 @@ AT_ONCE, IN_CHECK = 1_100_000_000, 1_500_000_000
 CASES = {
     "between our own": ([Frame(IN_CHECK, 0x582, VALUE)], "node 2"),
     "of a device that is not described": ([Frame(IN_CHECK, 0x5FF, VALUE)], "node 127"),
-    "asked by another": ([Frame(IN_CHECK, 0x605, read_request(0x1018, 4)), Frame(IN_CHECK + 1, 0x585, VALUE)], ""),
+    "asked by another": (
+        [Frame(IN_CHECK, 0x605, read_request(0x1018, 4)), Frame(IN_CHECK + 1, 0x585, VALUE)],
+        "",
+    ),
     "a transfer in segments": ([Frame(AT_ONCE, 0x582, LATER)], ""),
     "no SDO": ([Frame(AT_ONCE, 0x580, VALUE)], ""),
 }
@@ -53,7 +60,9 @@ def test_an_answer_without_a_request(name):
     run, master = connected()
     link = Unasked(link=run, frames=list(frames))
     rows = findings(link, master.bus, "node ids")
-    assert [(row.found, row.ok) for row in rows] == ([(f"two devices answer as {said}", False)] if said else [])
+    assert [(row.found, row.ok) for row in rows] == (
+        [(f"two devices answer as {said}", False)] if said else []
+    )
     assert not link.frames
 
 
@@ -76,5 +85,7 @@ def test_a_late_answer_is_not_that_of_a_second_device():
     assert run.drives.asked > 20
     nodes = scan_nodes(Uploads(connected(kind=Slow)[0], bus_file()), OBJECTS, ARRAYS)
     assert sorted(nodes) == [1, 2]
-    with pytest.raises(RefusedError, match="two devices answer as node 2: expected one device for each node id"):
+    with pytest.raises(
+        RefusedError, match="two devices answer as node 2: expected one device for each node id"
+    ):
         scan_nodes(Uploads(connected(kind=Twice)[0], bus_file()), OBJECTS, ARRAYS)

@@ -1,4 +1,6 @@
-"""`robot-acquire scan`: reads only, silent beside another master, what odd nodes say, a `[bus]` that check and record take."""
+"""`robot-acquire scan`: reads only, silent beside another master, what odd nodes say, a `[bus]`
+that check and record take.
+"""
 
 import itertools
 import re
@@ -22,7 +24,9 @@ from acquisition.robot import lines_to_fill_in
 from acquisition.simulated import LockStepLink
 
 SEGMENTS = b"\x60" + bytes(7), b"\x70" + bytes(7)  # requests for the next part of a text
-IDENTITY = {(0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))}
+IDENTITY = {
+    (0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))
+}
 
 
 def scan(channel: str, *options: str) -> int:
@@ -30,7 +34,9 @@ def scan(channel: str, *options: str) -> int:
 
 
 def is_upload(frame: Frame) -> bool:
-    """An SDO request of CiA 301 to read: command 40h, nothing behind index and sub-index; or 60h, 70h and nothing."""
+    """An SDO request of CiA 301 to read: command 40h, nothing behind index and sub-index;
+    or 60h, 70h and nothing.
+    """
     reads = (frame.data[:1] == b"\x40" and frame.data[4:] == bytes(4)) or frame.data in SEGMENTS
     return 0x601 <= frame.can_id <= 0x67F and reads
 
@@ -51,7 +57,10 @@ def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert all(line.startswith("ok") and "1, 2, 3, 4, 5, 6" in line for line in lines[:-1])
     assert lines[-1] == f"{out}: to be filled in: 13 lines with FILL IN"
-    assert out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once and compare") == 6
+    assert (
+        out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once and compare")
+        == 6
+    )
 
 
 def test_requests_are_a_millisecond_apart_and_nothing_comes_before_half_a_second():
@@ -71,12 +80,19 @@ def drives_of(n: int, kind: type[FaultyDrives] = FaultyDrives) -> LockStepLink:
 
 @pytest.mark.parametrize(
     "frame",
-    [b"", b"\x82\x00", b"\x40\x41\x60\x00" + bytes(3), b"\x2b\x40\x60\x00\x06" + bytes(3), b"\x61" + bytes(7)],
+    [
+        b"",
+        b"\x82\x00",
+        b"\x40\x41\x60\x00" + bytes(3),
+        b"\x2b\x40\x60\x00\x06" + bytes(3),
+        b"\x61" + bytes(7),
+    ],
 )
 @pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x581, 0x600, 0x601, 0x680, 0x77F])
 def test_nothing_but_a_read_can_be_sent(can_id, frame):
     if can_id != 0x601:
-        frame = frame or b"\x40\x41\x60\x00" + bytes(4)  # a read, but to an identifier of another service
+        # a read, but to an identifier of another service
+        frame = frame or b"\x40\x41\x60\x00" + bytes(4)
     link = Answering()
     with pytest.raises(RefusedError, match="is no SDO read"):
         Uploads(link, bus_file()).send(can_id, frame)
@@ -85,7 +101,9 @@ def test_nothing_but_a_read_can_be_sent(can_id, frame):
 
 @dataclass(kw_only=True)
 class Sudden(Through):
-    """Sends one frame as soon as `after` frames were sent; holds it until the scan receives again, as a socket does."""
+    """Sends one frame as soon as `after` frames were sent; holds it until the scan receives
+    again, as a socket does.
+    """
 
     frame: Frame | None
     after: int
@@ -113,8 +131,14 @@ WRONG = "error frame: no acknowledgement.*bitrate"
             (Frame(0, *master), 0, "during a scan; nothing was sent", "another master is active")
             for master in ((0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6)))
         ),
-        *((Frame(0, 0x80, b""), after, BEGUN, "another master is active") for after in (1, 60, 127, 128, 150, 200)),
-        *((Frame(0, 0x701, b"", REMOTE_REQUEST), after, BEGUN, "another master is active") for after in (1, 150)),
+        *(
+            (Frame(0, 0x80, b""), after, BEGUN, "another master is active")
+            for after in (1, 60, 127, 128, 150, 200)
+        ),
+        *(
+            (Frame(0, 0x701, b"", REMOTE_REQUEST), after, BEGUN, "another master is active")
+            for after in (1, 150)
+        ),
         *((Frame(0, 0x20, bytes(8), ERROR), after, WRONG, WRONG) for after in (0, 30, 140)),
     ],
 )
@@ -137,7 +161,11 @@ class Odd(FaultyDrives):
 
     def receive(self, now_ns, can_id, data):
         sent = super().receive(now_ns, can_id, data)
-        key = (can_id - 0x600, int.from_bytes(data[1:3], "little"), data[3]) if len(data) == 8 else (0, 0, 0)
+        key = (
+            (can_id - 0x600, int.from_bytes(data[1:3], "little"), data[3])
+            if len(data) == 8
+            else (0, 0, 0)
+        )
         self.asked[key] += 1
         if key in self.answers:
             answer = self.answers[key]
@@ -171,7 +199,11 @@ def test_odd_answers_are_said_as_such():
     }
     nodes, heard, drives = odd(2, answers)
     for node, subject, shown in (
-        (1, "state", "6041 0x250 switch on disabled (4 bytes: expected 2), 6064 -5 (2 bytes: expected 4)"),
+        (
+            1,
+            "state",
+            "6041 0x250 switch on disabled (4 bytes: expected 2), 6064 -5 (2 bytes: expected 4)",
+        ),
         (1, "modes", "6502 (more than 4 bytes: expected 4)"),
         (1, "rated mA, mN m", "6075 (general error (0x08000000)), 6076 420"),
         (1, "units per turn", "6092:1 -, 6092:2 1, 6091:1 1, 6091:2 1, 608F:1 65536, 608F:2 1"),
@@ -180,11 +212,15 @@ def test_odd_answers_are_said_as_such():
     ):
         assert shown in row(nodes, heard, subject, node).found
     assert drives.asked[1, 0x6080, 0] == 2
-    bad = [{f.subject for f in findings_of(nodes, heard) if f.node == node and not f.ok} for node in (1, 2)]
+    bad = [
+        {f.subject for f in findings_of(nodes, heard) if f.node == node and not f.ok}
+        for node in (1, 2)
+    ]
     assert bad == [{"state", "modes", "rated mA, mN m", "limits"}, {"efforts"}]
     written = list(bus_lines(bus_file(), nodes))
     efforts = [line.split(" #")[0] for line in written if line.startswith(("reference", "actual"))]
-    assert efforts == ['reference = "6074"', 'actual = "6077"']  # whatever 6074h is in the second, it is not CiA 402's
+    # whatever 6074h is in the second, it is not CiA 402's
+    assert efforts == ['reference = "6074"', 'actual = "6077"']
 
 
 LONG = b"\x41\x02\x65\x00\x08\x00\x00\x00"  # the beginning of an upload of 8 bytes
@@ -198,7 +234,8 @@ def test_texts_that_are_odd_or_not_there_are_said():
         (2, 0x1008, 0): BEGUN_TEXT,
         (2, 0, 0): abort_answer(0x1008, 0, "general error"),  # to the request for a segment
         (3, 0x1008, 0): BEGUN_TEXT,
-        (3, 0, 0): b"\x10" + b"seconds",  # the toggle bit of the second segment to the request for the first
+        # the toggle bit of the second segment to the request for the first
+        (3, 0, 0): b"\x10" + b"seconds",
     }
     nodes, heard, _ = odd(3, answers)
     assert row(nodes, heard, "name, versions", 1).found == '1008 "sim", 1009 -, 100A "v\ufffd\n"'
@@ -208,7 +245,9 @@ def test_texts_that_are_odd_or_not_there_are_said():
 
 
 def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
-    """CiA 301, 7.2.4.3.6: toggle bits, unused bytes of the last segment; then one answer more is another device's."""
+    """CiA 301, 7.2.4.3.6: toggle bits, unused bytes of the last segment; then one answer
+    more is another device's.
+    """
     answers = [BEGUN_TEXT, b"\x00Drive 1", b"\x19B\xb03\0\0\0\0"]
     sent = []
 
@@ -225,24 +264,46 @@ def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
 
 
 def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
-    silent = {(1, index, sub): None for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)] if index != 0x1000}
+    silent = {
+        (1, index, sub): None
+        for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)]
+        if index != 0x1000
+    }
     nodes, heard, drives = odd(2, silent)
-    assert {reading.problem for reading in nodes[1].values() if reading.value is None} == {"no answer"}
+    assert {reading.problem for reading in nodes[1].values() if reading.value is None} == {
+        "no answer"
+    }
     assert sum(count for (node, _, _), count in drives.asked.items() if node == 1) == 2 + 2 * 2
-    assert row(nodes, heard, "drive", 1).found.startswith("1000 0x20192, 1018:1 (no answer), 1018:2 (no answer)")
-    assert (row(nodes, heard, "PDOs", 1).found, row(nodes, heard, "PDOs", 1).ok) == ("no answer", False)
+    assert row(nodes, heard, "drive", 1).found.startswith(
+        "1000 0x20192, 1018:1 (no answer), 1018:2 (no answer)"
+    )
+    assert (row(nodes, heard, "PDOs", 1).found, row(nodes, heard, "PDOs", 1).ok) == (
+        "no answer",
+        False,
+    )
     assert row(nodes, heard, "state", 2).ok
-    assert (row(nodes, heard, "PDOs", 2).found, row(nodes, heard, "PDOs", 2).ok) == ("none is mapped", True)
+    assert (row(nodes, heard, "PDOs", 2).found, row(nodes, heard, "PDOs", 2).ok) == (
+        "none is mapped",
+        True,
+    )
 
 
 def test_mapped_pdos_are_shown_even_where_a_node_then_falls_silent():
     read = {(0x1800, 1): 0x181, (0x1A00, 0): 2, (0x1A00, 1): 0x60410010, (0x1A00, 2): 0x60640020,
-            (0x1400, 1): 0x80000201, (0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1016, 2): 0x7F001E}  # fmt: skip
-    nodes, heard, _ = odd(1, {(1, *key): value_answer(*key, value, 4 if key[1] else 1) for key, value in read.items()})
+            (0x1400, 1): 0x80000201, (0x1600, 0): 1, (0x1600, 1): 0x60400010,
+            (0x1016, 2): 0x7F001E}  # fmt: skip
+    nodes, heard, _ = odd(
+        1, {(1, *key): value_answer(*key, value, 4 if key[1] else 1) for key, value in read.items()}
+    )
     assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181 6041 6064; rpdo 1 0x201 off 6040"
     assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, heard, "supervision", 1).found
     nodes, heard, _ = odd(
-        1, {(1, 0x1800, 1): value_answer(0x1800, 1, 0x181, 4), (1, 0x1801, 1): None, (1, 0x1802, 1): None}
+        1,
+        {
+            (1, 0x1800, 1): value_answer(0x1800, 1, 0x181, 4),
+            (1, 0x1801, 1): None,
+            (1, 0x1802, 1): None,
+        },
     )
     assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181; no answer"
 
@@ -258,15 +319,23 @@ def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
     nodes, heard, _ = odd(3, answers)
     assert row(nodes, heard, "no drive", 1).ok
     assert not row(nodes, heard, "only heard", 2).ok
-    assert row(nodes, heard, "drive", 3).found.endswith("1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D")
+    assert row(nodes, heard, "drive", 3).found.endswith(
+        "1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D"
+    )
     lines = list(bus_lines(bus_file("can0", "socketcan"), nodes))
-    assert any(re.fullmatch(r"bitrate = \d+ # FILL IN: as ip link shows it", line) for line in lines)
-    assert [line for line in lines if line.startswith("other_nodes")] == ["other_nodes = [1] # no drives"]
+    assert any(
+        re.fullmatch(r"bitrate = \d+ # FILL IN: as ip link shows it", line) for line in lines
+    )
+    assert [line for line in lines if line.startswith("other_nodes")] == [
+        "other_nodes = [1] # no drives"
+    ]
     assert [line.split(" #")[0] for line in lines if line.startswith("node")] == ["node = 3"]
 
 
 def all_answer(device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> Answering:
-    """A link to all node ids that are not in `silent`, each a device of type `device`; heartbeats of `heard`."""
+    """A link to all node ids that are not in `silent`, each a device of type `device`;
+    heartbeats of `heard`.
+    """
 
     def answer(can_id, data):
         key = int.from_bytes(data[1:3], "little"), data[3]
@@ -288,8 +357,12 @@ NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
     [
         (all_answer(), NO_ID),
         (all_answer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
-        (all_answer(0, (9, 5), 9), "master_node = 5 # of this program; no device has it"),  # 9 is heard only
-        (all_answer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
+        # 9 is heard only
+        (all_answer(0, (9, 5), 9), "master_node = 5 # of this program; no device has it"),
+        (
+            all_answer(0, tuple(range(2, 128)), 127, 126),
+            "master_node = 125 # of this program; no device has it",
+        ),
         (all_answer(0, tuple(range(2, 128))), None),
     ],
 )
@@ -343,7 +416,8 @@ def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypa
 def test_only_marks_in_bus_count():
     marked = "[controller] # FILL IN\nbandwidth_hz = 5 # FILL IN"
     text = (
-        bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked) + "\n[parameters] # FILL IN\nM1 = 1 # FILL IN\n"
+        bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked)
+        + "\n[parameters] # FILL IN\nM1 = 1 # FILL IN\n"
     )
     assert lines_to_fill_in(robot_of(text)) == []
     number = text[: text.index("node = 1")].count("\n") + 1
@@ -353,7 +427,10 @@ def test_only_marks_in_bus_count():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["socketcan", "--bitrate", "500000"], "--bitrate = 500000: of socketcan: expected none: ip link set can0"),
+        (
+            ["socketcan", "--bitrate", "500000"],
+            "--bitrate = 500000: of socketcan: expected none: ip link set can0",
+        ),
         (["slcan"], "--bitrate is missing: a wrong one destroys the frames of others"),
         (["slcan", "--bitrate", "123"], "--bitrate = 123"),
         (["virtual", "--toml", "here.toml"], "here.toml: already exists"),
@@ -377,12 +454,16 @@ def test_an_empty_bus(tmp_path, capsys):
     ("values", "lines"),
     [
         ({}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
-        ({(0x6091, 1): 9, (0x6092, 1): 2304}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 256"]),
-        ({(0x6091, 2): 0, (0x6092, 2): 4}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 16384"]),
+        ({(0x6091, 1): 9, (0x6092, 1): 2304}, ['reference = "6074"', "rated_torque_nm = 0.42",
+                                               "counts_per_turn = 256"]),
+        ({(0x6091, 2): 0, (0x6092, 2): 4}, ['reference = "6074"', "rated_torque_nm = 0.42",
+                                            "counts_per_turn = 16384"]),
         ({(0x6092, 1): 0, (0x608F, 2): 0, (0x6076, 0): 0}, ['reference = "6074"']),
         ({(0x6076, 0): 0xFFFFFFFF}, ['reference = "6074"', "counts_per_turn = 65536"]),
-        ({(0x6074, 0): None, (0x6075, 0): 1250}, ['actual = "6077"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
-        ({(0x6074, 0): None, (0x6077, 0): None, (0x6075, 0): 1250}, ['actual = "6078"', "rated_current_a = 1.25"]),
+        ({(0x6074, 0): None, (0x6075, 0): 1250}, ['actual = "6077"', "rated_torque_nm = 0.42",
+                                                  "counts_per_turn = 65536"]),
+        ({(0x6074, 0): None, (0x6077, 0): None, (0x6075, 0): 1250},
+         ['actual = "6078"', "rated_current_a = 1.25"]),
         ({(0x6074, 0): None, (0x30D0, 0): 7}, ['reference = "30D0"', "counts_per_turn = 65536"]),
     ],
 )  # fmt: skip

@@ -1,4 +1,6 @@
-"""Whatever stands in a file, a reader returns or raises `RobotIdimError` in one line; nothing else gets out."""
+"""Whatever stands in a file, a reader returns or raises `RobotIdimError` in one line;
+nothing else gets out.
+"""
 
 import contextlib
 import os
@@ -21,8 +23,9 @@ EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "100"))
 FUZZ = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
 TOMLS = [path.read_text() for path in sorted(REPLAY.glob("*/*.toml"))]
 VALUES = st.sampled_from(
-    f"""0 -1 1e308 -1e-320 nan inf {"9" * 30} true 1979-05-27 "" "x" "rad" "A" "deg" "m" [] [[]] {{}} {{a=1}} [1,2] [0,0,0]
-    [nan] [1e300,1e300] [[0,0],[0,0]] [[1e300,1],[1,1e300]]""".split()
+    f"""0 -1 1e308 -1e-320 nan inf {"9" * 30} true 1979-05-27 "" "x" "rad" "A" "deg" "m" []
+    [[]] {{}} {{a=1}} [1,2] [0,0,0] [nan] [1e300,1e300] [[0,0],[0,0]]
+    [[1e300,1],[1,1e300]]""".split()
 )
 
 
@@ -83,14 +86,17 @@ def test_changed_descriptions(use: Callable[[str], None], text: str) -> None:
 
 @FUZZ
 @given(
-    text=changed_toml(), numbers=st.lists(st.lists(st.floats(width=32), min_size=5, max_size=5), min_size=1, max_size=6)
+    text=changed_toml(),
+    numbers=st.lists(st.lists(st.floats(width=32), min_size=5, max_size=5), min_size=1, max_size=6),
 )
 def test_any_import(tmp_path: Path, text: str, numbers: list[list[float]]) -> None:
     lines = [",".join(map(str, row)) for row in numbers]
     (tmp_path / "a.csv").write_text("\n".join(["t,qm,qg,vir,Joint_1", *lines]))
     (tmp_path / "map.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
     with one_line_or_fine():
-        result = import_tables([tmp_path / "a.csv"] * 2, EMPS, tmp_path / "map.toml", tmp_path / "out.mcap")
+        result = import_tables(
+            [tmp_path / "a.csv"] * 2, EMPS, tmp_path / "map.toml", tmp_path / "out.mcap"
+        )
         assert read_recording(tmp_path / "out.mcap").sample_rate_hz == result.sample_rate_hz
 
 

@@ -1,4 +1,6 @@
-"""MAT files as people have them: structs, matrices either way round, objects of MATLAB's classes beside the numbers."""
+"""MAT files as people have them: structs, matrices either way round, objects of MATLAB's
+classes beside the numbers.
+"""
 
 import struct
 import zlib
@@ -19,17 +21,27 @@ def element(kind: int, content: bytes) -> bytes:
 
 
 def matlab_object(name: bytes) -> bytes:
-    """An object of a class as MATLAB writes it: array flags of class 17 (opaque), no dimensions, three names, its number."""
+    """An object of a class as MATLAB writes it: array flags of class 17 (opaque), no dimensions,
+    three names, its number.
+    """
     number = element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
-    inside = element(6, struct.pack("<II", 9, 0)) + element(5, struct.pack("<2i", 6, 1)) + element(1, b"")
+    inside = (
+        element(6, struct.pack("<II", 9, 0))
+        + element(5, struct.pack("<2i", 6, 1))
+        + element(1, b"")
+    )
     names = [element(1, text) for text in (name, b"MCOS", b"timeseries")]
-    return element(14, element(6, struct.pack("<II", 17, 0)) + b"".join(names) + element(14, inside + number))
+    return element(
+        14, element(6, struct.pack("<II", 17, 0)) + b"".join(names) + element(14, inside + number)
+    )
 
 
 def workspace() -> bytes:
     """What MATLAB writes at the end of a file with objects: a matrix without a name."""
     content = element(1, b"") + element(2, bytes(range(16)))
-    return element(14, element(6, struct.pack("<II", 9, 0)) + element(5, struct.pack("<2i", 1, 16)) + content)
+    return element(
+        14, element(6, struct.pack("<II", 9, 0)) + element(5, struct.pack("<2i", 1, 16)) + content
+    )
 
 
 def mat(tmp_path, variables, *, before=b"", behind=b""):
@@ -68,21 +80,31 @@ def test_fields_by_dotted_name(tmp_path):
     there = "expected one of data.q, data.motor.tau, data.motor.t, data.note, x"
     for name in ("data.v", "data.q.x", "motor", "x.y"):
         assert refused(path, [name], 3) == f"variable {name!r} does not exist: {there}"
-    kind = "variable 'data.motor' is a struct or object with the fields tau, t: expected a vector or matrix of real numbers"
+    kind = (
+        "variable 'data.motor' is a struct or object with the fields tau, t: expected a vector "
+        "or matrix of real numbers"
+    )
     assert refused(path, ["data.motor"], 1) == kind
     many = mat(tmp_path, {"many": np.array([(1.0,), (2.0,)], dtype=[("q", "O")])})
-    assert "variable 'many' is an array of 2 structs: expected one struct" in refused(many, ["many.q"], 1)
+    assert "variable 'many' is an array of 2 structs: expected one struct" in refused(
+        many, ["many.q"], 1
+    )
 
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_matrices_either_way_round(tmp_path, turned):
     both = {"q": Q, "first": Q[:, :2], "last": Q[:, 2:], "deep": Q[:, :, None]}
-    path = mat(tmp_path, {name: np.swapaxes(value, 0, 1) if turned else value for name, value in both.items()})
+    path = mat(
+        tmp_path,
+        {name: np.swapaxes(value, 0, 1) if turned else value for name, value in both.items()},
+    )
     for names in (["q"], ["first", "last"], ["deep"]):
         assert np.array_equal(read_columns(path, names, 3), Q), names
     # A signal of joints by one by samples.
     assert np.array_equal(read_columns(mat(tmp_path, {"q": Q.T[:, None, :]}), ["q"], 3), Q)
-    assert np.array_equal(read_columns(mat(tmp_path, {"t": T[None, None, :]}), ["t"], 1), T[:, None])
+    assert np.array_equal(
+        read_columns(mat(tmp_path, {"t": T[None, None, :]}), ["t"], 1), T[:, None]
+    )
 
 
 def test_parts_of_a_matrix_as_matlab_writes_them_and_labels_name_them(tmp_path):
@@ -93,7 +115,10 @@ def test_parts_of_a_matrix_as_matlab_writes_them_and_labels_name_them(tmp_path):
     assert np.array_equal(read_columns(path, ["data.r(2:3, :)", "q(:, 1)"], 3), Q[:, [1, 2, 0]])
     assert refused(path, ["q(:,4)"], 1) == "variable 'q(:,4)': the matrix is 7 x 3: expected 1 to 3"
     assert refused(path, ["q(0,:)"], 1) == "variable 'q(0,:)': the matrix is 7 x 3: expected 1 to 7"
-    assert refused(path, ["q(1,2)"], 1) == "variable 'q(1,2)': expected (:,k) for columns or (k,:) for rows"
+    assert (
+        refused(path, ["q(1,2)"], 1)
+        == "variable 'q(1,2)': expected (:,k) for columns or (k,:) for rows"
+    )
     assert "does not exist" in refused(path, ["q(1)"], 1)
 
 
@@ -101,7 +126,8 @@ def test_an_ambiguous_shape_is_refused(tmp_path):
     square = Q[:3]
     path = mat(tmp_path, {"q": square, "wide": Q[:, :2], "short": T[:5]})
     assert refused(path, ["q"], 3) == (
-        "q 3 x 3: samples may be rows or columns: expected 'q(:,1:3)' if rows are samples, 'q(1:3,:)' if columns are"
+        "q 3 x 3: samples may be rows or columns: expected 'q(:,1:3)' if rows are samples, "
+        "'q(1:3,:)' if columns are"
     )
     assert np.array_equal(read_columns(path, ["q(:,1:3)"], 3), square)
     assert np.array_equal(read_columns(path, ["q(1:3,:)"], 3), square.T)

@@ -59,10 +59,16 @@ TRC = """;$FILEVERSION=1.1
 
 
 def test_a_pcan_trace_by_hand(tmp_path):
-    """Days since 1899-12-30 and milliseconds: noon of 2019-01-09, 1547035200 s of Unix time. The status line is no frame."""
+    """Days since 1899-12-30 and milliseconds: noon of 2019-01-09, 1547035200 s of Unix time.
+
+    The status line is no frame.
+    """
     (tmp_path / "a.trc").write_text(TRC)
     base = 1_547_035_200_000_000_000
-    assert [(i, f.time_ns - base, f.can_id, f.data.hex(), f.flags) for i, f in read_log(tmp_path / "a.trc")] == [
+    assert [
+        (i, f.time_ns - base, f.can_id, f.data.hex(), f.flags)
+        for i, f in read_log(tmp_path / "a.trc")
+    ] == [
         ("1", 0, 0x80, "", 0),
         ("1", pytest.approx(1_500_000, abs=500), 0x181, "3712e8030000f4ff", 0),
         ("1", pytest.approx(4_000_000, abs=500), 0x601, "4041", SENT),
@@ -73,7 +79,9 @@ def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(bus_text())
     command = ["--robot", tmp_path / "r.toml", "-o", tmp_path / "a.mcap", "--overwrite"]
     write_log(tmp_path / "a.trc", flat(session()))
-    assert "a.mcap: made up, 50 samples at 500 Hz" in told(capsys, "import", tmp_path / "a.trc", *command)
+    assert "a.mcap: made up, 50 samples at 500 Hz" in told(
+        capsys, "import", tmp_path / "a.trc", *command
+    )
     (tmp_path / "a.trc").write_text(TRC)
     for tables, words in (
         (["a.trc"], "a.trc: 1 SYNC (0x80) in 3 frames"),
@@ -103,10 +111,26 @@ def test_csv_holds_every_digit(tmp_path):
         ("a.asc", b"\xff\xfe\n", "holds no (CAN )?frames|damaged"),
         ("a.txt", b"x", "suffix '.txt': expected .log"),
         ("a.trc", b"1)  1059.9  Rx  0181  8  00 00\n", "damaged"),
-        ("a.trc", b";$FILEVERSION=1.1\n1)  1059.9  Rx  0181  8  00 00\n", r"damaged: TRCReader: .* message '1\)"),
-        ("a.trc", b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n", "version 1.2 of PCAN's format: expected"),
-        ("a.log", b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n", r"frame 2 \(0x181\): 9 bytes: expected 8"),
-        ("a.log", b"(1.2) can0 181##1000102030405060708090A0B\n", r"holds no (CAN )?frames \(1 of CAN FD\)"),
+        (
+            "a.trc",
+            b";$FILEVERSION=1.1\n1)  1059.9  Rx  0181  8  00 00\n",
+            r"damaged: TRCReader: .* message '1\)",
+        ),
+        (
+            "a.trc",
+            b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n",
+            "version 1.2 of PCAN's format: expected",
+        ),
+        (
+            "a.log",
+            b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n",
+            r"frame 2 \(0x181\): 9 bytes: expected 8",
+        ),
+        (
+            "a.log",
+            b"(1.2) can0 181##1000102030405060708090A0B\n",
+            r"holds no (CAN )?frames \(1 of CAN FD\)",
+        ),
     ],
 )
 def test_logs_that_are_none(tmp_path, name, content, expected):
@@ -122,14 +146,21 @@ def test_a_time_that_no_recording_holds(tmp_path, time):
     log.write_text(f"(1.0) can0 080#\n(1.001) can0 181#00\n({time}) can0 080#\n")
     with pytest.raises(BadInputError) as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
-    assert str(caught.value) == f"{log}: frame 3: time {float(time):.10g} s: expected 0 to 2147483648"
+    assert (
+        str(caught.value) == f"{log}: frame 3: time {float(time):.10g} s: expected 0 to 2147483648"
+    )
     assert list(tmp_path.iterdir()) == [log]
 
 
 @pytest.mark.parametrize(
     ("channel", "more", "left_out", "count"),
     [
-        ("test", "(1.2) can0 181##1000102030405060708090A0B\n", ("frames left out: 1 of CAN FD",), 150),
+        (
+            "test",
+            "(1.2) can0 181##1000102030405060708090A0B\n",
+            ("frames left out: 1 of CAN FD",),
+            150,
+        ),
         ("can1", None, ("frames left out: 150 of interface can0",), 150),
         # python-can's reader tells no interface of a candump's error frame.
         ("test", "(1.098500) can0 20000080#0000000000000000\n", (), 151),
@@ -138,7 +169,9 @@ def test_a_time_that_no_recording_holds(tmp_path, time):
 def test_frames_of_a_log_that_are_left_out(tmp_path, channel, more, left_out, count):
     log, out = tmp_path / "a.log", tmp_path / "o.mcap"
     write_log(log, flat(session()))
-    log.write_text(log.read_text() + (log.read_text().replace("can0", "can1") if more is None else more))
+    log.write_text(
+        log.read_text() + (log.read_text().replace("can0", "can1") if more is None else more)
+    )
     found = import_log(log, out, robot_of(bus_text(channel=channel)), "robot.toml")
     assert (found.samples, found.warnings) == (50, left_out)
     recording = read_recording(out)
@@ -151,7 +184,9 @@ def test_two_interfaces_are_not_taken_for_one(tmp_path):
     log = tmp_path / "a.log"
     write_log(log, flat(session()))
     log.write_text(log.read_text() + log.read_text().replace("can0", "can1"))
-    with pytest.raises(BadInputError, match="frames: 150 of interface can0, 150 of interface can1") as caught:
+    with pytest.raises(
+        BadInputError, match="frames: 150 of interface can0, 150 of interface can1"
+    ) as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
     assert caught.value.place == str(log)
 
@@ -180,7 +215,9 @@ def told(capsys, *arguments) -> str:
 def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys):
     log, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
     frames = flat(session(syncs=400, targets=True))
-    recorder = recorder_of(log, np.delete(frames, np.flatnonzero(frames["can_id"] == 0x181)[10:-10:8]))
+    recorder = recorder_of(
+        log, np.delete(frames, np.flatnonzero(frames["can_id"] == 0x181)[10:-10:8])
+    )
     why = "12.0% of the PDOs of a drive are missing: expected 5% at most"
     assert why in recorder.finish(3 * 10**9).no_samples
     assert read_recording(log).samples is None
@@ -189,7 +226,9 @@ def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys)
     with pytest.raises(BadInputError, match=why):
         load_signals(log)
     cut.write_bytes(log.read_bytes()[:-100])
-    assert f"warning: no samples: {cut}: {why}" in told(capsys, "import", cut, "-o", tmp_path / "b.mcap")
+    assert f"warning: no samples: {cut}: {why}" in told(
+        capsys, "import", cut, "-o", tmp_path / "b.mcap"
+    )
 
 
 def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys):
@@ -198,8 +237,13 @@ def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
     recorder.finish(3 * 10**9)
     out = tmp_path / "out.mcap"
-    assert "made up, 50 samples at 500 Hz" in told(capsys, "import", tmp_path / "cut.mcap", "-o", out)
-    assert read_recording(out).samples.tobytes() == read_recording(tmp_path / "a.mcap").samples.tobytes()
+    assert "made up, 50 samples at 500 Hz" in told(
+        capsys, "import", tmp_path / "cut.mcap", "-o", out
+    )
+    assert (
+        read_recording(out).samples.tobytes()
+        == read_recording(tmp_path / "a.mcap").samples.tobytes()
+    )
 
 
 def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):

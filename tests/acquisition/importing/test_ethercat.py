@@ -1,4 +1,6 @@
-"""Captures of EtherCAT: a real one with its master's samples, and made-up ones of what it has not."""
+"""Captures of EtherCAT: a real one with its master's samples, and made-up
+ones of what it has not.
+"""
 
 import random
 import re
@@ -46,10 +48,19 @@ def raw(samples: np.ndarray, field: str) -> np.ndarray:
 
 
 def check(samples: np.ndarray, bus: made_up.Bus, spoilt: set[int] = frozenset()) -> np.ndarray:
-    """Every row is the true row of its cycle, by its stamp; the cycles. Those whose own bytes are `spoilt` may differ."""
-    cycles = (samples["stamp_ns"] - (made_up.CLOCK_NS if bus.clock == 8 else made_up.BEGIN_NS)) // bus.period_ns
+    """Every row is the true row of its cycle, by its stamp; the cycles.
+
+    Those whose own bytes are `spoilt` may differ.
+    """
+    cycles = (
+        samples["stamp_ns"] - (made_up.CLOCK_NS if bus.clock == 8 else made_up.BEGIN_NS)
+    ) // bus.period_ns
     for i in range(bus.drives):
-        for field, true, by in (("position", bus.position, 0), ("effort", bus.effort, 0), ("reference", bus.target, 1)):
+        for field, true, by in (
+            ("position", bus.position, 0),
+            ("effort", bus.effort, 0),
+            ("reference", bus.target, 1),
+        ):
             if field in samples.dtype.names:
                 wanted = np.array([true(int(k) - by, i) for k in cycles])
                 differ = set((cycles[raw(samples, field)[:, i] != wanted] - by).tolist())
@@ -62,20 +73,28 @@ NO_REFERENCE = "no reference: the targets are not mapped, or not in frames on th
 
 
 @pytest.mark.parametrize(
-    ("image", "wrap"), [*((image, "") for image in IMAGES), ("lrd_lwr", "vlan"), ("lrw", "udp"), ("frames", "udp")]
+    ("image", "wrap"),
+    [*((image, "") for image in IMAGES), ("lrd_lwr", "vlan"), ("lrw", "udp"), ("frames", "udp")],
 )
 def test_rows_are_those_of_their_cycles(tmp_path, image, wrap):
     bus = made_up.Bus(image=image, wrap=wrap, drives=3)
     recording, found = imported(tmp_path, made_up.pcap(bus.packets(100)), robot_of(robot_text(3)))
     cycles = check(recording.samples, bus)
     # The first has no target before; in several frames a row is certain between two regular steps.
-    np.testing.assert_array_equal(cycles, np.arange(2, 99) if image == "frames" else np.arange(1, 100))
+    np.testing.assert_array_equal(
+        cycles, np.arange(2, 99) if image == "frames" else np.arange(1, 100)
+    )
     assert (found.has_reference, found.warnings) == (True, ())
     assert "reference" in recording.samples.dtype.names
 
 
-FILES = [(made_up.pcap, {"order": order, "tick_ns": tick}) for order, tick in (("<", 1000), (">", 1))]
-FILES += [(made_up.pcapng, {"order": order, "resolution": r}) for order, r in ((">", None), (">", 9), ("<", 0x80 | 20))]
+FILES = [
+    (made_up.pcap, {"order": order, "tick_ns": tick}) for order, tick in (("<", 1000), (">", 1))
+]
+FILES += [
+    (made_up.pcapng, {"order": order, "resolution": r})
+    for order, r in ((">", None), (">", 9), ("<", 0x80 | 20))
+]
 
 
 @pytest.mark.parametrize(("kind", "options"), FILES)
@@ -89,14 +108,21 @@ def test_kinds_of_files_give_the_same_samples(tmp_path, kind, options):
 
 @pytest.mark.parametrize("size", [4, 8])
 def test_distributed_clocks_are_the_time_where_they_are_read(tmp_path, size):
-    """The capture's stamps come late by up to 0.4 periods here, and its clock is slow; 32 bits wrap in 4.3 s."""
-    bus, late = made_up.Bus(clock=size, drives=1), np.random.default_rng(1).uniform(0, 400_000, 6000)
+    """The capture's stamps come late by up to 0.4 periods here, and its clock is slow;
+    32 bits wrap in 4.3 s.
+    """
+    bus, late = (
+        made_up.Bus(clock=size, drives=1),
+        np.random.default_rng(1).uniform(0, 400_000, 6000),
+    )
     packets = []
     for k in range(6000):
         (at, out, back), *_ = bus.cycle(k)
         time_ns = int((bus.time_ns(k) + at - made_up.BEGIN_NS) * 1.0001) + made_up.BEGIN_NS
         packets += [(time_ns, out), (time_ns + 20_000 + int(late[k]), back)]
-    recording, found = imported(tmp_path, made_up.pcap(bus.start() + packets), robot_of(robot_text(1)))
+    recording, found = imported(
+        tmp_path, made_up.pcap(bus.start() + packets), robot_of(robot_text(1))
+    )
     cycles = check(recording.samples, bus)
     np.testing.assert_array_equal(np.diff(cycles), 1)
     assert len(cycles) > 5990
@@ -108,7 +134,9 @@ def test_stations_are_those_of_the_description_or_of_the_bus(tmp_path):
     content = made_up.pcap(bus.packets(50))
     plain = imported(tmp_path, content)[0].samples
     check(plain, bus)
-    swapped, wrong = (robot_of(robot_text().replace("node = 1", f"node = 1\nstation = {k}")) for k in (6, 7))
+    swapped, wrong = (
+        robot_of(robot_text().replace("node = 1", f"node = 1\nstation = {k}")) for k in (6, 7)
+    )
     samples = imported(tmp_path, content, swapped)[0].samples
     np.testing.assert_array_equal(samples["position"], plain["position"][:, ::-1])
     assert "no mapping of station 7 for motor_1" in refusal(tmp_path, content, wrong)
@@ -116,7 +144,11 @@ def test_stations_are_those_of_the_description_or_of_the_bus(tmp_path):
 
 WHOLE = "0x6041:16,0x6061:8,0:8,0x6064:32,0x6077:16"
 GAP, OUTPUTS = ",0:48", "0x6040:16,0x607A:32,0x6060:8,0:8"
-STATED = {"lrd_lwr": [WHOLE + GAP] * 2, "overlap": [WHOLE + GAP] * 2, "lrw": [f"{OUTPUTS},{OUTPUTS},{WHOLE}", WHOLE]}
+STATED = {
+    "lrd_lwr": [WHOLE + GAP] * 2,
+    "overlap": [WHOLE + GAP] * 2,
+    "lrw": [f"{OUTPUTS},{OUTPUTS},{WHOLE}", WHOLE],
+}
 
 
 @pytest.mark.parametrize("image", STATED)
@@ -144,9 +176,18 @@ def test_what_is_missing_is_said(tmp_path):
     bus, over = made_up.Bus(), made_up.Bus(image="overlap")
     packets = bus.packets(100)
     out = made_up.pcap([packet for packet in packets if not packet[1][6] & 2])
-    assert re.search("no process data come back from the slaves.*both directions", refusal(tmp_path, out))
-    assert re.search("no process data come back.*it has .nothing.", refusal(tmp_path, made_up.pcap(bus.start())))
-    check(imported(tmp_path, made_up.pcap([packet for packet in packets if packet[1][6] & 2]))[0].samples, bus)
+    assert re.search(
+        "no process data come back from the slaves.*both directions", refusal(tmp_path, out)
+    )
+    assert re.search(
+        "no process data come back.*it has .nothing.", refusal(tmp_path, made_up.pcap(bus.start()))
+    )
+    check(
+        imported(tmp_path, made_up.pcap([packet for packet in packets if packet[1][6] & 2]))[
+            0
+        ].samples,
+        bus,
+    )
     back = [packet for packet in over.packets(100) if packet[1][6] & 2]
     recording, found = imported(tmp_path, made_up.pcap(back))
     check(recording.samples, over)
@@ -159,7 +200,9 @@ def test_what_is_missing_is_said(tmp_path):
 def test_short_working_counters_give_no_row(tmp_path):
     bus = made_up.Bus(silent=range(30, 32))
     for mapping, start in (((), True), (STATED["lrd_lwr"], False)):
-        recording, _ = imported(tmp_path, made_up.pcap(bus.packets(100, start=start)), mapping=mapping)
+        recording, _ = imported(
+            tmp_path, made_up.pcap(bus.packets(100, start=start)), mapping=mapping
+        )
         cycles = check(recording.samples, bus)
         assert not {30, 31} & set(cycles.tolist())
         assert len(cycles) > 95
@@ -184,7 +227,8 @@ def test_doubled_frames(tmp_path):
 @pytest.mark.parametrize(
     ("stamps", "certain", "cycles"),
     [
-        ([0, 1000, 2000, 5900, 5901, 5902, 6000, 7000], range(8), range(8)),  # late, all of them there
+        # late, all of them there
+        ([0, 1000, 2000, 5900, 5901, 5902, 6000, 7000], range(8), range(8)),
         # Rows 3 to 5 of eight are stamped late, and one of them is lost: which, nobody knows.
         ([0, 1000, 2000, 5600, 5610, 6000, 7000], [0, 1, 2, 6], [0, 1, 2, 7]),
         ([0, 1000, 2000, 2100, 3000, 4000], [4, 5], [4, 5]),  # one too many
@@ -206,17 +250,22 @@ def test_stations_that_came_back_in_another_order_are_refused(tmp_path):
 
 
 def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
-    """A capture with lost, doubled, exchanged and flipped bytes; cycles whose process data have a flipped byte."""
+    """A capture with lost, doubled, exchanged and flipped bytes; cycles whose process
+    data have a flipped byte.
+    """
     start = len(bus.start())
     spare = start if rng.random() < 0.85 else 0  # of so many packets only bits are flipped
     packets = [
-        ((p[0] - made_up.BEGIN_NS) // bus.period_ns if k >= start else -1, p) for k, p in enumerate(bus.packets(120))
+        ((p[0] - made_up.BEGIN_NS) // bus.period_ns if k >= start else -1, p)
+        for k, p in enumerate(bus.packets(120))
     ]
     packets = [packet for k, packet in enumerate(packets) if k < spare or rng.random() > 0.02]
     for _ in range(rng.choice((0, 5, 10))):
         k = rng.randrange(spare, len(packets) - 40)
         cycle, (time_ns, frame) = packets[k]
-        packets.insert(k + rng.choice((1, 1, 2, 6, 31)), (cycle, (time_ns + rng.choice((0, 2_000)), frame)))
+        packets.insert(
+            k + rng.choice((1, 1, 2, 6, 31)), (cycle, (time_ns + rng.choice((0, 2_000)), frame))
+        )
     for _ in range(rng.choice((0, 0, 3))):
         k = rng.randrange(spare, len(packets) - 40)
         j = k + rng.choice((1, 2, 40))
@@ -231,14 +280,20 @@ def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
         k = int(np.searchsorted(ends, at, "right")) - 1
         if 0 <= k < len(records) and at - ends[k] - 16 in bus.process_bytes(packets[k][1][1]):
             spoilt.add(packets[k][0])
-    return bytes(content[: rng.randrange(len(content) // 2, len(content))] if rng.random() < 0.3 else content), spoilt
+    return bytes(
+        content[: rng.randrange(len(content) // 2, len(content))] if rng.random() < 0.3 else content
+    ), spoilt
 
 
 def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
     rows, refused, seeds = 0, list[str](), 90
     for seed in range(seeds):
         rng = random.Random(seed)
-        bus = made_up.Bus(image=rng.choice(IMAGES), wrap=rng.choice(("", "vlan", "udp")), clock=rng.choice((0, 0, 4)))
+        bus = made_up.Bus(
+            image=rng.choice(IMAGES),
+            wrap=rng.choice(("", "vlan", "udp")),
+            clock=rng.choice((0, 0, 4)),
+        )
         content, spoilt = damaged(rng, bus)
         try:
             recording, _ = imported(tmp_path, content)
@@ -260,20 +315,32 @@ def test_frames_are_kept_and_decoded_again(tmp_path):
     np.testing.assert_array_equal(again.samples["effort"], 2 * first.samples["effort"])
     np.testing.assert_array_equal(again.samples["position"], first.samples["position"])
     assert bytes(again.capture) == bytes(first.capture)
-    first, _ = imported(tmp_path, made_up.pcap(bus.packets(100, start=False)), mapping=STATED["lrd_lwr"])
+    first, _ = imported(
+        tmp_path, made_up.pcap(bus.packets(100, start=False)), mapping=STATED["lrd_lwr"]
+    )
     out.unlink()
-    np.testing.assert_array_equal(read_recording(import_recording(log, out).out).samples, first.samples)
+    np.testing.assert_array_equal(
+        read_recording(import_recording(log, out).out).samples, first.samples
+    )
 
 
 @pytest.mark.parametrize(("image", "clock"), [("lrd_lwr", 4), ("frames", 0)])
-def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_path, monkeypatch, image, clock):
+def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(
+    tmp_path, monkeypatch, image, clock
+):
     rng, packets = random.Random(1), []
     for time_ns, frame in made_up.Bus(image=image, clock=clock).packets(500):
         if rng.random() > 0.01:
-            packets += [(time_ns + 400_000 * (rng.random() < 0.02), frame)] * (1 + (rng.random() < 0.02))
+            packets += [(time_ns + 400_000 * (rng.random() < 0.02), frame)] * (
+                1 + (rng.random() < 0.02)
+            )
     content = made_up.pcap(packets)
     whole, about = imported(tmp_path, content)
-    for name in ("recording.rows._AT_ONCE", "importing.ethercat.AT_ONCE", "importing.process_data.AT_ONCE"):
+    for name in (
+        "recording.rows._AT_ONCE",
+        "importing.ethercat.AT_ONCE",
+        "importing.process_data.AT_ONCE",
+    ):
         monkeypatch.setattr(f"acquisition.{name}", 50)
     for name in ("ethercat", "process_data"):
         monkeypatch.setattr(f"acquisition.importing.{name}.MARGIN", 40)
@@ -305,7 +372,9 @@ def test_samples_of_the_real_capture_are_its_masters(tmp_path):
     recording, found = imported(tmp_path, real().read_bytes())
     master = np.genfromtxt(needs_data("ethercat", "two_drives.csv"), delimiter=",")[:, :4]
     samples = recording.samples[-20_000:]
-    np.testing.assert_array_equal(raw(samples, "position"), np.rint(master[:, [0, 2]] * COUNTS / (2 * np.pi)))
+    np.testing.assert_array_equal(
+        raw(samples, "position"), np.rint(master[:, [0, 2]] * COUNTS / (2 * np.pi))
+    )
     np.testing.assert_array_equal(raw(samples, "effort"), np.rint(1000 * master[:, [1, 3]]))
     assert len(recording.samples) == 20_001
     assert (np.diff(recording.samples["stamp_ns"]) == 1_000_000).all()

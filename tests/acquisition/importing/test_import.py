@@ -13,7 +13,9 @@ from acquisition.recording import read_recording
 from acquisition.robot import Robot, robot_from_files
 from identification.data import load_signals
 
-ROBOT = COUPLED.replace("[[10, 4], [-3, 20]]", "[[10, 0], [20, 20]]").replace("zero_deg = -45\n", "")
+ROBOT = COUPLED.replace("[[10, 4], [-3, 20]]", "[[10, 0], [20, 20]]").replace(
+    "zero_deg = -45\n", ""
+)
 MAP = """
 sample_rate_hz = 500
 [position]
@@ -27,7 +29,8 @@ side = "motor"
 """
 Q = np.array([[0.0, 0.0], [900.0, 1800.0], [-900.0, 0.0]])
 CURRENT = np.array([[1000.0, 0.0], [0.0, 2000.0], [-500.0, 4000.0]])
-# Joint 1 turns by q_motor / 10 from its zero at 90°; joint 2 by the rest of motor 2 once joint 1 is taken off.
+# Joint 1 turns by q_motor / 10 from its zero at 90°; joint 2 by the rest of motor 2 once
+# joint 1 is taken off.
 POSITION_DEG = np.array([[90, 0], [180, 0], [0, 90]])
 # tau = Rᵀ G i: 1 A gives 0.5 N m at motor 1, 0.25 N m at motor 2.
 EFFORT = np.array([[5, 0], [10, 10], [17.5, 20]])
@@ -55,7 +58,9 @@ def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSumm
     return import_tables(tables, robot, folder / "map.toml", folder / "out.mcap")
 
 
-def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[str, str, object, str]:
+def refusal(
+    folder: Path, robot: Robot, table_map: str, *tables: Path
+) -> tuple[str, str, object, str]:
     with pytest.raises(BadInputError) as caught:
         run(folder, robot, table_map, *tables)
     assert not (folder / "out.mcap").exists()
@@ -74,7 +79,10 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
     assert (recording.sample_rate_hz, result.sample_rate_hz, result.samples) == (500.0, 500.0, 3)
     assert result.effort_units == ("N m", "N m")
     assert recording.metadata["source"] == "tables a.csv"
-    told = "a.csv: c1, c2: mA at the motor; joint effort = motor_matrixᵀ · drive gain [0.5, 0.25] · value, in N m"
+    told = (
+        "a.csv: c1, c2: mA at the motor; joint effort = motor_matrixᵀ · drive gain [0.5, 0.25] "
+        "· value, in N m"
+    )
     assert recording.metadata["effort_provenance"] == told
     assert recording.attachments["robot.toml"] == ROBOT.encode()
     text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
@@ -83,10 +91,15 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
 
 
 def test_joint_side_stands_as_it_is(tmp_path, two, table):
-    table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
+    table_map = (
+        MAP.replace("motor", "joint").replace("mA", "mN m")
+        + '[reference]\ncolumns = ["p2", "p1"]\n'
+    )
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
     assert refusal(tmp_path, two, table_map, table)[:3] == ("map.toml", "position.side", "joint")
-    plain = robot_from_files({"robot.toml": ROBOT.replace("zero_deg = 90\n", "").encode()}, "plain.toml")
+    plain = robot_from_files(
+        {"robot.toml": ROBOT.replace("zero_deg = 90\n", "").encode()}, "plain.toml"
+    )
     result = run(tmp_path, plain, table_map, table)
     recording = read_recording(result.out)
     samples = recording.samples
@@ -94,9 +107,14 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
     assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
     assert samples["reference"] == pytest.approx(Q[:, ::-1] * [np.pi / 180, 1])
     assert result.has_reference
-    assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: mN m at the joint; joint effort = value in N m"
+    assert (
+        recording.metadata["effort_provenance"]
+        == "a.csv: c1, c2: mN m at the joint; joint effort = value in N m"
+    )
     # The unit tells the side too: N m can only be the joint's where motors are recorded in A.
-    recording = read_recording(run(tmp_path, two, MAP.replace('"mA"\nside = "motor"', '"N m"'), table).out)
+    recording = read_recording(
+        run(tmp_path, two, MAP.replace('"mA"\nside = "motor"', '"N m"'), table).out
+    )
     assert recording.samples["effort"].tolist() == CURRENT.tolist()
 
 
@@ -108,7 +126,9 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
 def test_kinds_of_csv(tmp_path, two, separator, header):
     table = csv(tmp_path / "a.csv", header.replace(",", separator), Q, CURRENT, separator=separator)
     table.write_text(table.read_text().replace("\n", "\r\n") + "\r\n# end\r\n")
-    table_map = MAP if header else MAP.replace('["p1", "p2"]', "[1, 2]").replace('["c1", "c2"]', "[3, 4]")
+    table_map = (
+        MAP if header else MAP.replace('["p1", "p2"]', "[1, 2]").replace('["c1", "c2"]', "[3, 4]")
+    )
     samples = read_recording(run(tmp_path, two, table_map, table).out).samples
     assert samples["effort"] == pytest.approx(EFFORT)
 
@@ -126,7 +146,9 @@ def with_time(unit: str, rate: str = "") -> str:
 @pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
     time_s = 2.0 + np.arange(1000) / 500 + np.random.default_rng(0).uniform(-5e-5, 5e-5, 1000)
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((1000, 4)), np.round(time_s * scale, 9))
+    table = csv(
+        tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((1000, 4)), np.round(time_s * scale, 9)
+    )
     recording = read_recording(run(tmp_path, two, with_time(unit), table).out)
     assert recording.sample_rate_hz == 500.0
     assert set(np.diff(recording.samples["stamp_ns"])) == {2_000_000}
@@ -141,9 +163,16 @@ def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
 
 def test_a_short_record_with_jitter_keeps_its_own_rate_and_times_before_0_begin_at_0(tmp_path, two):
     time_s = np.array([0.0, 0.00221, 0.00416]) - 0.01  # 481 Hz; the scatter alone would allow 500
-    result = run(tmp_path, two, with_time("s"), csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s))
+    result = run(
+        tmp_path,
+        two,
+        with_time("s"),
+        csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s),
+    )
     assert result.sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
-    assert read_recording(result.out).samples["stamp_ns"] == pytest.approx([0, 2_080_000, 4_160_000], abs=50_000)
+    assert read_recording(result.out).samples["stamp_ns"] == pytest.approx(
+        [0, 2_080_000, 4_160_000], abs=50_000
+    )
 
 
 GRID = np.arange(100) / 500
@@ -155,9 +184,11 @@ GRID = np.arange(100) / 500
         (np.delete(GRID, [7, 8]), "", "a.csv: t", "row 8", None, "0.002 s (2 rows missing)"),
         (np.insert(GRID, 7, GRID[7]), "", "a.csv: t", "row 9", None, "a later time"),
         (GRID[::-1], "", "a.csv: t", "row 2", None, "a later time"),
-        (GRID + 3e-4 * (np.arange(100) == 50), "", "a.csv: t", "row 51", None, "0.002 s (not uniform)"),
+        (GRID + 3e-4 * (np.arange(100) == 50), "", "a.csv: t", "row 51", None,
+         "0.002 s (not uniform)"),
         (GRID * (1 + 0.4 * GRID), "", "a.csv: t", "row 50", None, "0.0010792 s at most"),
-        (GRID, "sample_rate_hz = 1000", "map.toml", "sample_rate_hz", 1000.0, "500, the rate of the times"),
+        (GRID, "sample_rate_hz = 1000", "map.toml", "sample_rate_hz", 1000.0,
+         "500, the rate of the times"),
         (GRID * 1e12, "", "a.csv", "", None, "68 years and 100 MHz at most"),
     ],
 )  # fmt: skip
@@ -199,19 +230,25 @@ def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
     [
         ("sample_rate_hz = 500", "", "sample_rate_hz", None, "it, or a [time] table"),
         ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz", -1, "`float` > 0.0"),
-        ("sample_rate_hz = 500", "sample_rate_hz = 0.008", "sample_rate_hz", 0.008, "a rate in Hz, not a period: 125?"),
+        ("sample_rate_hz = 500", "sample_rate_hz = 0.008", "sample_rate_hz", 0.008,
+         "a rate in Hz, not a period: 125?"),
         ('["p1", "p2"]', '["p1"]', "position.columns", None, "2, one per joint"),
         ('["p1", "p2"]', "[1, 9]", "", None, "a number from 1 to 4"),
         ('["p1", "p2"]', "[0, 1]", "", None, "a number from 1 to 4"),
         ('unit = "deg"', 'unit = "mm"', "position.unit", None, "an angle"),
-        ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit", None, "one, or 2, one per joint"),
-        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side", None, "'motor' or 'joint'"),
+        ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit", None,
+         "one, or 2, one per joint"),
+        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side", None,
+         "'motor' or 'joint'"),
         ('unit = "mA"', 'unit = "mV"', "effort.unit", None, "A, as in robot.toml"),
-        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit", None, "N m, as in robot.toml"),
+        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit", None,
+         "N m, as in robot.toml"),
         ('"mA"\nside = "motor"', '"N"', "effort.unit", None, "A, as in robot.toml"),
-        ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table", 2, "1 at most, the number of tables given"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table", 2,
+         "1 at most, the number of tables given"),
         ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort", None, ""),
-        ("sample", 'effort_timing = "x"\nsample', "effort_timing", "x", "one of 'command', 'mean', 'measured', 'unknown'"),
+        ("sample", 'effort_timing = "x"\nsample', "effort_timing", "x",
+         "one of 'command', 'mean', 'measured', 'unknown'"),
     ],
 )  # fmt: skip
 def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
@@ -236,7 +273,9 @@ def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table
 
 
 def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
-    """A spindle of 5 mm: 2π/0.005 rad at the motor for each metre of the joint, and N m at the motor for newtons."""
+    """A spindle of 5 mm: 2π/0.005 rad at the motor for each metre of the joint, and N m at
+    the motor for newtons.
+    """
     ratio = 2 * np.pi / 0.005
     slide = SINGLE.replace("KIND", "prismatic").replace("[[motor]]", f"[[motor]]\nratio = {ratio}")
     robot = robot_from_files({"robot.toml": slide.replace("EFFORT", "N m").encode()}, "slide")
@@ -248,7 +287,12 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
     assert samples["effort"] == pytest.approx(np.array([[0], [ratio]]))
     assert result.effort_units == ("N",)
     joint_side = table_map.replace('"deg"\nside = "motor"', '"deg"\nside = "joint"')
-    assert refusal(tmp_path, robot, joint_side, table) == ("map.toml", "position.unit", None, "a length")
+    assert refusal(tmp_path, robot, joint_side, table) == (
+        "map.toml",
+        "position.unit",
+        None,
+        "a length",
+    )
 
 
 def test_mat_mistakes(tmp_path, two):
@@ -264,7 +308,10 @@ def test_mat_mistakes(tmp_path, two):
     assert refusal(tmp_path, two, numbers, path)[3] == "one of p1, p2, c1, c2"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     assert refusal(tmp_path, two, MAP, path)[::2] == ("a.mat", None)
-    for content in (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512), b"\x89HDF\r\n\x1a\n".ljust(512)):
+    for content in (
+        b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512),
+        b"\x89HDF\r\n\x1a\n".ljust(512),
+    ):
         path.write_bytes(content)
         assert refusal(tmp_path, two, MAP, path)[3].startswith("version 7;")
 
@@ -287,10 +334,21 @@ SINGLE = (
 )
 def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effort, value, si):
     kind = "prismatic" if recorded == "N" else "revolute"
-    robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x")
+    robot = robot_from_files(
+        {"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x"
+    )
     table = csv(tmp_path / "a.csv", "p,c", *np.array([[0.0, 0.0], value]).T)
-    table_map = MAP.replace('"p1", "p2"', '"p"').replace('"c1", "c2"', '"c"').replace('side = "motor"\n', "")
-    result = run(tmp_path, robot, table_map.replace('"deg"', f'"{position}"').replace('"mA"', f'"{effort}"'), table)
+    table_map = (
+        MAP.replace('"p1", "p2"', '"p"')
+        .replace('"c1", "c2"', '"c"')
+        .replace('side = "motor"\n', "")
+    )
+    result = run(
+        tmp_path,
+        robot,
+        table_map.replace('"deg"', f'"{position}"').replace('"mA"', f'"{effort}"'),
+        table,
+    )
     samples = read_recording(result.out).samples
     assert samples["position"][:, 0] == pytest.approx([0.0, si[0]], rel=1e-8)
     assert samples["effort"][:, 0] == pytest.approx([0.0, si[1]], rel=1e-12)
@@ -303,11 +361,19 @@ def test_times_in_words_that_are_no_unit_and_columns_of_other_lengths_or_none(tm
     found = refusal(tmp_path, two, with_time("min"), table)
     assert found == ("map.toml", "time.unit", "min", "one of s, ms, us, ns")
     two_tables = with_time("s") + "table = 2\n"
-    assert refusal(tmp_path, two, two_tables, table, short)[::3] == ("map.toml", "one column of 3 rows")
+    assert refusal(tmp_path, two, two_tables, table, short)[::3] == (
+        "map.toml",
+        "one column of 3 rows",
+    )
     assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
     tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
     table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
-    assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
+    assert refusal(tmp_path, two, table_map, *tables) == (
+        "map.toml",
+        "effort",
+        None,
+        "3 as in position",
+    )
 
 
 @pytest.mark.parametrize("timing", ["unknown", "command", "mean", "measured"])

@@ -1,4 +1,6 @@
-"""Positions held against the description's limits: at import, at the decoding of logs, and at a fit."""
+"""Positions held against the description's limits: at import, at the decoding
+of logs, and at a fit.
+"""
 
 import dataclasses
 import math
@@ -78,9 +80,11 @@ def test_what_a_robot_does_passes_and_small_overshoots_are_told(q, told):
     [
         (beyond(4, 0.51), ["joint joint_5 at"], ""),
         (swinging(0, 3.2), ["joint joint_1 at"], ""),
-        (np.degrees(moving()), ["joint joint_1 at ", "limits -180 deg and 180 deg", "are they degrees, declared as rad"], ""),
+        (np.degrees(moving()), ["joint joint_1 at ", "limits -180 deg and 180 deg",
+                                "are they degrees, declared as rad"], ""),
         (100 * np.degrees(moving()), ["expected"], "degrees"),
-        (np.degrees(SLOW), ["speed", "degrees read as radians"], ""),  # so small that it stays within the limits
+        # so small that it stays within the limits
+        (np.degrees(SLOW), ["speed", "degrees read as radians"], ""),
     ],
 )  # fmt: skip
 def test_what_no_robot_does_is_refused(q, words, without):
@@ -121,7 +125,9 @@ def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots(session):
     q[6000:, 0] += math.radians(72)
     with pytest.raises(BadInputError, match=r"session.mcap: joint shoulder jumps by 71.98 deg"):
         make_settings(dataclasses.replace(session, q=q), Overrides())
-    shifted = dataclasses.replace(session, q=session.q + np.array([high + 0.2 - session.q[:, 0].max(), 0]))
+    shifted = dataclasses.replace(
+        session, q=session.q + np.array([high + 0.2 - session.q[:, 0].max(), 0])
+    )
     assert any("joint shoulder at" in text for text in make_settings(shifted, Overrides()).warnings)
 
 
@@ -130,11 +136,15 @@ def test_real_records_pass_and_a_wrong_ratio_is_refused_at_import(tmp_path, emps
         signals = load_signals(path)
         check_recorded_positions(signals.robot, signals.t_s, signals.q, path.name)
     folder, out, table_map = REPLAY / "emps", tmp_path / "out.mcap", tmp_path / "map.toml"
-    table_map.write_text((folder / "map.toml").read_text().replace('unit = "m"', 'side = "motor"\nunit = "rad"'))
+    table_map.write_text(
+        (folder / "map.toml").read_text().replace('unit = "m"', 'side = "motor"\nunit = "rad"')
+    )
     robot = load_robot(folder / "robot.toml")
     motor = type(robot.motors[0])(name="m", drive_gain=35.0, drive_gain_unit="N/V")
     fast = dataclasses.replace(robot, motors=(motor,), R=np.array([[0.1]]))
-    with pytest.raises(BadInputError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"):
+    with pytest.raises(
+        BadInputError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"
+    ):
         import_tables([needs_data("emps", "DATA_EMPS.mat")], fast, table_map, out)
     assert not out.exists()
 
@@ -144,14 +154,18 @@ def urdf_arm(effort="80", elbow="", rail="", **instead):
     for old, new in instead.values():
         text = text.replace(old, new)
     return robot_from_files(
-        {"robot.toml": text.encode(), "robot.urdf": TURN_AND_SLIDE.format(effort=effort).encode()}, "here"
+        {"robot.toml": text.encode(), "robot.urdf": TURN_AND_SLIDE.format(effort=effort).encode()},
+        "here",
     )
 
 
 @pytest.mark.parametrize(
     ("keys", "key", "value"),
     [
-        *(({"effort": effort}, "urdf: joint elbow: effort", effort) for effort in ("-3", "inf", "nan", "much")),
+        *(
+            ({"effort": effort}, "urdf: joint elbow: effort", effort)
+            for effort in ("-3", "inf", "nan", "much")
+        ),
         ({"elbow": "effort_n = 3"}, "joint[0].effort_n", 3),
         ({"rail": "effort_nm = 3"}, "joint[1].effort_nm", 3),
         ({"elbow": "effort_nm = -3"}, "joint[0].effort_nm", -3),
@@ -171,7 +185,9 @@ def test_an_effort_that_is_no_limit_is_refused(keys, key, value):
         ({"elbow": "effort_nm = 7", "rail": "effort_n = 8"}, [7.0, 8.0], [7.0, 8.0]),
     ],
 )
-def test_the_limit_is_that_of_the_description_else_of_the_urdf_or_the_smaller_one_of_its_drive(keys, stated, limits):
+def test_the_limit_is_that_of_the_description_else_of_the_urdf_or_the_smaller_one_of_its_drive(
+    keys, stated, limits
+):
     robot = urdf_arm(**keys)
     assert [joint.si("effort") for joint in robot.joints] == stated
     assert effort_limits(robot).names == ("joint elbow", "joint rail")
@@ -185,19 +201,25 @@ def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_o
     assert limits.names == (*(f"joint joint_{j}" for j in (1, 2, 3, 4, 6)), "motor motor_5")
     assert limits.limits[[0, -1]] == pytest.approx([2.0 * 32, 2.0])
     tau = np.array([1.0, 2, 3, 4, 5, 6])
-    assert limits.directions @ tau == pytest.approx([1, 2, 3, 4, 6, TX40.motor_effort(tau[None])[0, 4]])
+    assert limits.directions @ tau == pytest.approx(
+        [1, 2, 3, 4, 6, TX40.motor_effort(tau[None])[0, 4]]
+    )
     assert limits.units[-1] == "N m"
 
 
 def test_efforts_in_newton_metres_do_not_limit_amperes():
     gain, force = 'drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 'effort_unit = "N"'
-    limits = effort_limits(urdf_arm(elbow_in=(gain, 'effort_unit = "A"'), rail_in=(force, 'effort_unit = "A"')))
+    limits = effort_limits(
+        urdf_arm(elbow_in=(gain, 'effort_unit = "A"'), rail_in=(force, 'effort_unit = "A"'))
+    )
     assert (limits.names, limits.units) == (("joint elbow",), ("A",))
     assert limits.limits == pytest.approx([0.3 * 50])
 
 
 def limited(signals: Signals, effort_nm: float) -> Signals:
-    joints = tuple(msgspec.structs.replace(joint, effort_nm=effort_nm) for joint in signals.robot.joints)
+    joints = tuple(
+        msgspec.structs.replace(joint, effort_nm=effort_nm) for joint in signals.robot.joints
+    )
     return dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
 
 
@@ -205,13 +227,18 @@ def test_a_fit_to_efforts_beyond_a_limit_is_not_trusted(session):
     fit = identify(limited(session, 0.01), Overrides(), method="iv")
     (line,) = (line for line in fit.trust.lines if line.test == "effort")
     assert line.text.startswith("effort of joint shoulder up to ")
-    assert line.text.split(": check")[0].split("; ") == [text for text in fit.warnings if text.startswith("effort of ")]
+    assert line.text.split(": check")[0].split("; ") == [
+        text for text in fit.warnings if text.startswith("effort of ")
+    ]
     assert (fit.trust.verdict, fit.trust.finding) == ("caution", "effort beyond its limit")
 
 
 def test_an_effort_a_fifth_beyond_its_limit_is_told_but_where_gains_are_looked_for(session):
     assert check_recorded_efforts(urdf_arm(), np.array([[10.0, 40.0], [-35.9, -47.9]])) == ()
-    told = ("effort of joint elbow up to 36.1 N m: limit 30 N m", "effort of joint rail up to 48.1 N: limit 40 N")
+    told = (
+        "effort of joint elbow up to 36.1 N m: limit 30 N m",
+        "effort of joint rail up to 48.1 N: limit 40 N",
+    )
     assert check_recorded_efforts(urdf_arm(), np.array([[-36.1, 48.1]])) == told
     low = limited(session, 0.01)
     assert len(make_settings(low, Overrides()).overloads) == 2

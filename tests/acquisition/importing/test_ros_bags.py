@@ -8,9 +8,30 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 from controller_bags import CONTROLLER, HUMBLE, OLD, STORES, controller_bag
-from made_up_bags import DQ, EFFORT, FIRST_NS, NAMES, RATE_HZ, STATE, STORE, TEXT, N, Q, T, bag, message
+from made_up_bags import (
+    DQ,
+    EFFORT,
+    FIRST_NS,
+    NAMES,
+    RATE_HZ,
+    STATE,
+    STORE,
+    TEXT,
+    N,
+    Q,
+    T,
+    bag,
+    message,
+)
 from made_up_recordings import header
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from acquisition.commands import main
@@ -47,10 +68,13 @@ STORAGES = {
 }
 
 
-BARE = ("mcap", "mcap, zstd", "db3")  # of the others the folder's metadata.yaml alone says how they are compressed
+# of the others the folder's metadata.yaml alone says how they are compressed
+BARE = ("mcap", "mcap, zstd", "db3")
 
 
-@pytest.mark.parametrize(("kind", "whole_folder"), [*((k, True) for k in STORAGES), *((k, False) for k in BARE)])
+@pytest.mark.parametrize(
+    ("kind", "whole_folder"), [*((k, True) for k in STORAGES), *((k, False) for k in BARE)]
+)
 def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder):
     storage, compression = STORAGES[kind]
     path = bag(tmp_path / "a_bag", map(message, range(N)), storage=storage, compression=compression)
@@ -62,10 +86,14 @@ def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder)
         assert samples[name] == pytest.approx(true, abs=1e-12)
     assert samples["stamp_ns"].tolist() == [FIRST_NS + k * 10_000_000 for k in range(N)]
     assert recording.sample_rate_hz == RATE_HZ
-    told = f"effort of {path}: /joint_states: N m at the joint, as stated; joint effort = value in N m"
+    told = (
+        f"effort of {path}: /joint_states: N m at the joint, as stated; joint effort = value in N m"
+    )
     assert recording.metadata["effort_provenance"] == told
     assert recording.metadata["effort_timing"] == "measured at the instant of the sample"
-    assert recording.metadata["times"].startswith(f"header stamps of {N} rows: steps 10 to 10 ms, median 10 ms")
+    assert recording.metadata["times"].startswith(
+        f"header stamps of {N} rows: steps 10 to 10 ms, median 10 ms"
+    )
 
 
 def test_joints_go_by_name_and_times_by_header(tmp_path):
@@ -81,25 +109,41 @@ def test_joints_go_by_name_and_times_by_header(tmp_path):
     recording = imported(tmp_path / "a", tmp_path / "out.mcap")
     assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
     assert "velocity" not in recording.samples.dtype.names
-    assert [event.text for event in recording.events] == ["29 messages without any of the joints are left out"]
+    assert [event.text for event in recording.events] == [
+        "29 messages without any of the joints are left out"
+    ]
 
 
 def test_times_are_header_stamps_from_0_on_or_receptions_where_there_are_none(tmp_path, capsys):
     path = bag(tmp_path / "a", (message(k, stamp_ns=0) for k in range(N)))
     assert imported(path, tmp_path / "a.mcap").samples["stamp_ns"][0] == FIRST_NS + 3_000_000
-    assert "warning: headers have no stamps: times are those of reception" in capsys.readouterr().out
-    path = bag(tmp_path / "b", (message(k, stamp_ns=k * 10_000_000) for k in range(N)))  # of simulated time
-    np.testing.assert_array_equal(imported(path, tmp_path / "b.mcap").samples["stamp_ns"], np.arange(N) * 10_000_000)
+    assert (
+        "warning: headers have no stamps: times are those of reception" in capsys.readouterr().out
+    )
+    # of simulated time
+    path = bag(tmp_path / "b", (message(k, stamp_ns=k * 10_000_000) for k in range(N)))
+    np.testing.assert_array_equal(
+        imported(path, tmp_path / "b.mcap").samples["stamp_ns"], np.arange(N) * 10_000_000
+    )
 
 
 def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
-    """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an ampere; N m is of the joints."""
+    """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an
+    ampere; N m is of the joints.
+    """
     left_out = ("effort_unit", "drive_gain", "ratio")
-    text = "\n".join(line for line in TOML.read_text().splitlines() if not line.startswith(left_out))
+    text = "\n".join(
+        line for line in TOML.read_text().splitlines() if not line.startswith(left_out)
+    )
     head, *motors = text.split("[[motor]]")
-    gains = [f'[[motor]]\nratio = {ratio}\ndrive_gain = 3\ndrive_gain_unit = "N m/A"' for ratio in (2, 5)]
+    gains = [
+        f'[[motor]]\nratio = {ratio}\ndrive_gain = 3\ndrive_gain_unit = "N m/A"' for ratio in (2, 5)
+    ]
     text = head + "".join(gain + motor for gain, motor in zip(gains, motors, strict=True))
-    robot, out = robot_from_files({"robot.toml": text.encode()}, "amperes.toml"), tmp_path / "out.mcap"
+    robot, out = (
+        robot_from_files({"robot.toml": text.encode()}, "amperes.toml"),
+        tmp_path / "out.mcap",
+    )
     for unit, factor in (("mA", [0.006, 0.015]), ("N m", [1, 1])):
         import_bag(whole, robot, out, replace(OPTIONS, effort_unit=[unit]))
         assert read_recording(out).samples["effort"] == pytest.approx(EFFORT * factor, abs=1e-12)
@@ -112,7 +156,9 @@ def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
 def edited(count=40, **change):
     """Messages with `change`: a part for all of them, or what makes it of a message's number."""
     for k in range(count):
-        yield message(k, **{name: part(k) if callable(part) else part for name, part in change.items()})
+        yield message(
+            k, **{name: part(k) if callable(part) else part for name, part in change.items()}
+        )
 
 
 def with_value(x, row, value):
@@ -127,15 +173,23 @@ ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
     [
         ({"count": 0}, "", "", None, "the joints shoulder, elbow of robot.toml"),
         ({"effort": None}, "", "", None, "measured torques or currents in them"),
-        ({"effort": 0 * EFFORT}, "", "effort", None, "measured efforts; this driver does not publish them"),
-        ({"effort": with_value(EFFORT, 3, np.nan)}, ": state 4", "effort of joint shoulder", np.nan, "a finite number"),
-        ({"position": with_value(Q, 2, np.inf)}, ": state 3", "position of joint shoulder", np.inf, "a finite number"),
-        ({"names": ("elbow", "wrist")}, ": message 1", "", None, "all joints of robot.toml in each message, by"),
-        ({"velocity": lambda k: None if k == 5 else DQ}, "", "", None, "velocity in all or in none"),
+        ({"effort": 0 * EFFORT}, "", "effort", None,
+         "measured efforts; this driver does not publish them"),
+        ({"effort": with_value(EFFORT, 3, np.nan)}, ": state 4", "effort of joint shoulder",
+         np.nan, "a finite number"),
+        ({"position": with_value(Q, 2, np.inf)}, ": state 3", "position of joint shoulder", np.inf,
+         "a finite number"),
+        ({"names": ("elbow", "wrist")}, ": message 1", "", None,
+         "all joints of robot.toml in each message, by"),
+        ({"velocity": lambda k: None if k == 5 else DQ}, "", "", None,
+         "velocity in all or in none"),
         ({"frame": lambda k: "" if k % 2 else "left"}, ": message 2", "", None, ONE_PUBLISHER),
-        ({"names": lambda k: NAMES if k % 2 else NAMES[::-1]}, ": message 2", "", None, ONE_PUBLISHER),
-        ({"stamp_ns": lambda k: FIRST_NS + (k - 30 * (k % 2)) * 10**7}, "", "row 2", None, "growing times of one source"),
-        ({"stamp_ns": lambda k: FIRST_NS + (k // 2) * 10**7}, "", "row 2", None, "one row for each time"),
+        ({"names": lambda k: NAMES if k % 2 else NAMES[::-1]}, ": message 2", "", None,
+         ONE_PUBLISHER),
+        ({"stamp_ns": lambda k: FIRST_NS + (k - 30 * (k % 2)) * 10**7}, "", "row 2", None,
+         "growing times of one source"),
+        ({"stamp_ns": lambda k: FIRST_NS + (k // 2) * 10**7}, "", "row 2", None,
+         "one row for each time"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, value, expected):
@@ -144,12 +198,18 @@ def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, v
         import_bag(folder, robot, out, OPTIONS)
     assert not out.exists()
     error = caught.value
-    assert (error.place, error.key, repr(error.value)) == (f"{folder}: /joint_states{place}", key, repr(value))
+    assert (error.place, error.key, repr(error.value)) == (
+        f"{folder}: /joint_states{place}",
+        key,
+        repr(value),
+    )
     assert error.expected.startswith(expected)
 
 
 def in_turns(every=1, **other):
-    """The states of the driver, and 5 ms after each one of a second node with the same names and `other` parts."""
+    """The states of the driver, and 5 ms after each one of a second node with the same
+    names and `other` parts.
+    """
     for k in range(N):
         yield message(k)
         if k % every == 0:
@@ -174,12 +234,15 @@ def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
 
 
 def test_true_states_are_of_one_publisher(tmp_path):
-    """In coarse numbers; with drives that are off at first and at the end; with a current that passes zero."""
+    """In coarse numbers; with drives that are off at first and at the end; with a
+    current that passes zero.
+    """
     off = ((T < 0.3) | (T > 1.7))[:, None]
     cases = [
         (np.round(Q, 2), np.round(EFFORT, 1)),
         (Q, np.where(off, 0.0, EFFORT)),
-        (np.round(np.outer(np.arange(N), [0.015, 0.01]), 2), EFFORT),  # steps of one and two digits in turns
+        # steps of one and two digits in turns
+        (np.round(np.outer(np.arange(N), [0.015, 0.01]), 2), EFFORT),
         (Q, np.rint(EFFORT * [5.0, 0.0])),
     ]
     for k, (q, effort) in enumerate(cases):
@@ -191,7 +254,9 @@ def test_several_publishers_are_told(tmp_path):
     none, kinds = QosTime(0, 0), (QosHistory, int, QosReliability, QosDurability)
     qos = Qos(*(kind(1) for kind in kinds), none, none, QosLiveliness(1), none, False)
     with Writer(tmp_path / "a", version=9) as w:
-        states = w.add_connection("/joint_states", STATE, typestore=STORE, offered_qos_profiles=[qos, qos])
+        states = w.add_connection(
+            "/joint_states", STATE, typestore=STORE, offered_qos_profiles=[qos, qos]
+        )
         for k in range(N):
             w.write(states, FIRST_NS + k * 10_000_000, STORE.serialize_cdr(message(k), STATE))
     found = import_bag(tmp_path / "a", robot_named("scara"), tmp_path / "out.mcap", OPTIONS)
@@ -202,7 +267,8 @@ def test_doubts_about_a_bag_are_told_and_kept(tmp_path):
     late_ns = np.random.default_rng(4).integers(0, 4_000_000, N).tolist()
     unknown = DQ * np.where(np.arange(N) == 7, np.nan, 1)[:, None]
     messages = [
-        message(k, stamp_ns=FIRST_NS + k * 10_000_000 + late, velocity=unknown) for k, late in enumerate(late_ns)
+        message(k, stamp_ns=FIRST_NS + k * 10_000_000 + late, velocity=unknown)
+        for k, late in enumerate(late_ns)
     ]
     messages.insert(50, messages[49])
     recording = imported(bag(tmp_path / "late", messages), tmp_path / "out.mcap")
@@ -227,14 +293,20 @@ def reversed_reference(t):
 
 
 def with_controllers(path, topics, version=HUMBLE, storage=StoragePlugin.MCAP):
-    return controller_bag(path, [(FIRST_NS + k * 10_000_000, message(k)) for k in range(N)], topics, version, storage)
+    return controller_bag(
+        path, [(FIRST_NS + k * 10_000_000, message(k)) for k in range(N)], topics, version, storage
+    )
 
 
 @pytest.mark.parametrize("storage", ["mcap", "db3 without definitions"])
 @pytest.mark.parametrize("version", STORES)
-def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_states(tmp_path, version, storage, capsys):
+def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_states(
+    tmp_path, version, storage, capsys
+):
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    path = with_controllers(tmp_path / "a", {CONTROLLER: states_of(reversed_reference)}, version, plugin)
+    path = with_controllers(
+        tmp_path / "a", {CONTROLLER: states_of(reversed_reference)}, version, plugin
+    )
     for file in path.glob("*.db3"):
         with closing(sqlite3.connect(file)) as database, database:
             database.execute("DELETE FROM message_definitions")
@@ -243,13 +315,19 @@ def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_state
     np.testing.assert_allclose(samples["reference"], reversed_reference(at_s).T[:, ::-1], atol=2e-7)
     np.testing.assert_allclose(samples["position"], Q[11:190], atol=1e-12)
     assert at_s[0] == pytest.approx(0.11)
-    told = f"reference: {CONTROLLER}, 144 rows at 80 Hz, interpolated; 21 samples before and after it left out\n"
+    told = (
+        f"reference: {CONTROLLER}, 144 rows at 80 Hz, interpolated; 21 samples before and "
+        "after it left out\n"
+    )
     assert told in capsys.readouterr().out
 
 
 def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_path, robot):
     gripper = {"/gripper/controller_state": states_of(reversed_reference, names=("finger",))}
-    two = {CONTROLLER: states_of(reversed_reference), "/other/state": states_of(lambda t: 0.5 * reversed_reference(t))}
+    two = {
+        CONTROLLER: states_of(reversed_reference),
+        "/other/state": states_of(lambda t: 0.5 * reversed_reference(t)),
+    }
     path, out = with_controllers(tmp_path / "a", gripper | two), tmp_path / "out.mcap"
     with pytest.raises(BadInputError, match=f"has the references {CONTROLLER}, /other/state"):
         import_bag(path, robot, out, OPTIONS)
@@ -264,22 +342,30 @@ def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_pat
 @pytest.mark.parametrize(
     ("states", "problem"),
     [
-        (states_of(reversed_reference, names=("elbow", "wrist")), "message 1: joints shoulder missing in elbow, wrist"),
-        (states_of(lambda t: np.array([np.nan if t > 1 else 0.0, 0.0])), "state 73: position of joint elbow = nan"),
-        (states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60))), "time: a gap of 0.1375 s"),
-        (states_of(reversed_reference, OWN_NS + 10**10), "time: from 10.103 s to 11.8905 s after the first joint state"),
+        (states_of(reversed_reference, names=("elbow", "wrist")),
+         "message 1: joints shoulder missing in elbow, wrist"),
+        (states_of(lambda t: np.array([np.nan if t > 1 else 0.0, 0.0])),
+         "state 73: position of joint elbow = nan"),
+        (states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60))),
+         "time: a gap of 0.1375 s"),
+        (states_of(reversed_reference, OWN_NS + 10**10),
+         "time: from 10.103 s to 11.8905 s after the first joint state"),
         ([], "has no messages"),
         (states_of(reversed_reference, np.full(9, -FIRST_NS)), "time: only one has them"),
     ],
 )  # fmt: skip
-def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal(tmp_path, robot, states, problem):
+def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal(
+    tmp_path, robot, states, problem
+):
     path = with_controllers(tmp_path / "a", {CONTROLLER: states}, OLD)
     found = import_bag(path, robot, tmp_path / "out.mcap", OPTIONS)
     assert not found.has_reference
     (warning,) = found.warnings
     assert warning.startswith(f"no reference: {path}: {CONTROLLER}: {problem}")
     with pytest.raises(BadInputError) as refused:
-        import_bag(path, robot, tmp_path / "asked.mcap", replace(OPTIONS, reference_topic=CONTROLLER))
+        import_bag(
+            path, robot, tmp_path / "asked.mcap", replace(OPTIONS, reference_topic=CONTROLLER)
+        )
     assert f"no reference: {refused.value}" == warning
     assert not (tmp_path / "asked.mcap").exists()
 
@@ -288,7 +374,11 @@ def test_a_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
     for part, topic, problem in (
         ("reference_topic", "/rosout", f"has type {TEXT}"),
         ("reference_topic", "/away", "does not exist"),
-        ("topic", "/away", "does not exist: expected one of sensor_msgs/msg/JointState: /joint_states"),
+        (
+            "topic",
+            "/away",
+            "does not exist: expected one of sensor_msgs/msg/JointState: /joint_states",
+        ),
     ):
         with pytest.raises(BadInputError, match=f"topic {topic} {problem}"):
             import_bag(whole, robot, tmp_path / "out.mcap", replace(OPTIONS, **{part: topic}))
@@ -301,10 +391,26 @@ def test_options_that_do_not_go_together(tmp_path, whole, capsys):
         (topic, "--effort-unit is missing: a bag does not contain it: expected the unit"),
         ((*topic, unit, "Nm"), "--effort-unit = 'Nm': expected one of A, mA"),
         ((*topic, unit, "A,A,A"), "--effort-unit: 3 units: expected one, or 2"),
-        ((*topic, unit, "N m", "--resample-hz", "-1"), "--resample-hz = -1.0: expected a number above 0"),
+        (
+            (*topic, unit, "N m", "--resample-hz", "-1"),
+            "--resample-hz = -1.0: expected a number above 0",
+        ),
         ((unit, "A"), "--effort-unit = 'A': is only for ROS 2 bags: expected --topic"),
     ):
-        assert main(["import", str(whole), "--robot", str(TOML), "-o", str(tmp_path / "out.mcap"), *options]) == 1
+        assert (
+            main(
+                [
+                    "import",
+                    str(whole),
+                    "--robot",
+                    str(TOML),
+                    "-o",
+                    str(tmp_path / "out.mcap"),
+                    *options,
+                ]
+            )
+            == 1
+        )
         assert told in capsys.readouterr().err
 
 
@@ -316,12 +422,16 @@ def test_files_that_are_no_bags(tmp_path, robot, capsys):
         pass
     (cut,) = bag(tmp_path / "cut", map(message, range(N))).glob("*.mcap")
     cut.write_bytes(cut.read_bytes()[:20_000])
-    (spoilt,) = bag(tmp_path / "spoilt", map(message, range(20)), storage=StoragePlugin.SQLITE3).glob("*.db3")
+    (spoilt,) = bag(
+        tmp_path / "spoilt", map(message, range(20)), storage=StoragePlugin.SQLITE3
+    ).glob("*.db3")
     with closing(sqlite3.connect(spoilt)) as database, database:
         database.execute("UPDATE messages SET data = x'00' WHERE id > 10")
     for name in ("folder", "text.mcap", "text.db3", "own.mcap", "cut", "missing.mcap", "spoilt"):
         assert run(tmp_path / name, tmp_path / "out.mcap") == 1
         err = capsys.readouterr().err
-        assert f"{tmp_path / name}: cannot be read{' after 9 messages' * (name == 'spoilt')}: " in err
+        assert (
+            f"{tmp_path / name}: cannot be read{' after 9 messages' * (name == 'spoilt')}: " in err
+        )
         assert err.count("\n") == 1
         assert not (tmp_path / "out.mcap").exists()

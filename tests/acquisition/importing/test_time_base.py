@@ -1,4 +1,6 @@
-"""Times of rows: what is interpolated, what is refused, what is told, against times made by hand."""
+"""Times of rows: what is interpolated, what is refused, what is told,
+against times made by hand.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,13 +24,20 @@ def motion(t: np.ndarray) -> np.ndarray:
     return np.stack([0.5 * np.sin(3 * t), 0.2 * np.cos(5 * t)], axis=1)
 
 
-def on_grid(t: np.ndarray, rate_hz: float | None = 100.0, largest_gap_periods: float = 3.0, **parts: np.ndarray):
+def on_grid(
+    t: np.ndarray,
+    rate_hz: float | None = 100.0,
+    largest_gap_periods: float = 3.0,
+    **parts: np.ndarray,
+):
     parts, place = parts or {"q": motion(t)}, Place("log")
     return resample(t, parts, rate_hz=rate_hz, largest_gap_periods=largest_gap_periods, place=place)
 
 
 def test_values_are_interpolated_at_their_times():
-    """A cubic between rows is off by 5/384 h⁴ of the fourth derivative at most, 40.5 and 125 here."""
+    """A cubic between rows is off by 5/384 h⁴ of the fourth derivative at
+    most, 40.5 and 125 here.
+    """
     found = on_grid(UNEVEN)
     t = found.start_s + np.arange(len(found.parts["q"])) / 100
     assert found.start_s == UNEVEN[0]
@@ -39,14 +48,19 @@ def test_values_are_interpolated_at_their_times():
 
 
 def test_the_report_by_hand():
-    """Steps of 10, 10, 8, 12, 10, 30 and 10 ms: two rows missing in one gap, a deviation of 1.15 ms of the others."""
+    """Steps of 10, 10, 8, 12, 10, 30 and 10 ms: two rows missing in one gap, a deviation of
+    1.15 ms of the others.
+    """
     t = 5 + np.cumsum([0, 10, 10, 8, 12, 10, 30, 10]) * 1e-3
     report = time_report(t, doubled=2)
     assert (report.rows, report.doubled, report.gaps, report.missing) == (8, 2, 1, 2)
-    assert (report.shortest_s, report.period_s, report.longest_s) == pytest.approx((0.008, 0.010, 0.030))
+    assert (report.shortest_s, report.period_s, report.longest_s) == pytest.approx(
+        (0.008, 0.010, 0.030)
+    )
     assert report.jitter_s == pytest.approx(np.std([10, 10, 8, 12, 10, 10]) * 1e-3)
     told = (
-        "stamps of 8 rows: steps 8 to 30 ms, median 10 ms, jitter sd 1.155 ms, 1 gaps, 2 rows missing, 2 doubled rows"
+        "stamps of 8 rows: steps 8 to 30 ms, median 10 ms, jitter sd 1.155 ms, 1 gaps, 2 rows "
+        "missing, 2 doubled rows"
     )
     assert report.text == f"{told} left out"
     assert time_report(t[:5]).text.endswith("no gaps, no doubled rows")
@@ -57,8 +71,16 @@ def test_rows_that_contradict_each_other_are_refused():
     q = motion(twice)
     q[8, 1] += 1e-6
     for t, parts, told in (
-        (twice, {"position": q}, "log: row 9: position differs from the row before at the same time, "),
-        (np.concatenate([UNEVEN[:5], UNEVEN[2:]]), {}, r"row 6: time runs backwards: 0\.0\d+ s after 0\.0\d+ s"),
+        (
+            twice,
+            {"position": q},
+            "log: row 9: position differs from the row before at the same time, ",
+        ),
+        (
+            np.concatenate([UNEVEN[:5], UNEVEN[2:]]),
+            {},
+            r"row 6: time runs backwards: 0\.0\d+ s after 0\.0\d+ s",
+        ),
         (UNEVEN[[0, 0, 1, 2]], {}, "3 rows of different times: expected 4 at least"),
     ):
         with pytest.raises(BadInputError, match=told):
@@ -71,7 +93,10 @@ def test_gaps_beyond_what_is_stated_are_refused():
     assert on_grid(two).report.missing == 2
     with pytest.raises(BadInputError) as caught:
         on_grid(three)
-    assert "log: time: a gap of 0.04 s after 0.49 s, 4.0 periods: expected 3 periods of 0.01 s" in str(caught.value)
+    assert (
+        "log: time: a gap of 0.04 s after 0.49 s, 4.0 periods: expected 3 periods of 0.01 s"
+        in str(caught.value)
+    )
     assert on_grid(three, None, 4).rate_hz == 100.0
 
 
@@ -91,13 +116,16 @@ def test_stamps_of_a_clock_read_late_are_told_from_uneven_rows():
         # Noise of the position, 0.5 ms of motion here, leaves it to be seen; more of it hides it.
         (stamps, motion(even) + 5e-4 * RNG.standard_normal((600, 2)), True),
         (stamps, motion(even) + 0.02 * RNG.standard_normal((600, 2)), False),
-        (stamps[kept], (motion(even) + noise)[kept], True),  # numbers of rows are counted on where some are missing
+        # numbers of rows are counted on where some are missing
+        (stamps[kept], (motion(even) + noise)[kept], True),
     ):
         assert (stamps_warning(t, q, "go") is not None) == is_told
 
 
 def test_stamps_off_by_a_tick_are_found_and_no_others():
-    """Of rows at their stamps, one in fifteen is off by 1 ms; those of a joint that stands tell nothing."""
+    """Of rows at their stamps, one in fifteen is off by 1 ms; those of a joint
+    that stands tell nothing.
+    """
     stamps, wrong = UNEVEN.copy(), np.arange(5, 395, 15)
     stamps[wrong] += 0.001 * np.where(np.arange(len(wrong)) % 2, 1, -1)
     q = motion(UNEVEN) + 1e-5 * RNG.standard_normal((400, 2))
@@ -111,7 +139,8 @@ def test_stamps_off_by_a_tick_are_found_and_no_others():
     assert off < 3e-4
     assert np.abs(on_grid(stamps, q=q).parts["q"] - motion(t))[10:-10].max() > 3 * off
     for right, positions in (
-        (UNEVEN + 0.3 * (stamps - UNEVEN), motion(UNEVEN)),  # less than a twentieth of a period, however plain
+        # less than a twentieth of a period, however plain
+        (UNEVEN + 0.3 * (stamps - UNEVEN), motion(UNEVEN)),
         (UNEVEN, motion(UNEVEN)),
         (stamps, np.zeros((400, 2))),
         (stamps[:10], q[:10]),
@@ -126,7 +155,9 @@ def settling(t: np.ndarray) -> np.ndarray:
 
 
 def test_true_rows_of_an_arm_that_settles_are_kept():
-    """Among even stamps all of them, also stamps in microseconds; among uneven stamps all but 0.5 %."""
+    """Among even stamps all of them, also stamps in microseconds; among
+    uneven stamps all but 0.5 %.
+    """
     even = np.arange(10_000) * 0.01
     assert rows_in_time(even, settling(even)).all()
     assert rows_in_time(np.round(even, 6), settling(even)).all()
@@ -144,7 +175,10 @@ def test_grids_coarser_or_much_finer_than_the_rows_and_many_rows_left_out_are_to
     assert doubts(100.0, off=10)[0].startswith("2.5 % of the rows are left out")
     assert rate_warnings(time_report(UNEVEN)) == []
     for rate_hz in (1e-3, 1e9):
-        with pytest.raises(BadInputError, match=r"resample_hz = .*: expected about the 100 Hz of the rows, which last"):
+        with pytest.raises(
+            BadInputError,
+            match=r"resample_hz = .*: expected about the 100 Hz of the rows, which last",
+        ):
             doubts(rate_hz)
 
 
@@ -154,7 +188,13 @@ TICKS_MAP, K = MAP.replace('column = "t"', 'ticks = "k"\ntick_s = 0.001'), np.ar
 
 def table(folder: Path, columns: dict[str, np.ndarray]) -> Path:
     path = folder / "log.csv"
-    np.savetxt(path, np.stack([*columns.values()], axis=1), delimiter=",", header=",".join(columns), comments="")
+    np.savetxt(
+        path,
+        np.stack([*columns.values()], axis=1),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
     return path
 
 
@@ -172,14 +212,20 @@ def run(folder: Path, path: Path, text: str):
 
 
 def test_a_counter_is_the_time(tmp_path):
-    """Ticks of a millisecond, counted from 5000, four rows missing; stamps of a PC beside them are off by 1.2 ms."""
+    """Ticks of a millisecond, counted from 5000, four rows missing; stamps of a PC beside
+    them are off by 1.2 ms.
+    """
     ticks = 5000 + 10 * np.delete(np.arange(400), [40, 41, 200, 300])
     t = ticks * 1e-3
     path = table(tmp_path, columns(t, k=ticks, t=77.0 + t + 0.0012 * RNG.standard_normal(len(t))))
     found = run(tmp_path, path, TICKS_MAP)
     recording = read_recording(found.out)
-    assert recording.samples["stamp_ns"].tolist() == [5_000_000_000 + 10_000_000 * k for k in range(400)]
-    assert recording.samples["position"] == pytest.approx(motion(5 + np.arange(400) / 100), abs=1e-5)
+    assert recording.samples["stamp_ns"].tolist() == [
+        5_000_000_000 + 10_000_000 * k for k in range(400)
+    ]
+    assert recording.samples["position"] == pytest.approx(
+        motion(5 + np.arange(400) / 100), abs=1e-5
+    )
     assert found.times.startswith("ticks of 396 rows: steps 10 to 30 ms, median 10 ms, jitter ")
     assert found.times.endswith("3 gaps, 4 rows missing, no doubled rows, interpolated to 100 Hz")
     assert found.warnings == ()
@@ -194,14 +240,18 @@ def test_a_counter_is_the_time(tmp_path):
 
 
 def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
-    """Ticks of 1 ms, 2 % of them missing and 2 % twice; stamps are up to 8 ms late, and the arm stands for a second."""
+    """Ticks of 1 ms, 2 % of them missing and 2 % twice; stamps are up to 8 ms late, and the
+    arm stands for a second.
+    """
     rng = np.random.default_rng(0)
     ticks = np.repeat(np.arange(8000), rng.choice([0, 1, 2], 8000, p=[0.02, 0.96, 0.02]))
     t = np.maximum(ticks * 1e-3 - np.clip(ticks * 1e-3 - 4, 0, 1), 0)  # of the motion
     stand = (ticks > 4000) & (ticks < 5000)
     v = np.where(stand[:, None], 0.0, np.stack([1.5 * np.cos(3 * t), -np.sin(5 * t)], axis=1))
     q = motion(t) + 1e-5 * rng.standard_normal((len(t), 2))
-    stamps = np.maximum.accumulate(70 + 1e-3 * ticks + np.minimum(rng.exponential(1.5e-3, len(t)), 8e-3))
+    stamps = np.maximum.accumulate(
+        70 + 1e-3 * ticks + np.minimum(rng.exponential(1.5e-3, len(t)), 8e-3)
+    )
     found = ticks_from_velocity(stamps, q, v, 1e-3)
     moving = ~(stand[1:] | stand[:-1])
     assert (np.diff(found) == np.diff(ticks))[moving].mean() > 0.99
@@ -210,7 +260,9 @@ def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
     path = table(tmp_path, {"t": stamps, "v1": v[:, 0], "v2": v[:, 1]} | named(q))
     by_speed = MAP.replace('column = "t"', 'column = "t"\nticks = "from velocity"\ntick_s = 0.001')
     by_speed = by_speed.replace("= 100", "= 1000")
-    imported = run(tmp_path, path, f'{by_speed}[velocity]\ncolumns = ["v1", "v2"]\nunit = "rad/s"\n')
+    imported = run(
+        tmp_path, path, f'{by_speed}[velocity]\ncolumns = ["v1", "v2"]\nunit = "rad/s"\n'
+    )
     assert imported.times.startswith("ticks of ")
     with pytest.raises(BadInputError) as refused:
         run(tmp_path, path, by_speed)
@@ -225,7 +277,8 @@ def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
         ("tick_s", "tick_s", np.where(K == 3, 3.5, K), "log.csv: row 4", "k", 3.5),
         ("tick_s", 'column = "k"\ntick_s', 10 * K, "map.toml", "time.tick_s", 0.001),
         ("[time]", "sample_rate_hz = 50\n[time]", K, "map.toml", "sample_rate_hz", 50.0),
-        ("[position]", "largest_gap_periods = 1\n[position]", K, "map.toml", "time.largest_gap_periods", 1),
+        ("[position]", "largest_gap_periods = 1\n[position]", K, "map.toml",
+         "time.largest_gap_periods", 1),
         # A counter that runs through its end, in 16 bits.
         ("tick_s", "tick_s", (65_300 + 10 * K) % 65_536, "log.csv: k", "row 25", None),
     ],

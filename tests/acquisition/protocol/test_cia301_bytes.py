@@ -1,4 +1,6 @@
-"""CiA 301 byte for byte: identifiers, SDO, PDO parameters, NMT, heartbeats, emergencies; every frame typed by hand."""
+"""CiA 301 byte for byte: identifiers, SDO, PDO parameters, NMT, heartbeats, emergencies;
+every frame typed by hand.
+"""
 
 import pytest
 from dry_sessions import Answering
@@ -41,7 +43,9 @@ def test_sdo_answers_read(text, kind, key, value):
 
 
 def test_answers_that_are_not_the_one_wanted():
-    assert protocol.check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
+    assert (
+        protocol.check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
+    )
     with pytest.raises(NoAnswerError) as unasked:
         protocol.check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", 5, "x")
     assert (unasked.value.node, unasked.value.place, unasked.value.expected) == (5, "x", "value")
@@ -50,7 +54,11 @@ def test_answers_that_are_not_the_one_wanted():
     assert (aborted.value.code, aborted.value.meaning) == (0xFF000001, "abort")
     with pytest.raises(SdoAbortedError) as known:
         protocol.check_answer(answer_of(data("80 00 20 00 00 00 02 06")), "value", 5, "x")
-    assert (known.value.node, known.value.index, known.value.meaning) == (5, 0x2000, "object does not exist")
+    assert (known.value.node, known.value.index, known.value.meaning) == (
+        5,
+        0x2000,
+        "object does not exist",
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,23 +70,30 @@ def test_identifiers_of_the_predefined_connection_set(direction, expected):
 
 
 TPDO = protocol.Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))
-RPDO = protocol.Pdo(number=3, can_id=0x405, entries=(ObjectEntry(index=0x6040, sub=0, type="U16"), INTERPOLATION))
+RPDO = protocol.Pdo(
+    number=3, can_id=0x405, entries=(ObjectEntry(index=0x6040, sub=0, type="U16"), INTERPOLATION)
+)
 
 
 @pytest.mark.parametrize(
     ("direction", "pdo", "frames"),
     [
         ("tpdo", TPDO,
-         ["23 00 18 01 85 01 00 80", "2F 00 18 02 01 00 00 00", "2F 00 1A 00 00 00 00 00", "23 00 1A 01 10 00 41 60",
-          "23 00 1A 02 20 00 64 60", "23 00 1A 03 10 00 74 60", "2F 00 1A 00 03 00 00 00", "23 00 18 01 85 01 00 00"]),
+         ["23 00 18 01 85 01 00 80", "2F 00 18 02 01 00 00 00", "2F 00 1A 00 00 00 00 00",
+          "23 00 1A 01 10 00 41 60",
+          "23 00 1A 02 20 00 64 60", "23 00 1A 03 10 00 74 60", "2F 00 1A 00 03 00 00 00",
+          "23 00 18 01 85 01 00 00"]),
         ("rpdo", RPDO,
-         ["23 02 14 01 05 04 00 80", "2F 02 14 02 01 00 00 00", "2F 02 16 00 00 00 00 00", "23 02 16 01 10 00 40 60",
+         ["23 02 14 01 05 04 00 80", "2F 02 14 02 01 00 00 00", "2F 02 16 00 00 00 00 00",
+          "23 02 16 01 10 00 40 60",
           "23 02 16 02 08 02 C2 60", "2F 02 16 00 02 00 00 00", "23 02 14 01 05 04 00 00"]),
     ],
 )  # fmt: skip
 def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
     """Off, at every SYNC, no objects, the objects, their number, on: CiA 301, 7.5.2.38."""
-    assert [write_request(*write).hex(" ").upper() for write in protocol.configuration(direction, pdo)] == frames
+    assert [
+        write_request(*write).hex(" ").upper() for write in protocol.configuration(direction, pdo)
+    ] == frames
 
 
 TPDO_VALUES = {
@@ -94,12 +109,15 @@ def test_pdos_out_of_a_drives_parameters():
     assert pdos_of("tpdo", TPDO_VALUES, KINDS, "x") == (expected,)
     assert pdos_of("rpdo", TPDO_VALUES, KINDS, "x") == ()
     of_29_bits = pdos_of("tpdo", TPDO_VALUES | {(0x1801, 1): 0x20000285}, KINDS, "x")
-    assert [pdo.can_id for pdo in of_29_bits] == [0x20000285]  # distinguished from 285h, so that it is refused
+    # distinguished from 285h, so that it is refused
+    assert [pdo.can_id for pdo in of_29_bits] == [0x20000285]
     last = {(0x15FF, 1): 0x301, (0x17FF, 0): 1, (0x17FF, 1): 0x60410010}
     assert [(pdo.number, pdo.can_id) for pdo in pdos_of("rpdo", last, KINDS, "x")] == [(512, 0x301)]
 
 
-@pytest.mark.parametrize("change", [{(0x1801, 1): 0x80000285}, {(0x1801, 1): 0}, {(0x1A01, 0): 0}, {(0x1801, 1): None}])
+@pytest.mark.parametrize(
+    "change", [{(0x1801, 1): 0x80000285}, {(0x1801, 1): 0}, {(0x1A01, 0): 0}, {(0x1801, 1): None}]
+)
 def test_pdos_that_are_switched_off(change):
     values = {key: value for key, value in (TPDO_VALUES | change).items() if value is not None}
     assert pdos_of("tpdo", values | {(0x1801, 2): 1}, KINDS, "x") == ()
@@ -108,7 +126,8 @@ def test_pdos_that_are_switched_off(change):
 def test_objects_in_pdos_by_their_bits():
     unknown = {(0x1800, 1): 0x185, (0x1A00, 0): 2, (0x1A00, 1): 0x20000120}
     (pdo,) = pdos_of("tpdo", unknown, {}, "x")
-    assert pdo.entries == (ObjectEntry(index=0x2000, sub=1, type="U32"),)  # the second place is empty
+    # the second place is empty
+    assert pdo.entries == (ObjectEntry(index=0x2000, sub=1, type="U32"),)
     for word in (0x60640010, 0x20000101, 0x200001FF):
         with pytest.raises(BadInputError) as caught:
             pdos_of("tpdo", unknown | {(0x1A00, 1): word}, KINDS, "x")
@@ -118,7 +137,8 @@ def test_objects_in_pdos_by_their_bits():
 def test_values_in_a_frame():
     values = {(0x6041, 0): 0x9237, (0x6064, 0): -5, (0x6074, 0): -300}
     assert TPDO.pack(values) == data("37 92 FB FF FF FF D4 FE")
-    assert TPDO.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values  # what is beyond belongs to nobody
+    # what is beyond belongs to nobody
+    assert TPDO.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values
     with pytest.raises(BadInputError, match="PDO 0x185: 7 bytes: expected 8"):
         TPDO.unpack(data("37 92 FB FF FF FF D4"))
     assert [TPDO.offset(0x6041, 0), TPDO.offset(0x6064, 0), TPDO.offset(0x6074, 0)] == [0, 2, 6]
@@ -127,15 +147,20 @@ def test_values_in_a_frame():
 
 
 def test_bits_on_the_wire():
-    """47 of frame and gap, 8 for each byte, and a stuffing bit for four of the 34 + 8 n - 1 that are stuffed."""
+    """47 of frame and gap, 8 for each byte, and a stuffing bit for four of the 34 + 8
+    n - 1 that are stuffed.
+    """
     assert [protocol.frame_bits(n) for n in range(9)] == [55, 65, 75, 85, 95, 105, 115, 125, 135]
     pdos = [TPDO, protocol.Pdo(number=1, can_id=0x205, entries=(POSITION,))]
-    assert protocol.bus_load(pdos, bitrate=500_000, sync_period_s=0.002) == pytest.approx((55 + 135 + 95) / 1000)
+    assert protocol.bus_load(pdos, bitrate=500_000, sync_period_s=0.002) == pytest.approx(
+        (55 + 135 + 95) / 1000
+    )
 
 
 @pytest.mark.parametrize(
     ("period_s", "expected"),
-    [(0.001, (1, -3)), (0.004, (4, -3)), (0.255, (255, -3)), (0.0005, (5, -4)), (0.0125, (125, -4)), (0.00025, (25, -5)),
+    [(0.001, (1, -3)), (0.004, (4, -3)), (0.255, (255, -3)), (0.0005, (5, -4)),
+     (0.0125, (125, -4)), (0.00025, (25, -5)),
      (0.000125, (125, -6))],
 )  # fmt: skip
 def test_the_interpolation_period_of_60c2(period_s, expected):
@@ -164,8 +189,10 @@ def written(node, *frames: str) -> None:
 
 
 MAPPED = (
-    "23 00 14 01 05 02 00 80", "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60", "23 00 16 02 20 00 7A 60",
-    "2F 00 16 00 02 00 00 00", "2F 00 14 02 01 00 00 00", "23 00 14 01 05 02 00 00", "23 00 1A 01 10 00 41 60",
+    "23 00 14 01 05 02 00 80", "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60",
+    "23 00 16 02 20 00 7A 60",
+    "2F 00 16 00 02 00 00 00", "2F 00 14 02 01 00 00 00", "23 00 14 01 05 02 00 00",
+    "23 00 1A 01 10 00 41 60",
     "2F 00 1A 00 01 00 00 00", "23 00 18 01 85 01 00 00",
 )  # fmt: skip
 
@@ -183,7 +210,13 @@ def commanded(node, control: str) -> str:
 def test_boot_up_and_heartbeats(node):
     assert node.boot() == [(0x705, data("00"))]
     assert node.heartbeat() == [(0x705, data("7F"))]
-    for command, expected in (("01 05", "05"), ("02 05", "04"), ("80 00", "7F"), ("01 00", "05"), ("02 06", "05")):
+    for command, expected in (
+        ("01 05", "05"),
+        ("02 05", "04"),
+        ("80 00", "7F"),
+        ("01 00", "05"),
+        ("02 06", "05"),
+    ):
         assert node.receive(0x000, data(command)) == []
         assert node.heartbeat() == [(0x705, data(expected))]
     for command in ("81 05", "82 05", "81 00"):
@@ -199,8 +232,12 @@ def test_a_reset_forgets_values_mapping_and_state(node):
     commanded(node, "06 00")
     assert node.receive(0x000, data("81 05")) == [(0x705, data("00"))]
     assert (node.tpdos, node.rpdos, node.state) == ((), (), State.SWITCH_ON_DISABLED)
-    assert node.receive(0x605, data("40 60 60 00 00 00 00 00")) == [(0x585, data("4F 60 60 00 00 00 00 00"))]
-    assert node.receive(0x605, data("40 00 14 01 00 00 00 00")) == [(0x585, data("43 00 14 01 00 00 00 80"))]
+    assert node.receive(0x605, data("40 60 60 00 00 00 00 00")) == [
+        (0x585, data("4F 60 60 00 00 00 00 00"))
+    ]
+    assert node.receive(0x605, data("40 00 14 01 00 00 00 00")) == [
+        (0x585, data("43 00 14 01 00 00 00 80"))
+    ]
 
 
 @pytest.mark.parametrize(
@@ -230,17 +267,25 @@ def test_mapping_is_refused_where_cia_301_refuses_it(node):
     objects_are_counted = node.receive(0x605, data("23 00 16 01 10 00 40 60"))
     assert objects_are_counted == [(0x585, data("80 00 16 01 22 00 00 08"))]
     written(node, "23 00 14 01 05 02 00 00")
-    assert node.receive(0x605, data("2F 00 16 00 00 00 00 00")) == [(0x585, data("80 00 16 00 22 00 00 08"))]
+    assert node.receive(0x605, data("2F 00 16 00 00 00 00 00")) == [
+        (0x585, data("80 00 16 00 22 00 00 08"))
+    ]
     long = ("23 01 1A 01 20 00 64 60", "23 01 1A 02 20 00 64 60", "23 01 1A 03 08 00 61 60")
     written(node, *long)
-    assert node.receive(0x605, data("2F 01 1A 00 03 00 00 00")) == [(0x585, data("80 01 1A 00 42 00 04 06"))]
+    assert node.receive(0x605, data("2F 01 1A 00 03 00 00 00")) == [
+        (0x585, data("80 01 1A 00 42 00 04 06"))
+    ]
     written(node, "2F 01 1A 00 02 00 00 00")  # 64 bits just fit
     written(node, "23 02 1A 01 08 01 C2 60", "23 02 1A 02 08 02 C2 60")  # both parts of 60C2h
-    assert node.receive(0x605, data("23 02 1A 03 08 03 C2 60")) == [(0x585, data("80 02 1A 03 41 00 04 06"))]
+    assert node.receive(0x605, data("23 02 1A 03 08 03 C2 60")) == [
+        (0x585, data("80 02 1A 03 41 00 04 06"))
+    ]
 
 
 def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
-    """Beside the state's own bits: voltage present (4), remote (9), and, enabled in CSP, following the command (12)."""
+    """Beside the state's own bits: voltage present (4), remote (9), and, enabled in CSP,
+    following the command (12).
+    """
     written(node, *MAPPED)
     assert node.receive(0x205, data("06 00 00 00 00 00")) == []  # not operational: no PDO is taken
     node.apply()
@@ -257,11 +302,14 @@ def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
     assert node.emergency(0x8700) == [(0x085, data("00 87 01 00 00 00 00 00"))]
     assert node.statusword & 0x4F == 0x0F
     node.tick()
-    assert [commanded(node, control) for control in ("0f 00", "80 00")] == ["18 02", "50 02"]  # fault, reset
+    # fault, reset
+    assert [commanded(node, control) for control in ("0f 00", "80 00")] == ["18 02", "50 02"]
     node.emergency(0x2310)
     node.tick()
     # Bit 7 was not low in between: no rising edge.
-    assert [commanded(node, control) for control in ("80 00", "8f 00", "00 00", "80 00")] == ["18 02"] * 3 + ["50 02"]
+    assert [commanded(node, control) for control in ("80 00", "8f 00", "00 00", "80 00")] == [
+        "18 02"
+    ] * 3 + ["50 02"]
 
 
 def test_what_leaves_operational_leaves_no_torque(node):
@@ -315,7 +363,10 @@ def test_a_master_reads_and_writes():
         with pytest.raises(kind) as caught:
             master.read(5, index)
         assert (caught.value.node, caught.value.place) == (5, f"node 5: object {index:04X}:0")
-    assert link.sent[:2] == [(0x605, data("40 41 60 00 00 00 00 00")), (0x605, data("2B 40 60 00 06 00 00 00"))]
+    assert link.sent[:2] == [
+        (0x605, data("40 41 60 00 00 00 00 00")),
+        (0x605, data("2B 40 60 00 06 00 00 00")),
+    ]
     link.sent.clear()
     master.nmt(0x81, 5)
     master.sync()

@@ -1,4 +1,6 @@
-"""CiA 402-2 as tables typed out of the standard: no expectation here goes through a table of the package."""
+"""CiA 402-2 as tables typed out of the standard: no expectation here goes through
+a table of the package.
+"""
 
 import itertools
 
@@ -8,8 +10,9 @@ from acquisition import protocol
 from acquisition.errors import BusFaultError, RobotIdimError
 from acquisition.protocol import TRANSITIONS, Command, Mode, State, command_of, state_of, toward
 
-# Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state. Then what to command next on the way up to
-# operation enabled and down to switch on disabled, out of the diagram of the standard; "-": the drive goes on by itself.
+# Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state. Then what to
+# command next on the way up to operation enabled and down to switch on disabled, out of the diagram
+# of the standard; "-": the drive goes on by itself.
 STATES = """
 NOT_READY_TO_SWITCH_ON  x0xx0000  -                 -
 SWITCH_ON_DISABLED      x1xx0000  SHUTDOWN          -
@@ -24,7 +27,8 @@ ROWS = [line.split() for line in STATES.strip().splitlines()]
 STATUSWORDS = {row[0]: row[1] for row in ROWS}
 # Controlword 6040h, bits 7 to 0. "Disable operation" has the bits of "switch on".
 CONTROLWORDS = {
-    "SHUTDOWN": "0xxxx110", "SWITCH_ON": "0xxx0111", "ENABLE_OPERATION": "0xxx1111", "DISABLE_VOLTAGE": "0xxxxx0x",
+    "SHUTDOWN": "0xxxx110", "SWITCH_ON": "0xxx0111", "ENABLE_OPERATION": "0xxx1111",
+    "DISABLE_VOLTAGE": "0xxxxx0x",
     "QUICK_STOP": "0xxxx01x", "FAULT_RESET": "1xxxxxxx",
 }  # fmt: skip
 # Number, from, command, to. 12 is by command here; a drive may also do it by itself, as 605Ah says.
@@ -65,19 +69,25 @@ def state_or_none(statusword: int) -> State | None:
 
 
 def test_every_statusword_tells_the_state_of_the_table():
-    expected = {word: State[name] for name, pattern in STATUSWORDS.items() for word in words(pattern, 12)}
+    expected = {
+        word: State[name] for name, pattern in STATUSWORDS.items() for word in words(pattern, 12)
+    }
     assert len(expected) == 16 * (8 + 8 + 4 * 4 + 8 + 8)  # no word belongs to two states
     assert len(STATUSWORDS) == len(State) == 8
     for word in range(2**12):
         assert state_or_none(word) is expected.get(word), hex(word)
     for word in (0x1237, 0x0637, 0xF027):
         assert state_of(word) is State.OPERATION_ENABLED
-    with pytest.raises(BusFaultError, match="statusword 0x1211: expected the bits of a CiA 402 state"):
+    with pytest.raises(
+        BusFaultError, match="statusword 0x1211: expected the bits of a CiA 402 state"
+    ):
         state_of(0x1211)
 
 
 def test_every_controlword_gives_the_command_of_the_table():
-    expected = {word: Command[name] for name, pattern in CONTROLWORDS.items() for word in words(pattern, 12)}
+    expected = {
+        word: Command[name] for name, pattern in CONTROLWORDS.items() for word in words(pattern, 12)
+    }
     assert len(expected) == 2**12  # one command for each, none for two
     for word, command in expected.items():
         assert command_of(word) is command, hex(word)
@@ -86,14 +96,18 @@ def test_every_controlword_gives_the_command_of_the_table():
 
 def test_the_word_written_for_each_command():
     words = [6, 7, 15, 0, 2, 128]  # in the order of `CONTROLWORDS`
-    assert {command.name: command.controlword for command in Command} == dict(zip(CONTROLWORDS, words, strict=True))
+    assert {command.name: command.controlword for command in Command} == dict(
+        zip(CONTROLWORDS, words, strict=True)
+    )
 
 
 def test_each_command_in_each_state():
     assert TRANSITIONS == COMMANDED
 
 
-@pytest.mark.parametrize(("goal", "column"), [(State.OPERATION_ENABLED, 2), (State.SWITCH_ON_DISABLED, 3)])
+@pytest.mark.parametrize(
+    ("goal", "column"), [(State.OPERATION_ENABLED, 2), (State.SWITCH_ON_DISABLED, 3)]
+)
 def test_what_is_commanded_on_the_way_up_and_down(goal, column):
     commands = {row[0]: toward(State[row[0]], goal) for row in ROWS}
     assert {state: command.name if command else "-" for state, command in commands.items()} == {
@@ -103,7 +117,9 @@ def test_what_is_commanded_on_the_way_up_and_down(goal, column):
 
 def test_no_command_leads_into_a_fault():
     for goal in (State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON):
-        with pytest.raises(BusFaultError, match=f"no command leads from switched on to {goal.words}"):
+        with pytest.raises(
+            BusFaultError, match=f"no command leads from switched on to {goal.words}"
+        ):
             toward(State.SWITCHED_ON, goal)
     assert toward(State.FAULT_REACTION_ACTIVE, State.FAULT) is None
 

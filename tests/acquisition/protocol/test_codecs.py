@@ -23,7 +23,8 @@ EFFORTS = {
     "6074 of a rated torque of 0.42 N m": ("N m", f"{TORQUE} 0.42", 500, 0.21),
     "6078 of a rated current of 5 A": ("A", 'actual = "6078"\nrated_current_a = 5.0', 1100, 5.5),
     "6077 that its maker means by current":
-        ("A", 'actual = "6077"\nactual_rule = "per mille of rated current"\nrated_current_a = 2.0', 30, 0.06),
+        ("A", 'actual = "6077"\nactual_rule = "per mille of rated current"\nrated_current_a = 2.0',
+         30, 0.06),
     "a linear motor of 80 N": ("N", f'reference = "6074"\n{OF_FORCE} 80.0', 250, 20.0),
     "an EPOS2's current in mA": ("A", direct(0x2031, "I16"), -750, -0.75),
     "a Copley's current in 0.01 A": ("A", direct(0x221E, "I16"), 250, 2.5),
@@ -44,14 +45,21 @@ def drive_of(keys: str, unit: str = "N m", counts: str = "counts_per_turn = 6553
 
 @pytest.mark.parametrize(
     ("signs", "expected"),
-    [("", 1), ("sign = -1", -1), ("sign = 1\neffort_sign = -1", -1), ("sign = -1\neffort_sign = 1", 1)],
+    [
+        ("", 1),
+        ("sign = -1", -1),
+        ("sign = 1\neffort_sign = -1", -1),
+        ("sign = -1\neffort_sign = 1", 1),
+    ],
 )
 @pytest.mark.parametrize("name", EFFORTS)
 def test_efforts_by_hand(name, signs, expected):
     """`effort_sign` tells; where it is left out `sign` does, for efforts as for positions."""
     unit, keys, raw, value = EFFORTS[name]
     codec = drive_of(f"{keys}\n{signs}", unit).effort
-    assert codec.si(np.array([raw, 0, -raw])) == pytest.approx(np.array([value, 0.0, -value]) * expected, rel=1e-12)
+    assert codec.si(np.array([raw, 0, -raw])) == pytest.approx(
+        np.array([value, 0.0, -value]) * expected, rel=1e-12
+    )
     assert codec.raw(np.array([value, -value]) * expected).tolist() == [raw, -raw]
     assert codec.provenance.endswith(f", sign {'+1' if expected == 1 else '-1'}")
 
@@ -63,7 +71,8 @@ def test_efforts_by_hand(name, signs, expected):
         (f"{TORQUE} 0.1053", "N m", {0x6076: 105}),
         (f'{TORQUE} 0.1053\nrated_torque_unit = "uN m"', "N m", {0x6076: 105_300}),
         (f'reference = "6074"\n{OF_FORCE} 80.0\nrated_torque_unit = "mN"', "N", {0x6076: 80_000}),
-        ('actual = "6078"\nrated_current_a = 2.5\nrated_torque_nm = 0.5\nrated_torque_unit = "uN m"', "A",
+        ('actual = "6078"\nrated_current_a = 2.5\nrated_torque_nm = 0.5\nrated_torque_unit '
+         '= "uN m"', "A",
          {0x6075: 2500, 0x6076: 500_000}),
         (direct(0x30D0, "I32"), "A", {}),
     ],
@@ -91,18 +100,32 @@ def test_positions_of_a_motor_that_turns(signs, raw, turns):
 
 @pytest.mark.parametrize(
     ("kind", "low", "high"),
-    [("I8", -128, 127), ("I16", -32768, 32767), ("I32", -2147483648, 2147483647), ("U8", 0, 255), ("U16", 0, 65535),
+    [("I8", -128, 127), ("I16", -32768, 32767), ("I32", -2147483648, 2147483647), ("U8", 0, 255),
+     ("U16", 0, 65535),
      ("U32", 0, 4294967295)],
 )  # fmt: skip
 def test_integers_are_held_at_both_ends_of_their_type(kind, low, high):
-    values = [low - 1e12, low - 1, low - 0.4, low, low + 0.6, high - 0.6, high, high + 0.4, high + 1, high + 1e12]
+    values = [
+        low - 1e12,
+        low - 1,
+        low - 0.4,
+        low,
+        low + 0.6,
+        high - 0.6,
+        high,
+        high + 0.4,
+        high + 1,
+        high + 1e12,
+    ]
     expected = [low, low, low, low, low + 1, high - 1, high, high, high, high]
     assert saturated(np.array(values), kind).tolist() == expected
     assert saturated(np.array([1.4, 1.6, 0.5, 2.5]), kind).tolist() == [1, 2, 0, 2]
 
 
 def test_codecs_hold_values_at_the_ends_of_their_objects():
-    effort = EffortCodec(entry=ObjectEntry(index=0x2031, sub=0, type="I16"), scale=-1e-3, provenance="")
+    effort = EffortCodec(
+        entry=ObjectEntry(index=0x2031, sub=0, type="I16"), scale=-1e-3, provenance=""
+    )
     assert effort.raw(np.array([32.767, 32.768, -1e9])).tolist() == [-32767, -32768, 32767]
     position = PositionCodec(counts_per_unit=1e6, sign=-1, zero_counts=5)
     assert position.raw(np.array([-2147.483643, 2147.483654])).tolist() == [2**31 - 1, -(2**31)]

@@ -1,4 +1,6 @@
-"""Object dictionaries: a small EDS typed by hand (CiA 306), real ones, PDOs as they map them, damaged ones."""
+"""Object dictionaries: a small EDS typed by hand (CiA 306), real ones, PDOs as they
+map them, damaged ones.
+"""
 
 import re
 
@@ -16,7 +18,9 @@ DEVICE = "[DeviceInfo]\nVendorName=a\nVendorNumber=0x9A\nProductName=gold\nProdu
 
 
 def entry_eds(section: str, name: str, kind: str, access: str, *lines: str) -> str:
-    text = f"[{section}]\nParameterName={name}\nObjectType=7\nDataType={kind}\nAccessType={access}\n"
+    text = (
+        f"[{section}]\nParameterName={name}\nObjectType=7\nDataType={kind}\nAccessType={access}\n"
+    )
     return text + "".join(f"{line}\n" for line in lines)
 
 
@@ -68,7 +72,8 @@ def test_entries_by_hand():
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (DEVICE + EDS, [(1, "vendor", 0x9A), (2, "product", 0x777)]),  # 1018h itself before [DeviceInfo]
+        # 1018h itself before [DeviceInfo]
+        (DEVICE + EDS, [(1, "vendor", 0x9A), (2, "product", 0x777)]),
         (EDS.replace("0x777", "0"), []),
         (DEVICE + EDS.replace("0x777", "0"), [(1, "vendor", 0x9A), (2, "product", 0x30924)]),
         (DEVICE + EDS.replace("[1018", "[1019"), []),  # a drive without 1018h cannot be asked
@@ -81,7 +86,9 @@ def test_identities(text, expected):
 def test_a_dictionary_of_four_mebibytes_and_no_more():
     remark = ";" + "x" * (4 * 2**20 - len(EDS) - 1)
     assert len(found(EDS + remark).entries) == 14
-    with pytest.raises(BadInputError, match=re.escape("a.eds: 4194305 bytes: expected 4194304 at most")):
+    with pytest.raises(
+        BadInputError, match=re.escape("a.eds: 4194305 bytes: expected 4194304 at most")
+    ):
         found(EDS + remark + "x")
 
 
@@ -90,7 +97,8 @@ def test_a_dictionary_of_four_mebibytes_and_no_more():
     [
         ("40 76 60 00 00 00 00 00", "43 76 60 00 2C 01 00 00"),  # 300 mN m, as the description says
         ("40 18 10 01 00 00 00 00", "43 18 10 01 9A 00 00 00"),  # out of [DeviceInfo]
-        ("40 00 18 01 00 00 00 00", "43 00 18 01 85 01 00 80"),  # switched off until a master says otherwise
+        # switched off until a master says otherwise
+        ("40 00 18 01 00 00 00 00", "43 00 18 01 85 01 00 80"),
         ("40 08 10 00 00 00 00 00", "80 08 10 00 00 00 02 06"),
         ("2B 41 60 00 01 00 00 00", "80 41 60 00 02 00 01 06"),  # read only
         ("23 76 60 00 01 00 00 00", "60 76 60 00 00 00 00 00"),
@@ -98,7 +106,12 @@ def test_a_dictionary_of_four_mebibytes_and_no_more():
 )
 def test_a_simulated_drive_serves_its_dictionary(asked, answer):
     keys = 'dictionary = "a.eds"\nobjects = { "6040" = "U16", "607A" = "I32" }\nreference = "6074"'
-    text = bus_text(1).replace("node = 1\n", "node = 5\n").replace('reference = "6074"', keys).replace("0.42", "0.3")
+    text = (
+        bus_text(1)
+        .replace("node = 1\n", "node = 5\n")
+        .replace('reference = "6074"', keys)
+        .replace("0.42", "0.3")
+    )
     robot = robot_of(text, {"dictionary:a.eds": (DEVICE + EDS).encode()})
     (drive,) = SimulatedDrives(robot, bus_of(robot)).nodes
     assert drive.receive(0x605, bytes.fromhex(asked)) == [(0x585, bytes.fromhex(answer))]
@@ -107,13 +120,21 @@ def test_a_simulated_drive_serves_its_dictionary(asked, answer):
 def test_an_empty_number_is_read_as_0_with_a_warning():
     """Makers leave them empty; what says nothing of the identity is not compared with the drive."""
     device = (
-        "[DeviceInfo]\r\nVendorName=\r\nVendorNumber=\r\nProductName=\r\nProductNumber= ; later\r\nNrOfRXPDO = \r\n"
+        "[DeviceInfo]\r\nVendorName=\r\nVendorNumber=\r\nProductName=\r\nProductNumber= ; "
+        "later\r\nNrOfRXPDO = \r\n"
     )
-    dictionary = found(device + "BaudRate_1000=1\nGranularity=\n" + EDS.replace("DefaultValue=0x777", ""))
+    dictionary = found(
+        device + "BaudRate_1000=1\nGranularity=\n" + EDS.replace("DefaultValue=0x777", "")
+    )
     assert (dictionary.vendor, dictionary.product, dictionary.identity) == (0, 0, [])
     assert dictionary.warnings == tuple(
         f"a.eds: line {line}: {key} is empty: read as 0, which is not checked"
-        for line, key in ((3, "VendorNumber"), (5, "ProductNumber"), (6, "NrOfRXPDO"), (8, "Granularity"))
+        for line, key in (
+            (3, "VendorNumber"),
+            (5, "ProductNumber"),
+            (6, "NrOfRXPDO"),
+            (8, "Granularity"),
+        )
     )
     assert found(DEVICE + EDS).warnings == ()
 
@@ -122,7 +143,9 @@ def test_an_empty_number_is_read_as_0_with_a_warning():
 def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
     data = (needs_data("eds") / name).read_bytes()
     if name.startswith("infranor"):
-        with pytest.raises(BadInputError, match=r"line 2112: .ManufacturerObjects. holds '12' twice"):
+        with pytest.raises(
+            BadInputError, match=r"line 2112: .ManufacturerObjects. holds '12' twice"
+        ):
             load_dictionary(data, name, 1)
         return
     found = load_dictionary(data, name, 5)
@@ -135,12 +158,21 @@ def test_an_object_the_dictionary_does_not_hold():
     data = (needs_data("eds") / "maxon_EPOS4.eds").read_bytes()
     text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
     refused(text, "reference = '6074': a.eds does not contain it", {"dictionary:a.eds": data})
-    text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
+    # a U32 there, and no current reference
+    text = text.replace('reference = "6074"', 'reference = "2031"')
     nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
-    refused(text, "reference_rule is missing: 2031:0 (U32) is not known", {"dictionary:a.eds": nanotec})
+    refused(
+        text, "reference_rule is missing: 2031:0 (U32) is not known", {"dictionary:a.eds": nanotec}
+    )
 
 
-KINDS = {"6040": ("6", "rw"), "6041": ("6", "ro"), "6064": ("4", "ro"), "6074": ("3", "ro"), "607A": ("4", "rw")}
+KINDS = {
+    "6040": ("6", "rw"),
+    "6041": ("6", "ro"),
+    "6064": ("4", "ro"),
+    "6074": ("3", "ro"),
+    "607A": ("4", "rw"),
+}
 OBJECTS = "".join(entry_eds(index, "x", *kind) for index, kind in KINDS.items())
 SENT_OBJECTS = [3, 0x60410010, 0x60640020, 0x60740010]
 TAKEN_OBJECTS = [2, 0x60400010, 0x607A0020]
@@ -148,22 +180,40 @@ TAKEN_OBJECTS = [2, 0x60400010, 0x607A0020]
 
 def dictionary_and_text(records: dict[int, list[int]]) -> tuple[str, dict[str, bytes]]:
     """A drive mapped as its dictionary says, and that dictionary."""
-    known = {0x1800: [1, 0x181], 0x1A00: SENT_OBJECTS, 0x1400: [1, 0x201], 0x1600: TAKEN_OBJECTS} | records
+    known = {
+        0x1800: [1, 0x181],
+        0x1A00: SENT_OBJECTS,
+        0x1400: [1, 0x201],
+        0x1600: TAKEN_OBJECTS,
+    } | records
     eds = OBJECTS
     for index, values in known.items():
         eds += f"[{index:04X}]\nParameterName=p\nObjectType=9\nSubNumber={len(values)}\n"
         for sub, value in enumerate(values):
-            eds += entry_eds(f"{index:04X}sub{sub}", "s", "7" if sub else "5", "rw", f"DefaultValue=0x{value:X}")
-    text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.dcf"\nmapping = "dictionary"\n')
+            eds += entry_eds(
+                f"{index:04X}sub{sub}", "s", "7" if sub else "5", "rw", f"DefaultValue=0x{value:X}"
+            )
+    text = bus_text(1).replace(
+        "node = 1\n", 'node = 1\ndictionary = "a.dcf"\nmapping = "dictionary"\n'
+    )
     return text, {"dictionary:a.dcf": eds.encode()}
 
 
 @pytest.mark.parametrize(
     ("records", "expected"),
     [
-        ({0x1A00: [4, *SENT_OBJECTS[1:], 0x60410010]}, "tpdo 1 (mapping = 'dictionary'): 10 bytes: expected 8 at most"),
-        ({0x1400: [1, 0x20000201]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x20000201: expected 0x181 to 0x57F"),
-        ({0x1400: [1, 0x181]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x181 is that of a PDO of motor_1"),
+        (
+            {0x1A00: [4, *SENT_OBJECTS[1:], 0x60410010]},
+            "tpdo 1 (mapping = 'dictionary'): 10 bytes: expected 8 at most",
+        ),
+        (
+            {0x1400: [1, 0x20000201]},
+            "rpdo 1 (mapping = 'dictionary'): identifier 0x20000201: expected 0x181 to 0x57F",
+        ),
+        (
+            {0x1400: [1, 0x181]},
+            "rpdo 1 (mapping = 'dictionary'): identifier 0x181 is that of a PDO of motor_1",
+        ),
         ({0x1800: [1, 0]}, "no PDO from the drive carries 6064:0"),
     ],
 )
@@ -187,14 +237,18 @@ def test_damaged_dictionaries(data, expected):
 
 
 def test_a_dictionary_that_is_not_there(tmp_path):
-    (tmp_path / "robot.toml").write_text(bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "none.eds"\n'))
+    (tmp_path / "robot.toml").write_text(
+        bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "none.eds"\n')
+    )
     with pytest.raises(BadInputError) as caught:
         load_robot(tmp_path / "robot.toml")
     assert (caught.value.key, caught.value.value) == ("bus.drive[0].dictionary", "none.eds")
 
 
 def test_pdos_of_traffic_are_looked_at_too():
-    values = {(0x1800, 1): 0x701, (0x1A00, 0): 3} | {(0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)}
+    values = {(0x1800, 1): 0x701, (0x1A00, 0): 3} | {
+        (0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)
+    }
     robot = robot_of(bus_text(1, drive='mapping = "traffic"'))
     with pytest.raises(BadInputError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
         resolve(robot, "r.toml", {1: values})

@@ -16,8 +16,9 @@ PERIOD_NS = 2_000_000
 
 
 def sequence(text: str) -> Block:
-    """Frames out of words: `S` SYNC one period after the one before, `S+2.1` so many periods after it, `S#3` with the
-    counter 3, `+` a period goes by, `1:7` node 1 answers with position and effort 7, `t1:7` the target 7 of node 1.
+    """Frames out of words: `S` SYNC one period after the one before, `S+2.1` so many periods after
+    it, `S#3` with the counter 3, `+` a period goes by, `1:7` node 1 answers with position and
+    effort 7, `t1:7` the target 7 of node 1.
     """
     rows, sync_ns, now_ns = [], 1_000_000_000 - PERIOD_NS, 0
     for word in text.split():
@@ -31,7 +32,11 @@ def sequence(text: str) -> Block:
         if word == "+":
             continue
         node, value = (int(part) for part in word.removeprefix("t").split(":"))
-        data = struct.pack("<Hi", 15, value) if word[0] == "t" else struct.pack("<Hih", 0x1237, value, value)
+        data = (
+            struct.pack("<Hi", 15, value)
+            if word[0] == "t"
+            else struct.pack("<Hih", 0x1237, value, value)
+        )
         rows.append(frame(now_ns, (0x200 if word[0] == "t" else 0x180) + node, data))
     return block(rows)
 
@@ -43,7 +48,9 @@ def decoded(text: str) -> Decoded:
 def told(text: str) -> tuple[list[int], int]:
     """Position counts in each sample, the same of both drives, and the SYNCs found to be lost."""
     found = decoded(text)
-    first, second = (found.samples["position"] * 50 / BUS.drives[0].position_codec.si(np.array(1))).T
+    first, second = (
+        found.samples["position"] * 50 / BUS.drives[0].position_codec.si(np.array(1))
+    ).T
     np.testing.assert_array_equal(first, second)
     return np.rint(first).astype(int).tolist(), found.syncs_lost
 
@@ -58,7 +65,8 @@ BEFORE, AFTER = "S 1:1 2:1 S 1:2 2:2 S 1:3 2:3 S 1:4 2:4", "S 1:7 2:7 S 1:8 2:8 
         ("S 1:5 2:5 S 1:6 2:6", [5, 6], 0),
         ("S 2:5 S 1:5 1:6 2:6", [5, 6], 0),
         ("S S+1 1:5 2:5 1:6 2:6", [5, 6], 0),
-        # A SYNC not recorded: two answers of each drive in two periods; one of them late; one missing of one drive.
+        # A SYNC not recorded: two answers of each drive in two periods; one of them late; one
+        # missing of one drive.
         ("S 1:5 2:5 1:6 2:6 S+2 1:60 2:60", [5, 6, 60], 1),
         ("S 1:5 2:5 2:6 S+2 1:6 1:60 2:60", [5, 6, 60], 1),
         ("S 1:5 2:5 + 1:6 2:6 + 1:55 2:55 S+3 1:60 2:60", [5, 6, 55, 60], 2),
@@ -74,12 +82,19 @@ BEFORE, AFTER = "S 1:1 2:1 S 1:2 2:2 S 1:3 2:3 S 1:4 2:4", "S 1:7 2:7 S 1:8 2:8 
         ("S 2:5 S 1:6 2:6", [6], 0),
         ("S 2:5 S 1:6 2:6 1:6", [6], 0),
         ("S 2:5 S 1:5 2:6 1:6", [5, 6], 0),
-        # 2:6 and 2:60 are missing, 2:5 is late: one interval with a PDO of each drive proves nothing.
+        # 2:6 and 2:60 are missing, 2:5 is late: one interval with a PDO of each
+        # drive proves nothing.
         ("S 1:5 S 1:6 2:5 S 1:60 S 1:61 2:61", [61], 0),
-        # A SYNC that is not recorded, unnoticed, and then late answers: as many as SYNCs, but not to these.
+        # A SYNC that is not recorded, unnoticed, and then late answers: as many as
+        # SYNCs, but not to these.
         ("S 1:5 2:5 1:6 2:6 S+2.4 S 1:55 2:55 1:56 2:56 S 1:60 2:60 S 1:61 2:61", [61], 0),
-        # Where drives are late, one that is missing may hide that a late one came in its place: 2:6, in the interval of 2:61.
-        ("S 1:5 S 1:55 2:5 2:55 S 1:6 S 1:61 2:6 S 1:62 2:62 S 1:63 2:63 S 1:64 2:64", [62, 63, 64], 0),
+        # Where drives are late, one that is missing may hide that a late one came in its place:
+        # 2:6, in the interval of 2:61.
+        (
+            "S 1:5 S 1:55 2:5 2:55 S 1:6 S 1:61 2:6 S 1:62 2:62 S 1:63 2:63 S 1:64 2:64",
+            [62, 63, 64],
+            0,
+        ),
     ],
 )
 def test_sequences_with_known_answers(between, samples, lost):
@@ -99,15 +114,18 @@ def answered(syncs: Iterable[int]) -> str:
 @pytest.mark.parametrize(
     ("text", "samples", "lost"),
     [
-        # A drive is late by one for a while. For long, at its usual time, it rather lost a PDO and sent another twice.
+        # A drive is late by one for a while. For long, at its usual time, it rather lost a PDO
+        # and sent another twice.
         (f"{BEFORE} {late_by_one(5, 16)} S 1:17 2:17", range(1, 18), 0),
         (f"{BEFORE} {late_by_one(5, 40)} S 1:41 2:41", (1, 2, 3, 4, 41), 0),
         # A first answer that is late belongs to the first SYNC.
         (f"S 2:0 S 1:0 2:1 1:1 {answered(range(2, 9))}", range(9), 0),
-        # 2:0 was pending when the recording began, and 2:3 is lost: until then every SYNC has an answer.
+        # 2:0 was pending when the recording began, and 2:3 is lost: until then
+        # every SYNC has an answer.
         (f"S 1:1 2:0 S 1:2 2:1 2:2 S 1:3 {answered(range(4, 12))}", range(4, 12), 0),
         # 1:2 is lost, 1:9 late.
-        (f"{answered(range(2))} S 2:2 {answered(range(3, 9))} S 2:9 S 1:9 1:10 2:10 {answered(range(11, 17))}",
+        (f"{answered(range(2))} S 2:2 {answered(range(3, 9))} S 2:9 S 1:9 1:10 2:10 "
+         f"{answered(range(11, 17))}",
          (0, 1, 4, 5, 6, 7, 8, *range(11, 17)), 0),
         # A counter tells what was lost.
         ("S#8 1:1 2:1 S#9 1:2 2:2 S+1#1 1:4 2:4 1:5 2:5 S#3 1:6 2:6", (1, 2, 4, 5, 6), 1),
@@ -119,7 +137,9 @@ def test_whole_recordings_with_known_answers(text, samples, lost):
 
 @pytest.mark.parametrize(("early", "first"), [("", (1, 1)), ("t1:7 t2:8", (7, 8))])
 def test_a_target_is_in_force_from_the_next_sync_on(early, first):
-    between = "t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4 t1:14 S 1:5 2:5"
+    between = (
+        "t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4 t1:14 S 1:5 2:5"
+    )
     found = decoded(f"{early} S 1:1 2:1 {between}")
     counts = np.array([[first[0], 10, 11, 13, 14], [first[1], 20, 21, 22, 22]])
     joint = BUS.drives[0].position_codec.si(counts) / 50
@@ -131,7 +151,9 @@ def test_with_over_five_percent_missing_there_are_no_samples():
     of_first = np.flatnonzero(frames["can_id"] == 0x181)
     kept = {count: np.delete(frames, of_first[100 : 100 + 10 * count : 10]) for count in (70, 80)}
     assert len(decode(kept[70], ROBOT, BUS, "log").samples) == 1440 - 70
-    with pytest.raises(BadInputError, match=r"log: 5.6% of the PDOs of a drive are missing: expected 5% at most"):
+    with pytest.raises(
+        BadInputError, match=r"log: 5.6% of the PDOs of a drive are missing: expected 5% at most"
+    ):
         decode(kept[80], ROBOT, BUS, "log")
     # Not in the span in which all drives answer: it has begun later.
     assert len(decode(np.delete(frames, of_first[:80]), ROBOT, BUS, "log").samples) == 1440 - 80
@@ -139,11 +161,15 @@ def test_with_over_five_percent_missing_there_are_no_samples():
 
 @pytest.mark.parametrize("sent", [0, SENT])
 def test_a_pause_in_which_a_sync_and_answers_were_lost_gives_no_row(sent):
-    """One burst: answers of two drives to one SYNC, the next SYNC, and the answers of the third to it."""
+    """One burst: answers of two drives to one SYNC, the next SYNC, and the
+    answers of the third to it.
+    """
     robot, frames = robot_of(bus_text(3)), flat(session(3, 1000))
     frames["flags"] = sent * (frames["can_id"] == 0x80)
     sync_ns = frames["time_ns"][frames["can_id"] == 0x80]
-    found = decode(np.delete(frames, np.arange(4 * 700 + 2, 4 * 700 + 6)), robot, bus_of(robot), "log")
+    found = decode(
+        np.delete(frames, np.arange(4 * 700 + 2, 4 * 700 + 6)), robot, bus_of(robot), "log"
+    )
     assert np.delete(sync_ns, [700, 701]).tolist() == found.samples["stamp_ns"].tolist()
 
 

@@ -1,4 +1,6 @@
-"""Frames → samples: association with SYNC under every fault, counts, times, the traffic of a third party."""
+"""Frames → samples: association with SYNC under every fault, counts, times, the
+traffic of a third party.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,15 @@ from conftest import needs_data
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition.errors import BadInputError
-from acquisition.recording import ERROR, EXTENDED, REMOTE_REQUEST, Decoded, decode, gaps, written_by_master
+from acquisition.recording import (
+    ERROR,
+    EXTENDED,
+    REMOTE_REQUEST,
+    Decoded,
+    decode,
+    gaps,
+    written_by_master,
+)
 from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
@@ -17,7 +27,9 @@ def decoded(intervals) -> Decoded:
     return decode(flat(intervals), ROBOT, BUS, "log")
 
 
-def positions(found: Decoded, codec=BUS.drives[0].position_codec, ratio: float = 50.0) -> np.ndarray:
+def positions(
+    found: Decoded, codec=BUS.drives[0].position_codec, ratio: float = 50.0
+) -> np.ndarray:
     return np.rint(found.samples["position"] * ratio / codec.si(np.array(1))).astype(int)
 
 
@@ -33,7 +45,9 @@ def test_a_clean_session():
     right(found)
     assert found.warnings == ()
     assert found.syncs == 50
-    assert [(p.received, p.late, p.duplicate, p.missing, p.short) for p in found.pdos] == [(50, 0, 0, 0, 0)] * 2
+    assert [(p.received, p.late, p.duplicate, p.missing, p.short) for p in found.pdos] == [
+        (50, 0, 0, 0, 0)
+    ] * 2
     assert found.period_s == pytest.approx(0.002)
     codec = BUS.drives[0].position_codec
     assert found.samples["position"][3, 0] == pytest.approx(codec.si(np.array(counts(1, 3))) / 50)
@@ -62,8 +76,14 @@ def test_missing_duplicate_and_short_pdos():
 def test_frames_of_others_do_not_matter():
     noise = []
     for t in range(1_000_000_000, 1_100_000_000, 2_000_000):
-        noise += [frame(t + 1, 0x181, b"12345678", flag) for flag in (EXTENDED, ERROR, REMOTE_REQUEST)]
-        noise += [frame(t + 2, 0x701, b"\5"), frame(t + 3, 0x581, bytes(8)), frame(t + 4, 0x80, b"", EXTENDED)]
+        noise += [
+            frame(t + 1, 0x181, b"12345678", flag) for flag in (EXTENDED, ERROR, REMOTE_REQUEST)
+        ]
+        noise += [
+            frame(t + 2, 0x701, b"\5"),
+            frame(t + 3, 0x581, bytes(8)),
+            frame(t + 4, 0x80, b"", EXTENDED),
+        ]
     both = np.concatenate([flat(session()), block(noise)])
     found = decode(both[np.argsort(both["time_ns"], kind="stable")], ROBOT, BUS, "log")
     right(found)
@@ -77,7 +97,9 @@ def test_a_period_that_is_not_the_described_one_is_refused(way):
     assert warned.warnings[0].endswith("ms: expected 2 ms as robot.toml says")
     with pytest.raises(BadInputError) as caught:
         decoded(session(period_ns=2_000_000 + way * 102_000))
-    assert str(caught.value).startswith(f"log: SYNC came every {2 + way * 0.102:.4g} ms; bus.sync_period_s = 0.002 in ")
+    assert str(caught.value).startswith(
+        f"log: SYNC came every {2 + way * 0.102:.4g} ms; bus.sync_period_s = 0.002 in "
+    )
     assert caught.value.expected.startswith(f"{2e-3 + way * 102e-6:.3g};")
 
 
@@ -89,13 +111,17 @@ def test_a_pause_of_sync_is_no_other_period():
     assert found.jitter_s == pytest.approx((0, 0), abs=1e-9)
     (gap,) = gaps(found.samples, 500.0)
     assert (gap.row, gap.missing) == (24, 50)
-    assert found.warnings == ("SYNC paused 1 times for more than 1.5 periods, the longest 102 ms at 0.048 s",)
+    assert found.warnings == (
+        "SYNC paused 1 times for more than 1.5 periods, the longest 102 ms at 0.048 s",
+    )
 
 
 @pytest.mark.parametrize("at_once", [7, 1000])
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
-    """Drive 1 comes to the end of 32 bits at SYNC 20, and its targets one SYNC earlier; back again at 40."""
+    """Drive 1 comes to the end of 32 bits at SYNC 20, and its targets one SYNC
+    earlier; back again at 40.
+    """
     values = [way * (2**31 + 10 - abs(30 - k)) for k in range(51)]
     monkeypatch.setattr("acquisition.recording.decoding._AT_ONCE", at_once)
     frames = flat(session(targets=True))
@@ -107,13 +133,20 @@ def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     assert found.samples["position"][:, 0] == pytest.approx(expected, rel=1e-12)
     assert found.samples["reference"][:, 0] == pytest.approx(expected, rel=1e-12)
     first_s = 0.04 if way == 1 else 0.042  # -2^31 is still held
-    told = f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions are continued"
+    told = (
+        f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions are "
+        "continued"
+    )
     assert found.warnings == (told,)
 
 
 @pytest.mark.parametrize(
     ("intervals", "expected"),
-    [([], "log: 0 SYNC"), (session(1), "no frame 0x182 of 8 bytes"), (session(2, 1), "log: 1 SYNC")],
+    [
+        ([], "log: 0 SYNC"),
+        (session(1), "no frame 0x182 of 8 bytes"),
+        (session(2, 1), "log: 1 SYNC"),
+    ],
 )
 def test_what_cannot_be_decoded(intervals, expected):
     with pytest.raises(BadInputError, match=expected):
@@ -121,20 +154,30 @@ def test_what_cannot_be_decoded(intervals, expected):
 
 
 def test_traffic_of_a_third_party_is_decoded_exactly():
-    """Mapping out of the master's SDO writes; three PDOs came after the next SYNC; the motion is known."""
+    """Mapping out of the master's SDO writes; three PDOs came after the next
+    SYNC; the motion is known.
+    """
     rows = []
     for line in needs_data("can_logs", "third_party_2drives.log").read_text().splitlines():
         time, _, text = line.split()
         can_id, _, data = text.partition("#")
-        rows.append(frame(int(time[1:-1].replace(".", "")) * 1000, int(can_id, 16), bytes.fromhex(data)))
+        rows.append(
+            frame(int(time[1:-1].replace(".", "")) * 1000, int(can_id, 16), bytes.fromhex(data))
+        )
     frames = block(rows)
-    text = bus_text(2, period_s=0.01, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
+    text = bus_text(2, period_s=0.01, ratio=1.0, drive='mapping = "traffic"').replace(
+        "65536", "6553600"
+    )
     robot = robot_of(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
     bus = resolve(robot, "robot.toml", written_by_master(frames))
     found, k = decode(frames, robot, bus, "log"), np.arange(1, 300)
     for i, (node, drive) in enumerate(zip((5, 6), bus.drives, strict=True)):
         w = 2 * np.pi * (0.2 + 0.05 * node)
-        q, v, a = 0.5 * np.sin(w * k * 1e-3), 0.5 * w * np.cos(w * k * 1e-3), -0.5 * w * w * np.sin(w * k * 1e-3)
+        q, v, a = (
+            0.5 * np.sin(w * k * 1e-3),
+            0.5 * w * np.cos(w * k * 1e-3),
+            -0.5 * w * w * np.sin(w * k * 1e-3),
+        )
         counts = positions(found, drive.position_codec, 1.0)[:, i]
         assert counts.tolist() == np.rint(q * 6553600 / (2 * np.pi)).tolist()
         torque = 60 * a + 80 * v + 25 * np.sign(v) + 200 * np.cos(q)

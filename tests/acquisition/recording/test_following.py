@@ -1,4 +1,6 @@
-"""A recording is read while it is written: the same rows as when it is whole, and one line where it cannot go on."""
+"""A recording is read while it is written: the same rows as when it is whole, and one line
+where it cannot go on.
+"""
 
 import os
 import shutil
@@ -21,11 +23,15 @@ BUS = bus_of(ROBOT)
 
 
 def late_by(intervals: list[list[object]], by: np.ndarray, node: int) -> Block:
-    """Frames where the PDO of a node for SYNC k comes `by[k]` intervals later, in order; at the end all are there."""
+    """Frames where the PDO of a node for SYNC k comes `by[k]` intervals later, in order; at
+    the end all are there.
+    """
     frames = flat(intervals)
     sync_ns, theirs = frames["time_ns"][frames["can_id"] == 0x80], frames["can_id"] == 0x180 + node
     k = np.arange(len(by))
-    frames["time_ns"][theirs] = sync_ns[np.minimum(np.maximum.accumulate(k + by), k[-1])] + 100_000 + 10 * k % 90_000
+    frames["time_ns"][theirs] = (
+        sync_ns[np.minimum(np.maximum.accumulate(k + by), k[-1])] + 100_000 + 10 * k % 90_000
+    )
     return frames[np.argsort(frames["time_ns"], kind="stable")]
 
 
@@ -47,7 +53,9 @@ def written(path: Path, frames: Block, edges: list[int]) -> Iterator[RecordingFo
 
 
 def shown(path: Path, frames: Block) -> Block:
-    return np.concatenate([f.rows for f in written(path, frames, tenths(frames)) if f.rows is not None])
+    return np.concatenate(
+        [f.rows for f in written(path, frames, tenths(frames)) if f.rows is not None]
+    )
 
 
 @settings(max_examples=6, deadline=None)
@@ -89,8 +97,16 @@ def test_a_counter_that_wraps_in_dropped_frames_counts_on(tmp_path):
     [
         (lambda path: path.unlink(), "is gone"),
         (lambda path: os.truncate(path, 100), "was cut"),
-        (lambda path: Path(shutil.copy(path, path.with_suffix(".new"))).rename(path), "was replaced"),
-        (lambda path: path.write_bytes(path.read_bytes() + b"\x06\x09" + bytes(7) + b"not chunk"), "damaged at"),
+        (
+            lambda path: Path(shutil.copy(path, path.with_suffix(".new"))).rename(path),
+            "was replaced",
+        ),
+        (
+            lambda path: path.write_bytes(
+                path.read_bytes() + b"\x06\x09" + bytes(7) + b"not chunk"
+            ),
+            "damaged at",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_followed_any_more(tmp_path, harm, text):
@@ -125,7 +141,9 @@ def test_half_a_record_is_awaited(tmp_path):
 
 
 def test_a_recorder_hands_over_each_block_at_once_in_few_bytes(tmp_path, monkeypatch):
-    """The disk is waited for every half second only; of two slow drives a frame takes 12 bytes at most."""
+    """The disk is waited for every half second only; of two slow drives a frame
+    takes 12 bytes at most.
+    """
     synced, path = [], tmp_path / "log.mcap"
     monkeypatch.setattr(os, "fsync", synced.append)
     recorder = Recorder(path, ROBOT, source="test", place="robot.toml")
@@ -146,4 +164,7 @@ def test_a_drive_late_for_long_is_shown_as_it_is_decoded(tmp_path):
     by = np.zeros(400, int)
     by[110:260] = 1
     frames = late_by(session(syncs=400), by, 1)
-    assert shown(tmp_path / "log.mcap", frames).tobytes() == decode(frames, ROBOT, BUS, "log").samples.tobytes()
+    assert (
+        shown(tmp_path / "log.mcap", frames).tobytes()
+        == decode(frames, ROBOT, BUS, "log").samples.tobytes()
+    )

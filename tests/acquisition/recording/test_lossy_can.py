@@ -1,4 +1,6 @@
-"""Made-up lossy CAN recordings: no row mixes SYNCs or is off in time, and most rows are kept; live, too."""
+"""Made-up lossy CAN recordings: no row mixes SYNCs or is off in time, and most
+rows are kept; live, too.
+"""
 
 import numpy as np
 import pytest
@@ -6,14 +8,20 @@ from lossy_can import KINDS, SYNCS, Kind, Outcome, made, outcome
 
 from acquisition.recording.sync_grid import recorded_syncs
 
-BURSTS = {Kind(bursts=True): 0.93, Kind(bursts=True, lost=True): 0.8, Kind(bursts=True, late=True): 0.7}
+BURSTS = {
+    Kind(bursts=True): 0.93,
+    Kind(bursts=True, lost=True): 0.8,
+    Kind(bursts=True, late=True): 0.7,
+}
 LEAST = BURSTS | {Kind(): 1.0, Kind(lost=True): 0.97, Kind(late=True): 1.0, Kind(silent=True): 1.0}
 LEAST |= {Kind(sync="doubled"): 0.95, Kind(sync="lost"): 1.0}
 
 
 @pytest.mark.parametrize("kind", [*KINDS, *BURSTS], ids=str)
 def test_no_row_mixes_syncs_or_is_off_in_time(kind):
-    found = sum((outcome(made(np.random.default_rng([7, k]), kind)) for k in range(8)), Outcome(files=0))
+    found = sum(
+        (outcome(made(np.random.default_rng([7, k]), kind)) for k in range(8)), Outcome(files=0)
+    )
     assert (found.mixed, found.off) == (0, 0)
     assert found.rows >= LEAST.get(kind, 0.2) * found.possible
     assert found.refused <= (4 if kind.late or kind.lost else 0)
@@ -29,5 +37,11 @@ def test_answers_pending_at_the_end_make_no_late_one_doubtful():
 def test_syncs_that_changed_places_are_in_order_of_time_and_a_clock_that_is_set_back_stays(ours):
     even = 10**9 + 2_000_000 * np.arange(20)
     swapped, back = even[[*range(8), 9, 8, *range(10, 20)]], even - 5_000_000 * (np.arange(20) >= 8)
-    assert recorded_syncs(np.arange(20, dtype=np.int32), swapped, ours=ours)[1].tolist() == even.tolist()
-    assert recorded_syncs(np.arange(20, dtype=np.int32), back.copy(), ours=True)[1].tolist() == back.tolist()
+    assert (
+        recorded_syncs(np.arange(20, dtype=np.int32), swapped, ours=ours)[1].tolist()
+        == even.tolist()
+    )
+    assert (
+        recorded_syncs(np.arange(20, dtype=np.int32), back.copy(), ours=True)[1].tolist()
+        == back.tolist()
+    )

@@ -27,7 +27,9 @@ from acquisition.session import Recorder, process
 def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
     data, full = whole.read_bytes(), read_recording(whole)
     rng = np.random.default_rng(2)
-    cuts = sorted({*range(20), *range(len(data) - 20, len(data)), *rng.integers(0, len(data), 120).tolist()})
+    cuts = sorted(
+        {*range(20), *range(len(data) - 20, len(data)), *rng.integers(0, len(data), 120).tolist()}
+    )
     lengths = []
     for length in cuts:
         (tmp_path / "cut.mcap").write_bytes(data[:length])
@@ -39,7 +41,8 @@ def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
         assert is_prefix(part, full)
         assert (part.metadata, part.attachments) == (full.metadata, full.attachments)
         lengths.append(0 if part.samples is None else len(part.samples))
-    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3] + bytes(4096))  # unwritten disk space
+    # unwritten disk space
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3] + bytes(4096))
     assert read_recording(tmp_path / "cut.mcap").cut
     assert lengths == sorted(lengths)  # a longer file never tells less
     assert set(lengths) == {0, 40, 80, 120, 160, 200, 240}  # each flush counts
@@ -53,7 +56,11 @@ def spoilt(path: Path, data: bytearray, place: int, bit: int) -> Path:
 def test_a_flipped_bit_is_an_error_or_changes_nothing(whole, tmp_path):
     data, full = bytearray(whole.read_bytes()), read_recording(whole)
     rng, refused = np.random.default_rng(3), 0
-    places = [*range(60), *range(len(data) - 60, len(data)), *rng.integers(0, len(data), 250).tolist()]
+    places = [
+        *range(60),
+        *range(len(data) - 60, len(data)),
+        *rng.integers(0, len(data), 250).tolist(),
+    ]
     for place, bit in zip(places, (1 << rng.integers(8, size=len(places))).tolist(), strict=True):
         found = attempt(spoilt(tmp_path / "bad.mcap", data, place, bit))
         refused += isinstance(found, str)
@@ -97,7 +104,9 @@ def test_recovers_a_cut_file(robot, tmp_path, with_frames):
 def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch):
     with (tmp_path / "bomb.mcap").open("wb") as file:
         writer = described(file, GOOD, robot.files)
-        channel = writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        channel = writer.register_channel(
+            "/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode())
+        )
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
@@ -109,7 +118,10 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch
 
 
 def record(
-    path: Path, metadata: dict[str, str], attachments: dict[str, bytes], messages: list[tuple[str, str, bytes]]
+    path: Path,
+    metadata: dict[str, str],
+    attachments: dict[str, bytes],
+    messages: list[tuple[str, str, bytes]],
 ) -> None:
     with path.open("wb") as file:
         writer = described(file, metadata, attachments)
@@ -119,7 +131,9 @@ def record(
         writer.finish()
 
 
-def described(file: IO[bytes], metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> Writer:
+def described(
+    file: IO[bytes], metadata: Mapping[str, str], attachments: Mapping[str, bytes]
+) -> Writer:
     """The beginning of a recording that is still to get its data, in one chunk."""
     writer = Writer(file, chunk_size=2**30)
     writer.start()
@@ -132,7 +146,10 @@ def described(file: IO[bytes], metadata: Mapping[str, str], attachments: Mapping
 
 
 LAYOUT = "[('stamp_ns', '<i8'), ('position', '<f8', (2,)), ('effort', '<f8', (2,))]"
-FRAMES_LAYOUT = "[('time_ns', '<i8'), ('can_id', '<u4'), ('length', '|u1'), ('flags', '|u1'), ('data', '|u1', (8,))]"
+FRAMES_LAYOUT = (
+    "[('time_ns', '<i8'), ('can_id', '<u4'), ('length', '|u1'), ('flags', '|u1'), ('data', "
+    "'|u1', (8,))]"
+)
 GOOD = {"schema_version": "1", "sample_rate_hz": "1000.0", "effort_unit": '["N m", "N m"]'}
 ROW = struct.pack("<q4d", 0, 0.0, 0.0, 0.0, 0.0)
 
@@ -141,24 +158,54 @@ ROW = struct.pack("<q4d", 0, 0.0, 0.0, 0.0, 0.0)
     ("metadata", "messages", "message"),
     [
         ({}, [], "holds no metadata record 'recording': expected a recording"),
-        ({**GOOD, "schema_version": "3"}, [("/x", "", b"")], "schema_version = 3: expected 2 at most; a newer robot-"),
+        (
+            {**GOOD, "schema_version": "3"},
+            [("/x", "", b"")],
+            "schema_version = 3: expected 2 at most; a newer robot-",
+        ),
         ({**GOOD, "schema_version": "²"}, [], "schema_version = '²': expected a whole number"),
         ({**GOOD, "crc32": "00000000"}, [], "crc32 = '00000000': expected"),
-        ({**GOOD, "sample_rate_hz": "nan"}, [], "sample_rate_hz = 'nan': expected a positive number"),
-        ({**GOOD, "effort_unit": '["A", "A"]'}, [], r'effort_unit = \["A", "A"\]: expected \["N m", "N m"\]'),
+        (
+            {**GOOD, "sample_rate_hz": "nan"},
+            [],
+            "sample_rate_hz = 'nan': expected a positive number",
+        ),
+        (
+            {**GOOD, "effort_unit": '["A", "A"]'},
+            [],
+            r'effort_unit = \["A", "A"\]: expected \["N m", "N m"\]',
+        ),
         (GOOD, [("/samples", "[('a', '<f8')]", b"12345678")], "/samples: layout .*: expected"),
-        (GOOD, [("/samples", LAYOUT, ROW[:-1])], "39 bytes: expected blocks of whole rows of 40 bytes"),
+        (
+            GOOD,
+            [("/samples", LAYOUT, ROW[:-1])],
+            "39 bytes: expected blocks of whole rows of 40 bytes",
+        ),
         (GOOD, [("/samples", LAYOUT, ROW + ROW)], "row 2: stamp_ns = 0: expected growing stamps"),
-        (GOOD, [("/samples", LAYOUT, b"\xff" * 7 + b"\x7f" + ROW[8:])], "row 1: stamp_ns = 9223372036854775807"),
+        (
+            GOOD,
+            [("/samples", LAYOUT, b"\xff" * 7 + b"\x7f" + ROW[8:])],
+            "row 1: stamp_ns = 9223372036854775807",
+        ),
         (GOOD, [("/samples", LAYOUT, ROW), ("/samples", "[]", ROW)], "/samples changes its layout"),
         (GOOD, [("/can/a/frames", LAYOUT, ROW)], "/can/a/frames: layout .*: expected"),
-        (GOOD, [("/can/a/frames", FRAMES_LAYOUT, bytes(12) + b"\x09" + bytes(9))], "row 1: length = 9, .* expected 8"),
-        (GOOD, [("/can/a/frames", FRAMES_LAYOUT, bytes(7) + b"\xff" + bytes(14))], "time_ns = -72057594037927936"),
+        (
+            GOOD,
+            [("/can/a/frames", FRAMES_LAYOUT, bytes(12) + b"\x09" + bytes(9))],
+            "row 1: length = 9, .* expected 8",
+        ),
+        (
+            GOOD,
+            [("/can/a/frames", FRAMES_LAYOUT, bytes(7) + b"\xff" + bytes(14))],
+            "time_ns = -72057594037927936",
+        ),
         (GOOD, [("/events", "", b'{"kind": 1}')], "/events: Expected `str`, got `int`"),
         (GOOD, [("/health", "", b'{"drops": "many"}')], r"/health: Expected `float \| null`"),
     ],
 )
-def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, robot, metadata, messages, message):
+def test_files_that_are_no_recording_are_refused_in_one_line(
+    tmp_path, robot, metadata, messages, message
+):
     record(tmp_path / "odd.mcap", metadata, dict(robot.files), messages)
     with pytest.raises(BadInputError, match=message) as caught:
         read_recording(tmp_path / "odd.mcap")
@@ -168,9 +215,12 @@ def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, robot, me
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda writer: writer.add_metadata("recording", GOOD), "damaged at byte .* a second metadata record 'recording'"),
-        (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""), r"a second attachment 'robot\.toml'"),
-        (lambda writer: writer.add_message(7, 0, b"", 0), "a message on channel 7, which is not described"),
+        (lambda writer: writer.add_metadata("recording", GOOD),
+         "damaged at byte .* a second metadata record 'recording'"),
+        (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""),
+         r"a second attachment 'robot\.toml'"),
+        (lambda writer: writer.add_message(7, 0, b"", 0),
+         "a message on channel 7, which is not described"),
     ],
 )  # fmt: skip
 def test_what_stands_twice_or_belongs_to_nothing_is_damage(tmp_path, robot, change, message):
@@ -185,14 +235,18 @@ def test_what_stands_twice_or_belongs_to_nothing_is_damage(tmp_path, robot, chan
 def test_an_empty_channel_is_none(tmp_path, robot):
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = described(file, GOOD, robot.files)
-        writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        writer.register_channel(
+            "/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode())
+        )
         writer.add_message(writer.register_channel("/x", "", 0), 0, b"", 0)
         writer.finish()
     recording = read_recording(tmp_path / "a.mcap")
     assert (recording.samples, recording.frames) == (None, {})
 
 
-@pytest.mark.parametrize("content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50])
+@pytest.mark.parametrize(
+    "content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50]
+)
 def test_what_is_not_mcap_is_refused(tmp_path, content):
     (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(BadInputError, match="is not an MCAP file"):
@@ -215,11 +269,17 @@ def test_no_file_a_folder_or_no_description(tmp_path, robot):
     assert read_recording(path).samples.tobytes() == ROW
 
 
-def recorded(path: Path, messages: list[Any], receiver: SimpleNamespace, sync_ids: list[int]) -> Any:
-    """What the recorder's process makes of frames that `take` of the receiver makes up, and of the session's messages."""
+def recorded(
+    path: Path, messages: list[Any], receiver: SimpleNamespace, sync_ids: list[int]
+) -> Any:
+    """What the recorder's process makes of frames that `take` of the receiver makes up, and of
+    the session's messages.
+    """
     recorder = Recorder(path, robot_of(bus_text()), source="x", place="robot.toml")
     pipe: Any = SimpleNamespace(
-        poll=lambda timeout_s: bool(messages), recv=lambda: messages.pop(0), send=lambda message: None
+        poll=lambda timeout_s: bool(messages),
+        recv=lambda: messages.pop(0),
+        send=lambda message: None,
     )
     return process._record(pipe, recorder, receiver, np.array(sync_ids, int), None)  # type: ignore[arg-type]
 
@@ -229,10 +289,14 @@ def receiver_of(take: Callable[[], Block], sock: object = None) -> SimpleNamespa
 
 
 def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
-    """By half an hour before the first frame and an hour later; the recorder goes on with the session's clock."""
+    """By half an hour before the first frame and an hour later; the recorder goes on
+    with the session's clock.
+    """
     before_ns, further_ns = 1_800_000_000_000, 3_600_000_000_000
     true, now, wall = flat(session(syncs=60)), [0], [before_ns]
-    monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0]))
+    monkeypatch.setattr(
+        process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0])
+    )
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 0)
     messages: list[Any] = [("clock", 0)]
     blocks = iter(np.split(true, [50, 100]))
@@ -253,9 +317,13 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
     done = recorded(tmp_path / "a.mcap", messages, receiver, [0x80])
     assert (done.samples, done.warnings) == (60, ())
     recording = read_recording(tmp_path / "a.mcap")
-    assert recording.samples["stamp_ns"].tolist() == true["time_ns"][true["can_id"] == 0x80].tolist()
+    assert (
+        recording.samples["stamp_ns"].tolist() == true["time_ns"][true["can_id"] == 0x80].tolist()
+    )
     for event, by in zip(recording.events, ("1.8e+03", "3.6e+03"), strict=True):
-        assert event.text == f"the clock was set forward by {by} s: times go on as if it had not been"
+        assert (
+            event.text == f"the clock was set forward by {by} s: times go on as if it had not been"
+        )
         assert true["time_ns"][0] < event.stamp_ns <= true["time_ns"][-1]
 
 

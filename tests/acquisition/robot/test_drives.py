@@ -18,43 +18,61 @@ def test_a_rate_of_six_axes():
     fast = bus_of(robot_of(bus_text(6, period_s=0.001)))  # for a listener, who sends none of it
     with pytest.raises(BadInputError, match="156% of 1000000 bit/s") as caught:
         refuse_load(fast, "robot.toml")
-    assert (caught.value.key, caught.value.expected[:20]) == ("bus.sync_period_s", "95% at most: 0.0016 ")
+    assert (caught.value.key, caught.value.expected[:20]) == (
+        "bus.sync_period_s",
+        "95% at most: 0.0016 ",
+    )
 
 
 CHANGES = [
     (("node = 2", "node = 1"), "bus.drive[1].node = 1: expected a node id not used before"),
-    (("sync_period_s = 0.002", "sync_period_s = 0.00009"), "bus.sync_period_s = 9e-05: expected 0.0001 to 1"),
-    (("sync_period_s = 0.002", "sync_period_s = 1.001"), "bus.sync_period_s = 1.001: expected 0.0001 to 1"),
-    (("sync_period_s = 0.002", "sync_period_s = 0.002\nmaster_node = 2"), "bus.master_node = 2: expected a node id that no"),
-    (("sync_period_s = 0.002", "sync_period_s = 0.002\nother_nodes = [5, 1]"), "bus.other_nodes = 1: expected node ids that n"),
-    (('reference = "6074"', 'reference = "6074"\nreference_rule = "mA"'), "'mA': gives A: expected N m as motor"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.00009"),
+     "bus.sync_period_s = 9e-05: expected 0.0001 to 1"),
+    (("sync_period_s = 0.002", "sync_period_s = 1.001"),
+     "bus.sync_period_s = 1.001: expected 0.0001 to 1"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.002\nmaster_node = 2"),
+     "bus.master_node = 2: expected a node id that no"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.002\nother_nodes = [5, 1]"),
+     "bus.other_nodes = 1: expected node ids that n"),
+    (('reference = "6074"', 'reference = "6074"\nreference_rule = "mA"'),
+     "'mA': gives A: expected N m as motor"),
     (('reference = "6074"', 'reference = "2222"'), "reference = '2222': its type is not known"),
-    (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "I16" }'), "reference_rule is missing: 2222:0 (I16)"),
-    (('reference = "6074"', ""), "reference is missing: expected the object of the current or torque reference"),
+    (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "I16" }'),
+     "reference_rule is missing: 2222:0 (I16)"),
+    (('reference = "6074"', ""), "reference is missing: expected the object of the current or "
+                                 "torque reference"),
     (("rated_torque_nm = 0.42", ""), "rated_torque_nm is missing: expected the rated value"),
-    (("= 0.42", "= 1\nrated_current_a = 1e9"), "drive[0].rated_current_a = 1000000000.0: expected 0.001 to "),
-    (("counts_per_turn = 65536", ""), "counts_per_turn is missing: expected counts_per_turn or counts_per_m"),
+    (("= 0.42", "= 1\nrated_current_a = 1e9"), "drive[0].rated_current_a = 1000000000.0: expected "
+                                               "0.001 to "),
+    (("counts_per_turn = 65536", ""), "counts_per_turn is missing: expected counts_per_turn or "
+                                      "counts_per_m"),
     # The identifiers of other services.
-    *((("[bus]", f"[bus]\nsync_can_id = {i}"), f"bus.sync_can_id = {i}: expected 0x80, or 0x680 to 0x6DF")
+    *((("[bus]", f"[bus]\nsync_can_id = {i}"), f"bus.sync_can_id = {i}: expected 0x80, or 0x680 "
+                                               "to 0x6DF")
       for i in ("0x1", "0x81", "0x181", "0x57F", "0x601", "0x701", "0x7FF")),
 ]  # fmt: skip
 OF_DRIVE = [
     ('dictionary = "../x.eds"', "dictionary = '../x.eds': expected the name of a file in"),
-    ('dictionary = "a.eds"', "bus.drive[0].dictionary = 'a.eds': is missing next to the description"),
+    ('dictionary = "a.eds"', "bus.drive[0].dictionary = 'a.eds': is missing next to the "
+                             "description"),
     ('mapping = "dictionary"', "expected a dictionary (EDS or DCF)"),
     ('tpdo = [{ objects = ["6041", "6064", "606C"] }]', "2 + 4 + 4 = 10 bytes: expected 8"),
     ('tpdo = [{ objects = ["6041", "6064"] }]', "no PDO from the drive carries 6074:0"),
-    ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is used twice"),
+    ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = '
+     '0x281 }]', "is used twice"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x80 }]', "0x080: expected 0x181 to 0x57F"),
-    ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]', "0x182 is that of a PDO of motor_1: expected one of its own"),
+    ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]',
+     "0x182 is that of a PDO of motor_1: expected one of its own"),
     ('rpdo = [{ objects = ["6040"], number = 5 }]', "can_id is missing"),
     ('rated_torque_unit = "Nm"', "rated_torque_unit = 'Nm': expected one of mA, mN m, uN m"),
     ("counts_per_m = 5", "expected counts_per_turn or counts_per_m, one of the two"),
     ('objects = { "6064" = "I16" }', "bus.drive[0].position = '6064': is I16: expected I32"),
     ('objects = { "607A" = "U32" }', "bus.drive[0].target = '607A': is U32: expected I32"),
     ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
-    ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]', "no PDO from the drive carries 606C:0"),
-    ("extra = [{ scale = 0.1 }]", "bus.drive[0].extra[0] = '': expected an object, such as 606C or 2081:1"),
+    ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]',
+     "no PDO from the drive carries 606C:0"),
+    ("extra = [{ scale = 0.1 }]", "bus.drive[0].extra[0] = '': expected an object, such as 606C "
+                                  "or 2081:1"),
     *((f'homed = "{name}"', "homed") for name in ("6041.32", "604", "6041.", "6041.8.1")),
 ]  # fmt: skip
 
@@ -67,8 +85,12 @@ def test_refused_in_one_line(change, expected):
 
 def test_one_drive_for_each_motor_and_a_bus_for_them():
     text = bus_text(2)
-    refused(text[: text.rindex("[[bus.drive]]")], "bus.drive = '1 tables': expected one per motor: 2")
-    with pytest.raises(BadInputError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"):
+    refused(
+        text[: text.rindex("[[bus.drive]]")], "bus.drive = '1 tables': expected one per motor: 2"
+    )
+    with pytest.raises(
+        BadInputError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"
+    ):
         resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
 
 
@@ -85,7 +107,10 @@ def test_keys_of_a_drive_refused_in_one_line(lines, expected):
         ('channel = "test"', 'channel = "test"\nmaster_node = 2'),
         ("[bus]", "[bus]\nsync_can_id = 0x6DF"),
         # Rates of CiA 301, and 100 kbit/s, which it had before.
-        *(("[bus]", f"[bus]\nbitrate = {rate}000") for rate in (10, 20, 50, 100, 125, 250, 500, 800, 1000)),
+        *(
+            ("[bus]", f"[bus]\nbitrate = {rate}000")
+            for rate in (10, 20, 50, 100, 125, 250, 500, 800, 1000)
+        ),
     ],
 )
 def test_ends_of_ranges(change):
@@ -147,8 +172,12 @@ def entries(pdo) -> list[str]:
 
 def test_what_does_not_fit_one_pdo_goes_into_two():
     """Statusword, position and a reference of 32 bits are 10 bytes."""
-    text = bus_text(1).replace('reference = "6074"', 'reference = "30D0"\nobjects = { "30D0" = "I32" }')
-    drive = bus_of(robot_of(text.replace('"N m"', '"A"').replace("node = 1\n", "node = 9\n"))).drives[0]
+    text = bus_text(1).replace(
+        'reference = "6074"', 'reference = "30D0"\nobjects = { "30D0" = "I32" }'
+    )
+    drive = bus_of(
+        robot_of(text.replace('"N m"', '"A"').replace("node = 1\n", "node = 9\n"))
+    ).drives[0]
     assert [(pdo.number, pdo.can_id, pdo.length, entries(pdo)) for pdo in drive.tpdos] == [
         (1, 0x189, 6, ["6041:0", "6064:0"]),
         (2, 0x289, 4, ["30D0:0"]),
@@ -157,7 +186,10 @@ def test_what_does_not_fit_one_pdo_goes_into_two():
     assert drive.carrier(drive.target, "rpdo") is drive.rpdos[0]
     assert drive.carrier(drive.target, "tpdo") is None
     # PDOs of a description with numbers and identifiers.
-    line = 'tpdo = [{ objects = ["6064", "6074"], number = 3 }, { objects = ["6041"], can_id = 0x6A0, number = 7 }]\n'
+    line = (
+        'tpdo = [{ objects = ["6064", "6074"], number = 3 }, { objects = ["6041"], can_id = '
+        "0x6A0, number = 7 }]\n"
+    )
     drive = bus_of(robot_of(bus_text(1, drive=line))).drives[0]
     assert [(pdo.number, pdo.can_id, entries(pdo)) for pdo in drive.tpdos] == [
         (3, 0x381, ["6064:0", "6074:0"]),

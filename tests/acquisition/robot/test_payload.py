@@ -1,4 +1,6 @@
-"""The payload: its text, `[payload]` of robot.toml, and its parameters in the frame of the last link."""
+"""The payload: its text, `[payload]` of robot.toml, and its parameters in the
+frame of the last link.
+"""
 
 import contextlib
 import json
@@ -31,21 +33,36 @@ MOUNT = {"mount": joint("mount", "fixed", "beam", "tool", origin="0.05 0.1 0.3")
 
 
 def arm(table: str = "", **parts: str) -> Robot:
-    """The URDF of three joints with a tool fixed to the last link, and a sensor fixed to the link before."""
+    """The URDF of three joints with a tool fixed to the last link, and a sensor
+    fixed to the link before.
+    """
     kinds = ("revolute", "revolute", "prismatic")
-    joints = "".join(f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n' for name, kind in zip(ARM, kinds, strict=True))
+    joints = "".join(
+        f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n'
+        for name, kind in zip(ARM, kinds, strict=True)
+    )
     motors = "".join(f'[[motor]]\nname = "m_{name}"\neffort_unit = "N m"\n' for name in ARM)
     text = f'name = "arm"\nurdf = "r.urdf"\n{joints}{motors}[controller]\nbandwidth_hz = 5\n{table}'
-    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf(**(MOUNT | parts)).encode()}, "arm.toml")
+    return robot_from_files(
+        {"robot.toml": text.encode(), "robot.urdf": urdf(**(MOUNT | parts)).encode()}, "arm.toml"
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "payload", "words"),
     [
         ("2.805", Payload(2.805), "2.805 kg, centre of mass not stated"),
-        ("2.805@0.03,0.15,-0.16", Payload(2.805, (0.03, 0.15, -0.16)), "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in"),
+        (
+            "2.805@0.03,0.15,-0.16",
+            Payload(2.805, (0.03, 0.15, -0.16)),
+            "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in",
+        ),
         (" 1e-3 @ 0, 0 ,5", Payload(0.001, (0.0, 0.0, 5.0)), "0.001 kg at 0, 0, 5 ± 0.005 m in"),
-        ("2@0,0,0.1+-1e-3", Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001), "2 kg at 0, 0, 0.1 ± 0.001 m in"),
+        (
+            "2@0,0,0.1+-1e-3",
+            Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001),
+            "2 kg at 0, 0, 0.1 ± 0.001 m in",
+        ),
         (f"{1 / 3!r}@{0.1 + 0.2!r},0,0", Payload(1 / 3, (0.1 + 0.2, 0.0, 0.0)), None),
     ],
 )
@@ -53,7 +70,9 @@ def test_a_payload_is_read_and_written(text, payload, words):
     found = parse_payload(text, robot_named("tx40"))
     assert found == payload
     assert parse_payload(found.text, robot_named("tx40")) == payload
-    assert words is None or str(found) == words + " the frame of the last joint" * words.endswith("in")
+    assert words is None or str(found) == words + " the frame of the last joint" * words.endswith(
+        "in"
+    )
 
 
 @pytest.mark.parametrize(
@@ -81,7 +100,9 @@ def test_no_payload(text):
 
 
 def test_the_table_says_how_the_numbers_are_meant():
-    robot = arm('[payload]\nframe = "tool"\nmass_half_width_kg = 0.01\ncenter_half_width_m = 0.002\n')
+    robot = arm(
+        '[payload]\nframe = "tool"\nmass_half_width_kg = 0.01\ncenter_half_width_m = 0.002\n'
+    )
     assert parse_payload("2@0,0,0.1", robot) == Payload(2.0, (0.0, 0.0, 0.1), "tool", 0.01, 0.002)
     assert parse_payload("2@0,0,0.1+-0.003", robot).center_half_width_m == 0.003
     assert str(parse_payload("2@0,0,0.1", robot)) == "2 ± 0.01 kg at 0, 0, 0.1 ± 0.002 m in tool"
@@ -114,12 +135,19 @@ def test_payloads_that_have_no_parameters_or_no_unit_to_be_carried_in():
     motors = tuple(msgspec.structs.replace(m, effort_unit="A") for m in arm().motors)
     in_amperes = replace(arm(), motors=motors, parameters={"M1": 1.0})
     assert refusal(described_robot, in_amperes, Payload(1.0))[:2] == ("robot arm", "payload")
-    robot = replace(arm(), parameters={"M1": 1.0, "XX1": 1.0, "YY1": 1.0, "ZZ1": 1.0, "M2": 1.0, "M3": 1.0})
-    assert refusal(described_robot, robot, Payload(1.0, frame="sensor"))[1:] == ("payload.frame", "sensor")
+    robot = replace(
+        arm(), parameters={"M1": 1.0, "XX1": 1.0, "YY1": 1.0, "ZZ1": 1.0, "M2": 1.0, "M3": 1.0}
+    )
+    assert refusal(described_robot, robot, Payload(1.0, frame="sensor"))[1:] == (
+        "payload.frame",
+        "sensor",
+    )
 
 
 def test_parameters_of_a_ball_by_hand():
-    """2 kg at (0.1, 0, 0.3) m of the last joint: J = 2/5 m r² E + m (c·c E − c cᵀ) about the origin of its frame."""
+    """2 kg at (0.1, 0, 0.3) m of the last joint: J = 2/5 m r² E + m (c·c E − c cᵀ) about
+    the origin of its frame.
+    """
     J = 0.4 * 2 * 0.1**2
     expected = [J + 2 * 0.09, 0.0, -2 * 0.03, J + 2 * 0.1, 0.0, J + 2 * 0.01, 0.2, 0.0, 0.6, 2.0]
     for robot in (robot_named("tx40"), arm()):
@@ -128,10 +156,15 @@ def test_parameters_of_a_ball_by_hand():
 
 
 def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
-    """pinocchio merges a tool with this mass and inertia into the last link: the payload in its frame adds the same."""
+    """pinocchio merges a tool with this mass and inertia into the last link: the payload in
+    its frame adds the same.
+    """
     J = 0.4 * 2 * 0.1**2
     ball = f'<inertia ixx="{J}" ixy="0" ixz="0" iyy="{J}" iyz="0" izz="{J}"/>'
-    body = f'<link name="tool"><inertial><origin xyz="0.02 -0.1 0.3"/><mass value="2"/>{ball}</inertial></link>'
+    body = (
+        '<link name="tool"><inertial><origin xyz="0.02 -0.1 0.3"/><mass '
+        f'value="2"/>{ball}</inertial></link>'
+    )
     robots = [arm(tool='<link name="tool"/>'), arm(tool=body)]
     empty, full = (InverseModel(robot).link_parameters()[-1] for robot in robots)
     found = payload_parameters(InverseModel(robots[0]), Payload(2.0, (0.02, -0.1, 0.3), "tool"))
@@ -150,7 +183,9 @@ HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
 
 
 def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
-    with RecordingWriter(path, replace(header(robot_named("scara")), payload=payload, notes=metadata)) as writer:
+    with RecordingWriter(
+        path, replace(header(robot_named("scara")), payload=payload, notes=metadata)
+    ) as writer:
         writer.samples(some_samples(100))
     return path
 
@@ -167,7 +202,14 @@ def test_later_versions_may_say_more_of_a_payload_and_a_recovered_recording_keep
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "2.805", "{}", '{"mass_kg": 0}', '{"mass_kg": 1e999}', '{"mass_kg": 2, "mass_half_width_kg": -1}'),
+        *(
+            "",
+            "2.805",
+            "{}",
+            '{"mass_kg": 0}',
+            '{"mass_kg": 1e999}',
+            '{"mass_kg": 2, "mass_half_width_kg": -1}',
+        ),
         '{"mass_kg": 2, "x": ' + "[" * 9999,
     ],
 )
@@ -177,10 +219,24 @@ def test_a_recording_with_a_payload_that_is_none_is_refused(tmp_path, text):
 
 
 def test_what_is_decoded_again_keeps_the_payload(tmp_path):
-    dry, again, options = tmp_path / "dry.mcap", tmp_path / "again.mcap", {"dry_run": True, "duration_s": 0.2}
-    record(robot_of(bus_text(2)), "robot.toml", dry, RecordOptions(payload="2@0,0,0.1", **options), UserInterface())
+    dry, again, options = (
+        tmp_path / "dry.mcap",
+        tmp_path / "again.mcap",
+        {"dry_run": True, "duration_s": 0.2},
+    )
+    record(
+        robot_of(bus_text(2)),
+        "robot.toml",
+        dry,
+        RecordOptions(payload="2@0,0,0.1", **options),
+        UserInterface(),
+    )
     import_recording(dry, again, robot_of(bus_text(2, ratio=60.0)), "robot.toml")
-    assert read_recording(again).payload == read_recording(dry).payload == Payload(2.0, (0.0, 0.0, 0.1))
+    assert (
+        read_recording(again).payload
+        == read_recording(dry).payload
+        == Payload(2.0, (0.0, 0.0, 0.1))
+    )
 
 
 def test_info_shows_the_payload(tmp_path, capsys):
@@ -194,19 +250,34 @@ def test_info_shows_the_payload(tmp_path, capsys):
 
 def test_imports_take_a_payload(tmp_path):
     carried, out, log = Payload(2.5, (0.0, 0.0, 0.1)), tmp_path / "out.mcap", tmp_path / "a.log"
-    import_bag(bag(tmp_path / "bag", map(message, range(60))), robot_named("scara"), out, BAG, carried)
+    import_bag(
+        bag(tmp_path / "bag", map(message, range(60))), robot_named("scara"), out, BAG, carried
+    )
     assert read_recording(out).payload == carried
-    rows = [f"({t * 1e-9:.6f}) can0 {i:03X}#{d.tobytes()[:k].hex().upper()}\n" for t, i, k, _, d in flat(session())]
+    rows = [
+        f"({t * 1e-9:.6f}) can0 {i:03X}#{d.tobytes()[:k].hex().upper()}\n"
+        for t, i, k, _, d in flat(session())
+    ]
     log.write_text("".join(rows))
     np.savetxt(tmp_path / "a.csv", np.zeros((300, 4)), delimiter=",")
     table_map = (
-        'sample_rate_hz = 1000\n[position]\ncolumns = [1, 2]\nunit = "rad"\n[effort]\ncolumns = [3, 4]\nunit = "N m"\n'
+        'sample_rate_hz = 1000\n[position]\ncolumns = [1, 2]\nunit = "rad"\n[effort]\ncolumns '
+        '= [3, 4]\nunit = "N m"\n'
     )
     (tmp_path / "map.toml").write_text(table_map)
     out.unlink()
     import_tables([tmp_path / "a.csv"], robot_named("scara"), tmp_path / "map.toml", out, carried)
     assert read_recording(out).payload == carried
-    command = ["import", str(log), "--robot", "robot.toml", "-o", str(out), "--overwrite", "--payload"]
+    command = [
+        "import",
+        str(log),
+        "--robot",
+        "robot.toml",
+        "-o",
+        str(out),
+        "--overwrite",
+        "--payload",
+    ]
     (tmp_path / "robot.toml").write_text(bus_text(2))
     with contextlib.chdir(tmp_path):
         assert main([*command, "2@x"]) == 1
@@ -215,12 +286,16 @@ def test_imports_take_a_payload(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["record", "check"])
-def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows_one(tmp_path, command, capsys):
+def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows_one(
+    tmp_path, command, capsys
+):
     toml, out = tmp_path / "robot.toml", tmp_path / "a.mcap"
     toml.write_text(bus_text(2))
     options = ["-o", str(out), "--duration", "0.1"] if command == "record" else []
     assert main([command, str(toml), "--payload", "2@0,0", *options]) == 1
-    assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@0,0': expected KG or KG@X,Y,Z")
+    assert capsys.readouterr().err.startswith(
+        "robot-acquire: --payload = '2@0,0': expected KG or KG@X,Y,Z"
+    )
     assert not out.exists()
     if command == "check":
         assert main([command, str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
@@ -229,7 +304,9 @@ def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows
 
 def test_a_real_session_has_the_payload_too(tmp_path):
     robot = robot_of(bus_text(1, interface="udp_multicast", channel="239.74.163.9"))
-    log = ProcessLog(tmp_path / "a.mcap", robot, "robot.toml", Role.FED, 0, Payload(2.0, (0.0, 0.0, 0.1)))
+    log = ProcessLog(
+        tmp_path / "a.mcap", robot, "robot.toml", Role.FED, 0, Payload(2.0, (0.0, 0.0, 0.1))
+    )
     try:
         log.finish(10**9)
     finally:
@@ -238,23 +315,39 @@ def test_a_real_session_has_the_payload_too(tmp_path):
 
 
 def pendulum(folder: Path) -> Path:
-    """One joint that turns about z, level, without friction, with gravity along -y; at rest it holds 3 N m cos q."""
+    """One joint that turns about z, level, without friction, with gravity along -y; at
+    rest it holds 3 N m cos q.
+    """
     text = bus_text(1).replace("[controller]", "gravity_m_s2 = [0.0, -9.81, 0.0]\n[controller]")
     (folder / "robot.toml").write_text(f"{text}\n[parameters]\nZZ1 = 2.0\nMX1 = {3 / 9.81}\n")
-    (folder / "ref.csv").write_text("time_s,joint_1\n" + "".join(f"{0.002 * k},0\n" for k in range(150)))
+    (folder / "ref.csv").write_text(
+        "time_s,joint_1\n" + "".join(f"{0.002 * k},0\n" for k in range(150))
+    )
     return folder / "robot.toml"
 
 
-@pytest.mark.parametrize(("payload", "torque_nm"), [(None, 3.0), ("1.5@0.4,0.3,-0.2", 3.0 + 1.5 * 9.81 * 0.4)])
+@pytest.mark.parametrize(
+    ("payload", "torque_nm"), [(None, 3.0), ("1.5@0.4,0.3,-0.2", 3.0 + 1.5 * 9.81 * 0.4)]
+)
 def test_record_says_the_payload_and_a_dry_run_carries_it(tmp_path, capsys, payload, torque_nm):
     out = tmp_path / "a.mcap"
-    command = ["record", str(pendulum(tmp_path)), "--track", str(tmp_path / "ref.csv"), "--dry-run", "-o", str(out)]
+    command = [
+        "record",
+        str(pendulum(tmp_path)),
+        "--track",
+        str(tmp_path / "ref.csv"),
+        "--dry-run",
+        "-o",
+        str(out),
+    ]
     assert main([*command, *([] if payload is None else ["--payload", payload])]) == 0
     said, recording = capsys.readouterr().err, read_recording(out)
     if payload is None:
         assert (said, recording.payload) == ("", None)
     else:
-        assert said.startswith(f"payload {recording.payload.describe('joint_1')}: no limit of robot.toml counts it")
+        assert said.startswith(
+            f"payload {recording.payload.describe('joint_1')}: no limit of robot.toml counts it"
+        )
     stop_ns = next(e.stamp_ns for e in recording.events if e.text == "stop")
     still = recording.samples[recording.samples["stamp_ns"] < stop_ns][-50:]
     assert np.abs(still["position"]).max() < 0.02
@@ -262,13 +355,20 @@ def test_record_says_the_payload_and_a_dry_run_carries_it(tmp_path, capsys, payl
 
 
 def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
-    """Real drives are not tuned again for a payload; its inertia, about its centre of mass too, is that of a ball."""
+    """Real drives are not tuned again for a payload; its inertia, about its centre of mass
+    too, is that of a ball.
+    """
     robot = load_robot(pendulum(tmp_path))
-    (plant, loops), (loaded, same) = described_robot(robot), described_robot(robot, Payload(1.5, (0.4, 0.3, -0.2)))
+    (plant, loops), (loaded, same) = (
+        described_robot(robot),
+        described_robot(robot, Payload(1.5, (0.4, 0.3, -0.2))),
+    )
     np.testing.assert_array_equal(same.velocity, loops.velocity)
     torque, free = np.array([20.0]), np.zeros(1, bool)
     for each in (plant, loaded):
         each.step(torque, free, 1e-3)
     accelerations = np.array([each.state()[1][0] / 1e-3 for each in (plant, loaded)])
     inertia = 2.0 + 1.5 * 0.25 + 0.4 * 1.5 * 0.1**2
-    np.testing.assert_allclose(accelerations, [17 / 2, (17 - 1.5 * 9.81 * 0.4) / inertia], rtol=2e-3)
+    np.testing.assert_allclose(
+        accelerations, [17 / 2, (17 - 1.5 * 9.81 * 0.4) / inertia], rtol=2e-3
+    )

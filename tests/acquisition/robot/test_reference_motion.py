@@ -1,4 +1,6 @@
-"""References as motion: limits on both of their sides, moves from rest to rest, series and splines against calculus."""
+"""References as motion: limits on both of their sides, moves from rest to rest, series and
+splines against calculus.
+"""
 
 import re
 
@@ -13,9 +15,13 @@ DEG = np.pi / 180
 PERIOD_S = 0.002
 
 
-def robot_with(low: float = -150, high: float = 60, speed: float = 200, acceleration: float = 4000) -> Robot:
+def robot_with(
+    low: float = -150, high: float = 60, speed: float = 200, acceleration: float = 4000
+) -> Robot:
     first, _, second = bus_text(2).partition('name = "joint_2"')
-    second = second.replace("[-150, 150]", f"[{low}, {high}]").replace("speed_deg_s = 200", f"speed_deg_s = {speed}")
+    second = second.replace("[-150, 150]", f"[{low}, {high}]").replace(
+        "speed_deg_s = 200", f"speed_deg_s = {speed}"
+    )
     second = second.replace("acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {acceleration}")
     return robot_of(f'{first}name = "joint_2"{second}')
 
@@ -32,7 +38,9 @@ def check(values: np.ndarray, robot: Robot) -> None:
 
 @pytest.mark.parametrize(("sign", "limit_deg"), [(1, 60.0), (-1, 150.0)])
 def test_positions_at_and_beyond_each_end(sign, limit_deg):
-    """A slow ramp to the end and back passes; a billionth of the larger limit, 150 degrees, beyond it is rounding."""
+    """A slow ramp to the end and back passes; a billionth of the larger limit, 150 degrees,
+    beyond it is rounding.
+    """
     ramp = np.sin(np.linspace(0, np.pi, 5001)) ** 2 * sign
     check(ramp * (limit_deg + 0.9e-9 * 150) * DEG, robot_with())
     told(ramp * (limit_deg + 1.1e-9 * 150) * DEG, robot_with())
@@ -45,18 +53,28 @@ def test_positions_at_and_beyond_each_end(sign, limit_deg):
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_speed_on_each_side(sign):
-    """A ramp of 200 deg/s between rows at rest; the steps at its ends need acceleration, which is not limited here."""
+    """A ramp of 200 deg/s between rows at rest; the steps at its ends need acceleration,
+    which is not limited here.
+    """
     robot = robot_with(acceleration=1e9)
-    ramp = sign * np.r_[0.0, np.cumsum(np.r_[np.zeros(5), np.full(100, 200 * DEG * PERIOD_S), np.zeros(5)])]
+    ramp = (
+        sign
+        * np.r_[0.0, np.cumsum(np.r_[np.zeros(5), np.full(100, 200 * DEG * PERIOD_S), np.zeros(5)])]
+    )
     check(ramp, robot)
-    expected = f"here: at 0.012 s: speed of joint_2 = {sign * 200.2 * DEG:.4g} rad/s: expected -3.491 to 3.491"
+    expected = (
+        f"here: at 0.012 s: speed of joint_2 = {sign * 200.2 * DEG:.4g} rad/s: expected -3.491 "
+        "to 3.491"
+    )
     assert told(1.001 * ramp, robot) == expected
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("braking", [False, True])
 def test_acceleration_on_each_side(sign, braking):
-    """Half a parabola of 4000 deg/s² up, at constant speed on, and one that is a thousandth steeper, from either end."""
+    """Half a parabola of 4000 deg/s² up, at constant speed on, and one that is a thousandth
+    steeper, from either end.
+    """
     a = 4000 * DEG
     gentle, steep = np.full(20, a / 2), np.full(10, 1.001 * a)
     up, down = (gentle, -steep) if braking else (steep, -gentle)
@@ -65,7 +83,9 @@ def test_acceleration_on_each_side(sign, braking):
     path = sign * np.r_[0.0, 0.0, np.cumsum(speeds * PERIOD_S), 0.0]
     path[-1] = path[-2]
     robot, value = robot_with(speed=1e6), sign * (-1 if braking else 1) * 1.001 * a
-    assert f"acceleration of joint_2 = {value:.4g} rad/s²: expected -69.81 to 69.81" in told(path, robot)
+    assert f"acceleration of joint_2 = {value:.4g} rad/s²: expected -69.81 to 69.81" in told(
+        path, robot
+    )
     check(path / 1.002, robot)
 
 
@@ -74,14 +94,18 @@ def test_a_reference_that_does_not_begin_or_end_at_rest():
     robot = robot_with(speed=1e6, acceleration=1e6)
     for value in (np.nan, np.inf, -np.inf, 1e308):  # no number is within a limit
         said = told(np.array([0, 0, value, 0, 0]), robot)
-        assert re.fullmatch(r"here: at 0.004 s: position of joint_2 = .*: expected -2.618 to 1.047", said)
+        assert re.fullmatch(
+            r"here: at 0.004 s: position of joint_2 = .*: expected -2.618 to 1.047", said
+        )
     for path in (np.r_[0.0, np.full(9, 0.1)], np.r_[np.full(9, 0.0), 0.1]):
         assert "acceleration of joint_2 = 2.5e+04 rad/s²" in told(path, robot)
 
 
 @pytest.mark.parametrize("quantity", ["position", "speed", "acceleration", "following error"])
 def test_nothing_moves_without_limits(quantity):
-    text = re.sub(f"^{quantity.replace(' ', '_')}_deg.*$", "", bus_text(2), count=1, flags=re.MULTILINE)
+    text = re.sub(
+        f"^{quantity.replace(' ', '_')}_deg.*$", "", bus_text(2), count=1, flags=re.MULTILINE
+    )
     said = told(np.zeros(3), robot_of(text))
     assert said.startswith(f"here: joint[0] (joint_1): no limit of {quantity}: ")
 
@@ -97,32 +121,48 @@ def test_an_approach_takes_a_tenth_of_the_limits(speed, acceleration, seconds):
     start, end = np.array([0.1, -80 * DEG]), np.array([0.05, 10 * DEG])
     q = approach(start, end, robot_with(speed=speed, acceleration=acceleration), PERIOD_S)
     assert (len(q) - 1) * PERIOD_S == pytest.approx(seconds, abs=2 * PERIOD_S)
-    assert (len(approach(start, start, robot_with(), PERIOD_S)) - 1) * PERIOD_S == pytest.approx(0.2)
+    assert (len(approach(start, start, robot_with(), PERIOD_S)) - 1) * PERIOD_S == pytest.approx(
+        0.2
+    )
     x = np.arange(len(q)) / (len(q) - 1)
-    assert q == pytest.approx(start + np.outer(10 * x**3 - 15 * x**4 + 6 * x**5, end - start), abs=1e-12)
+    assert q == pytest.approx(
+        start + np.outer(10 * x**3 - 15 * x**4 + 6 * x**5, end - start), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("period_s", [1.0, 5.0, 60.0])
 def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(period_s):
-    reference = fourier_reference(robot_with(speed=100, acceleration=300), period_s=period_s, seed=1)
+    reference = fourier_reference(
+        robot_with(speed=100, acceleration=300), period_s=period_s, seed=1
+    )
     assert reference.sine.shape == reference.cosine.shape == (2, 5)
     q, dq, ddq = reference.at(t := np.linspace(0, period_s, 20001))
     for x, derivative in ((q, dq), (dq, ddq)):
         np.testing.assert_allclose(
             np.gradient(x, t, axis=0)[1:-1], derivative[1:-1], atol=1e-4 * np.abs(derivative).max()
         )
-    for j, (low, high, speed, acceleration) in enumerate(((-150, 150, 200, 4000), (-150, 60, 100, 300))):
+    for j, (low, high, speed, acceleration) in enumerate(
+        ((-150, 150, 200, 4000), (-150, 60, 100, 300))
+    ):
         used = np.ptp(q[:, j]), np.abs(dq[:, j]).max(), np.abs(ddq[:, j]).max()
-        assert max(np.array(used) / DEG / (high - low, speed, acceleration)) == pytest.approx(0.8, rel=1e-3)
-        assert (q[:, j].max() + q[:, j].min()) / 2 == pytest.approx((low + high) / 2 * DEG, abs=1e-4)
+        assert max(np.array(used) / DEG / (high - low, speed, acceleration)) == pytest.approx(
+            0.8, rel=1e-3
+        )
+        assert (q[:, j].max() + q[:, j].min()) / 2 == pytest.approx(
+            (low + high) / 2 * DEG, abs=1e-4
+        )
     for x in (dq, ddq):
         assert np.abs(x[[0, -1]]).max() < 1e-9 * np.abs(x).max()
     assert q[-1] == pytest.approx(q[0])
 
 
 def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed():
-    robot = robot_of(bus_text(1).replace("speed_deg_s = 200", "").replace("acceleration_deg_s2 = 4000", ""))
-    reference, again, other = (fourier_reference(robot, period_s=10.0, seed=seed) for seed in (3, 3, 4))
+    robot = robot_of(
+        bus_text(1).replace("speed_deg_s = 200", "").replace("acceleration_deg_s2 = 4000", "")
+    )
+    reference, again, other = (
+        fourier_reference(robot, period_s=10.0, seed=seed) for seed in (3, 3, 4)
+    )
     q, _, _ = reference.at(np.linspace(0, 10, 20001))
     assert [q.min(), q.max()] == pytest.approx([-120 * DEG, 120 * DEG], abs=1e-4)
     assert again.sine.tolist() == reference.sine.tolist()
@@ -132,7 +172,9 @@ def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed(
 def test_a_random_series_of_a_joint_without_a_range_or_of_no_length_is_refused():
     """It has no range of 1 rad to each side by itself."""
     with pytest.raises(BadInputError) as error:
-        fourier_reference(robot_of(bus_text(1).replace("position_deg = [-150, 150]", "")), period_s=10.0, seed=3)
+        fourier_reference(
+            robot_of(bus_text(1).replace("position_deg = [-150, 150]", "")), period_s=10.0, seed=3
+        )
     assert (error.value.key, error.value.value) == ("joint[0].position_deg", None)
     assert error.value.place.endswith("joint joint_1")
     for period_s in (0.0, -1.0, float("nan")):
@@ -141,7 +183,9 @@ def test_a_random_series_of_a_joint_without_a_range_or_of_no_length_is_refused()
 
 
 def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
-    """Between two rows the clamped cubic is 3 x² - 2 x³; times count from the first row; columns go by name."""
+    """Between two rows the clamped cubic is 3 x² - 2 x³; times count from the first
+    row; columns go by name.
+    """
     path = tmp_path / "ref.csv"
     path.write_text("joint_2,time_s,joint_1\n0.5,10,0\n0.3,10.1,1\n")
     q = table_reference(path, robot_of(bus_text(2)), PERIOD_S)
@@ -154,10 +198,13 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
     ("rows", "period_s", "expected"),
     [
         ("0,0,0\n1,1,0\n0.5,0,0", 0.002, "time_s: expected two rows or more, with growing times"),
-        ("0,0,0\n1e-310,0,1\n1,0,0", 0.002, "rows 1e-310 s apart or more, positions up to 1: expected positions in rad"),
-        ("0,0,0\n1,0,1e308\n2,0,-1e308", 0.002, "rows 1 s apart or more, positions up to 1e+308: expected positions"),
+        ("0,0,0\n1e-310,0,1\n1,0,0", 0.002, "rows 1e-310 s apart or more, positions up to 1: "
+                                            "expected positions in rad"),
+        ("0,0,0\n1,0,1e308\n2,0,-1e308", 0.002, "rows 1 s apart or more, positions up to 1e+308: "
+                                                "expected positions"),
         ("0,0,0\n86401,1,1", 1.0, "time_s: 86401 s from first to last: expected 86400 s at most"),
-        ("0,0,0\n6000,1,1", 1e-4, "time_s: 6000 s from first to last: expected 5000 s at most, with SYNC every 0.0001"),
+        ("0,0,0\n6000,1,1", 1e-4, "time_s: 6000 s from first to last: expected 5000 s at most, "
+                                  "with SYNC every 0.0001"),
     ],
 )  # fmt: skip
 def test_tables_that_no_path_leads_through(tmp_path, rows, period_s, expected):

@@ -1,4 +1,7 @@
-"""robot.toml into a robot: what it means, and one line for each mistake. Files that are whole or not there."""
+"""robot.toml into a robot: what it means, and one line for each mistake.
+
+Files that are whole or not there.
+"""
 
 import os
 import pickle
@@ -30,15 +33,21 @@ def refused(text: str) -> RobotIdimError:
 
 
 def test_a_coupled_robot_by_hand():
-    """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3 tau_m2, joint 2 the rest."""
+    """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3
+    tau_m2, joint 2 the rest.
+    """
     robot = described(COUPLED)
     q = np.array([[np.pi / 2 + 1.0, -np.pi / 4 + 2.0], [np.pi / 2, -np.pi / 4 - 0.5]])
     q_motor = np.array([[18.0, 37.0], [-2.0, -10.0]])
     assert robot.motor_position(q) == pytest.approx(q_motor)
     assert robot.joint_position(q_motor) == pytest.approx(q)
     # 2 A and 8 A are 1 N m and 2 N m at the motors.
-    assert robot.joint_effort(np.array([[2.0, 8.0], [-2.0, 0.0]])) == pytest.approx(np.array([[4, 44], [-10, -4]]))
-    assert robot.motor_effort(np.array([[4.0, 44.0], [-10.0, -4.0]])) == pytest.approx(np.array([[2, 8], [-2, 0]]))
+    assert robot.joint_effort(np.array([[2.0, 8.0], [-2.0, 0.0]])) == pytest.approx(
+        np.array([[4, 44], [-10, -4]])
+    )
+    assert robot.motor_effort(np.array([[4.0, 44.0], [-10.0, -4.0]])) == pytest.approx(
+        np.array([[2, 8], [-2, 0]])
+    )
     assert robot.gain.tolist() == [0.5, 0.25]
     assert not robot.R.flags.writeable
     assert robot.gravity.tolist() == [0, 9.81, 0]
@@ -54,7 +63,10 @@ def test_a_coupled_robot_by_hand():
     ],
 )
 def test_limits_in_si(quantity, per, value, si):
-    keys = {unit: ONE_JOINT.replace(DH, f"{DH}\n{quantity}_{unit}{per} = {value}") for unit in ("deg", "m")}
+    keys = {
+        unit: ONE_JOINT.replace(DH, f"{DH}\n{quantity}_{unit}{per} = {value}")
+        for unit in ("deg", "m")
+    }
     (turning,) = described(keys["deg"]).joints
     assert (turning.si(quantity), turning.position_unit) == (pytest.approx(si), "rad")
     (sliding,) = described(keys["m"].replace("revolute", "prismatic")).joints
@@ -62,7 +74,9 @@ def test_limits_in_si(quantity, per, value, si):
     assert (sliding.si(quantity), sliding.position_unit) == (given, "m")
     assert described(ONE_JOINT).joints[0].si(quantity) is None
     assert refused(keys["m"]).key == f"joint[0].{quantity}_m{per}"
-    assert refused(keys["deg"].replace("revolute", "prismatic")).key == f"joint[0].{quantity}_deg{per}"
+    assert (
+        refused(keys["deg"].replace("revolute", "prismatic")).key == f"joint[0].{quantity}_deg{per}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -88,22 +102,34 @@ def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
     [
         ('name = "one"', 'name = "a\\u001b[31m"', "name", "a\x1b[31m", "`str` matching regex"),
         ("ratio = 50", "ratio = 0", "motor[0].ratio", 0.0, "a non-zero ratio"),
-        (GAIN, "", "motor[0].effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive gain is given"),
-        (GAIN, "drive_gain = 0.2", "motor[0].drive_gain", 0.2, "drive_gain and drive_gain_unit together"),
+        (GAIN, "", "motor[0].effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive "
+                                                 "gain is given"),
+        (GAIN, "drive_gain = 0.2", "motor[0].drive_gain", 0.2,
+         "drive_gain and drive_gain_unit together"),
         (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain", -0.2, "a positive number"),
-        (GAIN, GAIN + '\neffort_unit = "V"', "motor[0].effort_unit", "V", "'A', as drive_gain_unit says"),
+        (GAIN, GAIN + '\neffort_unit = "V"', "motor[0].effort_unit", "V",
+         "'A', as drive_gain_unit says"),
         (DH, "", "joint[0].dh", None, "a dh row for every joint, or else a urdf"),
-        (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg", (90.0, -90.0), "[lowest, highest]"),
-        (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m", (0.0, 1.0), "a key in deg for a revolute"),
-        ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor", "2 tables", "one per joint: 1"),
-        ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]", "controller.position_gain", [1.0, 2.0], "1 numbers"),
-        ("bandwidth_hz = 20", "bandwidth_hz = 20\nintegral_gain = [-1]", "controller.integral_gain", [-1.0], "positive"),
-        ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio", 50.0, "a non-zero ratio, or motor_matrix"),
-        ("[[10, 4], [-3, 20]]", "[[10, 4], [5, 2]]", "motor_matrix", ((10.0, 4.0), (5.0, 2.0)), "an invertible matrix"),
-        ("[[10, 4], [-3, 20]]", "[[0, 4], [-3, 20]]", "motor_matrix[0]", [0.0, 4.0], "motor 1 to turn joint 1"),
+        (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg", (90.0, -90.0),
+         "[lowest, highest]"),
+        (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m", (0.0, 1.0),
+         "a key in deg for a revolute"),
+        ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor",
+         "2 tables", "one per joint: 1"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]",
+         "controller.position_gain", [1.0, 2.0], "1 numbers"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 20\nintegral_gain = [-1]",
+         "controller.integral_gain", [-1.0], "positive"),
+        ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio", 50.0,
+         "a non-zero ratio, or motor_matrix"),
+        ("[[10, 4], [-3, 20]]", "[[10, 4], [5, 2]]", "motor_matrix", ((10.0, 4.0), (5.0, 2.0)),
+         "an invertible matrix"),
+        ("[[10, 4], [-3, 20]]", "[[0, 4], [-3, 20]]", "motor_matrix[0]", [0.0, 4.0],
+         "motor 1 to turn joint 1"),
         ("[[10, 4], [-3, 20]]", "[[10, 4]]", "motor_matrix", [2], "2 rows of 2 numbers"),
         ('name = "second"', 'name = "first"', "joint[1].name", "first", "a name not used before"),
-        ('drive_gain = 0.25\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"', "motor.drive_gain", None, "a drive gain for all"),
+        ('drive_gain = 0.25\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"', "motor.drive_gain",
+         None, "a drive gain for all"),
     ],
 )  # fmt: skip
 def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, value, expected):
@@ -117,8 +143,10 @@ def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, 
     ("old", "new", "message"),
     [
         ('name = "one"', "", "top level: Object missing required field `name`"),
-        ('name = "one"', 'name = "one"\n"a\\nb" = 3', "top level: Object contains unknown field `a b`"),
-        ("ratio = 50", f"ratio = {'9' * 1500}", f"motor[0].ratio = {'9' * 77}: Number out of range"),
+        ('name = "one"', 'name = "one"\n"a\\nb" = 3',
+         "top level: Object contains unknown field `a b`"),
+        ("ratio = 50", f"ratio = {'9' * 1500}",
+         f"motor[0].ratio = {'9' * 77}: Number out of range"),
         ("ratio = 50", "ratio = 50\nratio = 50", "not valid TOML: Cannot overwrite a value"),
         ("[[joint]]", f"a = {'[' * 1900}", "not valid TOML: "),
         ("[[joint]]", f"a{'.a' * 2000} = 1", "a line of 4005: expected 262144 and"),
@@ -131,14 +159,19 @@ def test_each_mistake_is_told_in_one_line(old, new, message):
 
 
 def test_no_description_and_bytes_that_are_no_text():
-    for files, told in (({"robot.toml": b"name = '\xff'"}, "not valid TOML: 'utf-8'"), ({}, r"holds no robot\.toml")):
+    for files, told in (
+        ({"robot.toml": b"name = '\xff'"}, "not valid TOML: 'utf-8'"),
+        ({}, r"holds no robot\.toml"),
+    ):
         with pytest.raises(BadInputError, match=f"here: {told}"):
             robot_from_files(files, "here")
 
 
 def test_the_urdf_comes_along_or_is_missed(tmp_path):
     path = tmp_path / "r.toml"
-    path.write_text(text := ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"'))
+    path.write_text(
+        text := ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
+    )
     for place, told in (
         (path, r"urdf = 'arm\.urdf': cannot be read"),
         (tmp_path / "none.toml", "cannot be read: No such"),
@@ -158,7 +191,10 @@ def test_errors_carry_their_data_and_make_one_printable_line_of_it():
     error = RobotIdimError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
     assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
     assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
-    assert str(RobotIdimError(place="a.toml", key="b", value=None, expected="c")) == "a.toml: b is missing: expected c"
+    assert (
+        str(RobotIdimError(place="a.toml", key="b", value=None, expected="c"))
+        == "a.toml: b is missing: expected c"
+    )
     assert str(RobotIdimError("x rows", place="a.toml", key="b")) == "a.toml: b: x rows"
     bare = pickle.loads(pickle.dumps(error))  # as one process hands it to another
     assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
@@ -166,7 +202,9 @@ def test_errors_carry_their_data_and_make_one_printable_line_of_it():
     assert one_line("  two  words ") == "two words"
 
 
-def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(tmp_path, monkeypatch):
+def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(
+    tmp_path, monkeypatch
+):
     synced: list[str] = []
     monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").read_text()))
     path = tmp_path / "out"
@@ -222,7 +260,9 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
 def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, lines, key, value):
     before, after = (REPLAY / "scara" / "robot.toml").read_text().split("[controller]")
     path = tmp_path / "robot.toml"
-    path.write_text(f"{before}[controller]\nbandwidth_hz = 5.0\n{lines}\n{after[after.index('[bus]') :]}")
+    path.write_text(
+        f"{before}[controller]\nbandwidth_hz = 5.0\n{lines}\n{after[after.index('[bus]') :]}"
+    )
     with pytest.raises(BadInputError) as caught:
         load_robot(path)
     assert (caught.value.key, caught.value.value) == (f"controller.{key}", value)

@@ -1,4 +1,6 @@
-"""What is asked before anything moves: homed, joint positions agreed, SYNC in step; and the same path slowly."""
+"""What is asked before anything moves: homed, joint positions agreed, SYNC in step;
+and the same path slowly.
+"""
 
 import gc
 import itertools
@@ -17,13 +19,22 @@ from acquisition.bus import Master, confirm_motion, position_words
 from acquisition.commands import main
 from acquisition.errors import BadInputError, BusFaultError, RefusedError, RobotIdimError
 from acquisition.robot import table_reference
-from acquisition.session import RecordOptions, Task, UserInterface, real_time_scheduling, record, timing
+from acquisition.session import (
+    RecordOptions,
+    Task,
+    UserInterface,
+    real_time_scheduling,
+    record,
+    timing,
+)
 from acquisition.session.running import _before_motion as before_motion
 from acquisition.session.timing import Pace, largest_delay_s, refuse_jitter
 
 
 def test_joint_positions_in_words_by_hand():
-    """65536 counts a turn and a ratio of 50: 409600 counts of node 1 are 6.25 turns of the motor, 45 degrees."""
+    """65536 counts a turn and a ratio of 50: 409600 counts of node 1 are 6.25 turns of
+    the motor, 45 degrees.
+    """
     run, master = connected()
     for node, counts in zip(run.drives.nodes, (409_600, -819_200), strict=True):
         node.values[0x6064, 0] = counts
@@ -37,7 +48,11 @@ def test_joint_positions_in_words_by_hand():
 
 
 def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
-    robot, (run, master), shown = robot_of(bus_text(2)), connected(robot_of(bus_text(2))), list[list[str]]()
+    robot, (run, master), shown = (
+        robot_of(bus_text(2)),
+        connected(robot_of(bus_text(2))),
+        list[list[str]](),
+    )
     run.drives.nodes[1].emergency(0x8611)
     for _ in range(2):
         run.drives.nodes[1].tick()
@@ -49,12 +64,19 @@ def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
     assert caught.value.place == "drives"
     assert faults[0] in caught.value.why
     assert confirm_motion(robot, master, lambda words, faults: True) == words + faults
-    assert confirm_motion(robot, master, lambda words, faults: not faults, reset_faults=True) == words + faults
+    assert (
+        confirm_motion(robot, master, lambda words, faults: not faults, reset_faults=True)
+        == words + faults
+    )
 
 
 @pytest.mark.parametrize(
     ("options", "faults", "moves"),
-    [(["--yes"], [], True), (["--yes"], ["in fault: node 1"], False), (["--yes", "--reset-faults"], [], True)],
+    [
+        (["--yes"], [], True),
+        (["--yes"], ["in fault: node 1"], False),
+        (["--yes", "--reset-faults"], [], True),
+    ],
 )
 def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, faults, moves):
     (tmp_path / "robot.toml").write_text(bus_text(2))
@@ -66,7 +88,12 @@ def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, 
 
     monkeypatch.setattr("acquisition.session.record", run)
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
-    assert main(["record", str(tmp_path / "robot.toml"), "-o", "a.mcap", "--track", "ref.csv", *options]) == 1
+    assert (
+        main(
+            ["record", str(tmp_path / "robot.toml"), "-o", "a.mcap", "--track", "ref.csv", *options]
+        )
+        == 1
+    )
     ((given, answer),) = asked
     assert answer is moves
     assert (given.reset_faults, given.unsupervised_drives) == ("--reset-faults" in options, False)
@@ -86,7 +113,9 @@ def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, 
 def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, missing, refused):
     robot, (run, master) = robot_of(bus_text(2)), connected(robot_of(bus_text(2)))
     node = run.drives.nodes[1]
-    node.values = {key: value for key, value in (node.values | values).items() if key[0] not in missing}
+    node.values = {
+        key: value for key, value in (node.values | values).items() if key[0] not in missing
+    }
     ready = partial(before_motion, robot, master, confirm=lambda words, faults: True)
     if refused:
         with pytest.raises(RefusedError) as caught:
@@ -95,9 +124,14 @@ def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, mi
         assert caught.value.why.startswith(refused)
     else:
         ready(RecordOptions())
-    assert any(mark.startswith("confirmed: joint_1") for mark in ready(RecordOptions(unsupervised_drives=True)))
+    assert any(
+        mark.startswith("confirmed: joint_1")
+        for mark in ready(RecordOptions(unsupervised_drives=True))
+    )
     lacks = [f for f in findings(run, master.bus) if not f.ok]
-    assert [(f.subject, f.node, f.track) for f in lacks] == ([("supervision", 2, True)] if refused else [])
+    assert [(f.subject, f.node, f.track) for f in lacks] == (
+        [("supervision", 2, True)] if refused else []
+    )
 
 
 @pytest.mark.parametrize("name", ["6041.8", "2000:1", "6041.15", "2000.3"])
@@ -113,7 +147,11 @@ def test_a_drive_that_is_not_homed_moves_nothing(name):
     with pytest.raises(RefusedError) as caught:
         confirm_motion(robot, master, lambda words, faults: True)
     error = caught.value
-    assert (error.place, error.key, error.value) == ("node 2 (motor_2)", "homed", robot.bus.drive[1].homed)
+    assert (error.place, error.key, error.value) == (
+        "node 2 (motor_2)",
+        "homed",
+        robot.bus.drive[1].homed,
+    )
 
 
 def test_nothing_is_written_before_somebody_agrees(tmp_path):
@@ -137,7 +175,10 @@ def test_without_a_terminal_and_without_yes_nothing_begins(tmp_path, capsys, mon
     command = ["record", "robot.toml", "-o", "a.mcap", "--track", "ref.csv"]
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
     assert main(command) == 1
-    assert "nobody can confirm the joint positions: expected a terminal, or --yes" in capsys.readouterr().err
+    assert (
+        "nobody can confirm the joint positions: expected a terminal, or --yes"
+        in capsys.readouterr().err
+    )
     assert main([*command, "--yes"]) == 1  # it gets as far as the bus
     assert "none0: cannot be opened" in capsys.readouterr().err
     assert not (tmp_path / "a.mcap").exists()
@@ -151,7 +192,9 @@ def test_the_same_path_slowly(tmp_path):
     robot = robot_of(bus_text(1))
     fast, slow = table_reference(path, robot, 0.002), table_reference(path, robot, 0.002, 0.2)
     assert (len(fast), len(slow)) == (1001, 5001)
-    assert np.abs(slow[:, 0] - 0.3 * (1 - np.cos(np.pi * 0.2 * np.arange(5001) * 0.002))).max() < 1e-6
+    assert (
+        np.abs(slow[:, 0] - 0.3 * (1 - np.cos(np.pi * 0.2 * np.arange(5001) * 0.002))).max() < 1e-6
+    )
     assert slow[::5] == pytest.approx(fast, abs=1e-12)
 
 
@@ -161,7 +204,10 @@ REF = Path("ref.csv")
 @pytest.mark.parametrize(
     ("options", "place", "expected"),
     [
-        *(({"track": REF, "speed": x}, "--speed", "more than 0, and 1 at most") for x in (0, -0.5, 1.5, np.nan)),
+        *(
+            ({"track": REF, "speed": x}, "--speed", "more than 0, and 1 at most")
+            for x in (0, -0.5, 1.5, np.nan)
+        ),
         ({"speed": 0.5}, "--speed", "--track with it"),
         ({"track": REF, "duration_s": 1.0}, "--track", "no --duration"),
     ],
@@ -180,7 +226,8 @@ def test_what_is_granted_is_given_back(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65536, resource.RLIM_INFINITY))
     with real_time_scheduling() as granted:
         assert not gc.isenabled()
-        assert (granted.fifo, granted.locked) == (True, False)  # memory is locked only where the limit is unlimited
+        # memory is locked only where the limit is unlimited
+        assert (granted.fifo, granted.locked) == (True, False)
     assert gc.isenabled()
     assert [policy for _, policy, *_ in calls] == [os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, before]
 
@@ -194,8 +241,13 @@ def test_what_is_granted_is_given_back(monkeypatch):
 
 
 def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch):
-    """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and three of them are 12 ms."""
-    (run, master), late_ns = connected(robot_of(bus_text(1, period_s=0.005))), itertools.cycle((4_000_000, 0))
+    """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and
+    three of them are 12 ms.
+    """
+    (run, master), late_ns = (
+        connected(robot_of(bus_text(1, period_s=0.005))),
+        itertools.cycle((4_000_000, 0)),
+    )
     receive = run.receive
     monkeypatch.setattr(run, "receive", lambda until_ns: receive(until_ns + next(late_ns)))
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: 0.0121)
@@ -228,6 +280,8 @@ def test_a_sync_may_be_late_by_three_periods_but_not_by_less_than_20_ms():
         link.time_ns = pace.next_ns + late_ms * 1_000_000
         pace.sync(in_motion=True)
     link.time_ns = pace.next_ns + 31_000_000
-    with pytest.raises(BusFaultError, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"):
+    with pytest.raises(
+        BusFaultError, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"
+    ):
         pace.sync(in_motion=True)
     pace.sync(in_motion=False)

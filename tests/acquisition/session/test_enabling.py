@@ -1,4 +1,6 @@
-"""While drives are enabled: held arms do not sink, joints that run away are caught, and nothing jumps when motion begins."""
+"""While drives are enabled: held arms do not sink, joints that run away are caught, and nothing
+jumps when motion begins.
+"""
 
 import numpy as np
 import pytest
@@ -37,20 +39,28 @@ def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     assert session.outcome.reason == "finished"
     enabling = phase_of(session, "enable")
     start = enabling["position"][0]
-    stood = phase_of(session, "approach")["position"][:3] if late_s else phase_of(session, "track")["position"][:3]
-    # The first drive has settled: none of its sag is left; the loop, of 5 Hz, needed some while the load came on.
+    stood = (
+        phase_of(session, "approach")["position"][:3]
+        if late_s
+        else phase_of(session, "track")["position"][:3]
+    )
+    # The first drive has settled: none of its sag is left; the loop, of 5 Hz, needed some
+    # while the load came on.
     assert np.abs(stood[:, 0] - start[0]).max() * DEG < (0.001 if late_s else 0.02)
     if late_s:
         assert len(enabling) > 600
         assert 0.01 < np.abs(enabling["position"] - start).max() * DEG < 1.0
-    # Held to the count, and no step when motion begins: the reference starts here, so the approach goes nowhere.
+    # Held to the count, and no step when motion begins: the reference starts here, so the
+    # approach goes nowhere.
     for node in (1, 2):
         assert np.ptp(targets(session, node)[: len(enabling) + 90]) == 0
     assert len(phase_of(session, "approach")) == pytest.approx(100, abs=3)
 
 
 def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
-    """Someone turns a joint by hand (brake open) before its drive is enabled: the target goes along, within the limit."""
+    """Someone turns a joint by hand (brake open) before its drive is enabled: the target goes
+    along, within the limit.
+    """
 
     class Turned(JointwisePlant):
         def step(self, effort, held, duration_s):
@@ -71,7 +81,9 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
 
 
 def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
-    """The sag under 50 % load until the loop has built up its effort, and limits on both sides of it."""
+    """The sag under 50 % load until the loop has built up its effort, and
+    limits on both sides of it.
+    """
 
     def enabled(name: str, limit_deg: float) -> DrySession:
         robot = robot_of(bus_text(2, extra=f"enable_motion_deg = {limit_deg:.6f}"))
@@ -103,7 +115,9 @@ class Runaway(JointwisePlant):
     ("ways", "share", "late"),
     [([-1, -1], 0.1, []), ([-1, -1], 0.3, []), ([-1, -1], 0.5, []), ([-1, 1], 0.3, [NEVER])],
 )
-def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_far(tmp_path, ways, share, late):
+def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_far(
+    tmp_path, ways, share, late
+):
     plant = loaded(share)
     plant.__class__, plant.ways, plant.farthest = Runaway, np.array(ways), 0.0
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late)
@@ -111,7 +125,9 @@ def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_f
     assert not session.outcome.unconfirmed
     assert 1.0 < plant.farthest * DEG < 3.5
     frames = session.frames
-    words = [set((frames[frames["can_id"] == 0x180 + k]["data"][:, 0] & 0x0F).tolist()) for k in (1, 2)]
+    words = [
+        set((frames[frames["can_id"] == 0x180 + k]["data"][:, 0] & 0x0F).tolist()) for k in (1, 2)
+    ]
     assert (0x07 in words[0], 0x07 in words[1]) == (True, not late)
 
 
@@ -119,7 +135,9 @@ def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_f
 def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra, watch_s):
     robot = robot_of(bus_text(2, extra=extra))
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
-    session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((2, 2))), robot=robot, faults=late)
+    session = dry_session(
+        tmp_path / "a.mcap", Task(reference=np.zeros((2, 2))), robot=robot, faults=late
+    )
     frames = session.frames
     last = frames[(frames["can_id"] == 0x182) & (frames["data"][:, 0] == 0x37)]["time_ns"][0]
     assert (session.phases["approach"] - last) * 1e-9 == pytest.approx(watch_s, abs=0.005)
@@ -138,7 +156,10 @@ def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(t
 
     late = [Fault(kind="slow", node=2, sync=1, count=200)]
     session = dry_session(tmp_path / "a.mcap", TRACK, faults=late, simulated=Falling)
-    assert session.outcome.reason == "node 1 (motor_1): ready to switch on in motion: expected operation enabled"
+    assert (
+        session.outcome.reason
+        == "node 1 (motor_1): ready to switch on in motion: expected operation enabled"
+    )
     assert session.events("phase")[-1] == "enable"
 
 

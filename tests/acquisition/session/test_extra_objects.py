@@ -1,4 +1,6 @@
-"""Extra objects: their PDOs, and their raw integers in the recorded frames; older recordings; SYNC periods refused."""
+"""Extra objects: their PDOs, and their raw integers in the recorded frames; older
+recordings; SYNC periods refused.
+"""
 
 import numpy as np
 import pytest
@@ -12,12 +14,16 @@ from acquisition.recording.rows import Traffic
 from acquisition.robot import load_robot
 from acquisition.session import Task
 
-EXTRA = 'extra = ["606C", "6077", "2081:1", "2082"]\nobjects = { "2081:1" = "I16", "2082" = "U8" }\n'
+EXTRA = (
+    'extra = ["606C", "6077", "2081:1", "2082"]\nobjects = { "2081:1" = "I16", "2082" = "U8" }\n'
+)
 
 
 def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
     robot = robot_of(bus_text(2, drive='extra = ["606C"]'))
-    dry_session(tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
+    dry_session(
+        tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot
+    )
     recording = read_recording(tmp_path / "a.mcap")
     (frames,) = recording.frames.values()
     traffic, samples = Traffic(frames), recording.samples
@@ -29,7 +35,11 @@ def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
         counts_s = traffic.integers(rows, pdo, entry)
         at = np.searchsorted(frames["time_ns"][rows], samples["stamp_ns"]).clip(max=len(rows) - 1)
         motor = robot.motor_position(samples["position"])[:, i]
-        expected = np.gradient(motor, 0.002) * drive.position_codec.sign * drive.position_codec.counts_per_unit
+        expected = (
+            np.gradient(motor, 0.002)
+            * drive.position_codec.sign
+            * drive.position_codec.counts_per_unit
+        )
         assert np.ptp(expected) > 1e4
         assert np.abs(counts_s[at] - expected)[5:-5].max() < 0.03 * np.ptp(expected)
 
@@ -40,7 +50,10 @@ TABLE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }
 def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path, monkeypatch):
     text = bus_text(2, drive=EXTRA.replace('"2081:1",', f"{TABLE},"))
     (drive, _), robot = bus_of(robot_of(text)).drives, robot_of(text)
-    assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos[1:]] == [["606C:0", "6077:0", "2081:1"], ["2082:0"]]
+    assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos[1:]] == [
+        ["606C:0", "6077:0", "2081:1"],
+        ["2082:0"],
+    ]
     old = np.dtype([*sample_dtype(2, reference=True).descr, ("extra", "<f8", (8,))])
     rows = np.zeros(300, old)
     rows["stamp_ns"] = 10**18 + 2_000_000 * np.arange(300)

@@ -22,7 +22,9 @@ BEGIN_S = 0.45  # after the brakes opened: in the track phase
 
 
 class Scripted(Moved):
-    """Joint 2 goes where it likes once the brakes are open, whatever its drive does: `where(t)` rad after BEGIN_S."""
+    """Joint 2 goes where it likes once the brakes are open, whatever its drive does:
+    `where(t)` rad after BEGIN_S.
+    """
 
     def __init__(self, where: Callable[[float], float]) -> None:
         self.where, self.t = where, -BEGIN_S
@@ -52,20 +54,28 @@ def one_after_the_other(first, then, at_s: float) -> Callable[[float], float]:
 @pytest.mark.parametrize(
     ("limits", "inside", "key", "expected", "beyond"),
     [
-        # Speed in both directions, both ends of the range, following errors of both signs; with bounds of the value told.
+        # Speed in both directions, both ends of the range, following errors of both signs; with
+        # bounds of the value told.
         ({}, there_and_back(0.1, 0.99 * FAST), "speed", "3.491 at most",
-         [(lambda t: min(t * 1.01 * FAST, 0.1), 4.2305, 4.2315), (lambda t: max(-t * 1.01 * FAST, -0.1), 4.2305, 4.2315)]),
+         [(lambda t: min(t * 1.01 * FAST, 0.1), 4.2305, 4.2315),
+          (lambda t: max(-t * 1.01 * FAST, -0.1), 4.2305, 4.2315)]),
         ({"position": "[-10, 20]"},
-         one_after_the_other(there_and_back(0.999 * HIGH, 3.0), there_and_back(0.999 * LOW, 3.0), 0.24),
+         one_after_the_other(there_and_back(0.999 * HIGH, 3.0), there_and_back(0.999 * LOW, 3.0),
+                             0.24),
          "position", "-0.1745 to 0.3491",
-         [(there_and_back(1.05 * LOW, 3.0), 1.05 * LOW, LOW), (there_and_back(1.05 * HIGH, 3.0), HIGH, 1.05 * HIGH)]),
+         [(there_and_back(1.05 * LOW, 3.0), 1.05 * LOW, LOW),
+          (there_and_back(1.05 * HIGH, 3.0), HIGH, 1.05 * HIGH)]),
         ({"following": 1.0},
-         one_after_the_other(there_and_back(0.99 * OFF, 1.0), there_and_back(-0.99 * OFF, 1.0), 0.04),
+         one_after_the_other(there_and_back(0.99 * OFF, 1.0), there_and_back(-0.99 * OFF, 1.0),
+                             0.04),
          "following error", "0.01745 at most",
-         [(there_and_back(1.15 * OFF, 1.0), OFF, 0.02), (there_and_back(-1.15 * OFF, 1.0), OFF, 0.02)]),
+         [(there_and_back(1.15 * OFF, 1.0), OFF, 0.02),
+          (there_and_back(-1.15 * OFF, 1.0), OFF, 0.02)]),
     ],
 )  # fmt: skip
-def test_a_joint_beyond_a_limit_stops_and_one_just_inside_does_not(tmp_path, limits, inside, key, expected, beyond):
+def test_a_joint_beyond_a_limit_stops_and_one_just_inside_does_not(
+    tmp_path, limits, inside, key, expected, beyond
+):
     robot = robot_of(with_limits(**limits))
     session = dry_session(tmp_path / "inside.mcap", REST, robot=robot, plant=Scripted(inside))
     assert session.outcome.reason == "finished"
@@ -84,7 +94,9 @@ class Obedient(Moved):
 
     def step(self, effort, held, duration_s):
         if not held.any():
-            self.q = np.array([n.values[0x607A, 0] * 2 * np.pi / (50 * 65536) for n in self.drives.nodes])
+            self.q = np.array(
+                [n.values[0x607A, 0] * 2 * np.pi / (50 * 65536) for n in self.drives.nodes]
+            )
 
 
 def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_period_for(tmp_path):
@@ -108,7 +120,8 @@ def test_an_approach_out_of_the_limits_is_refused_before_anything_moves(tmp_path
     session = dry_session(tmp_path / "a.mcap", REST)
     assert session.outcome.error.place.startswith("the approach to the reference's start")
     assert session.events("phase")[-1] == "enable"
-    assert np.abs(session.recording.samples["position"]).max() < 0.01  # the sag when the brakes open
+    # the sag when the brakes open
+    assert np.abs(session.recording.samples["position"]).max() < 0.01
 
 
 def test_a_drive_that_never_sets_a_bit_does_not_know_it(tmp_path):
@@ -137,7 +150,9 @@ def test_the_bits_of_a_statusword_in_words():
 
 @dataclass(kw_only=True)
 class Counting(Through):
-    """Counts the SYNCs that the session sends; after `at_sync` of them it does not run for `for_s` of simulated time."""
+    """Counts the SYNCs that the session sends; after `at_sync` of them it does not run for
+    `for_s` of simulated time.
+    """
 
     syncs: int = 0
     at_sync: int = 0
@@ -156,7 +171,9 @@ class Counting(Through):
 
 @pytest.mark.parametrize(("for_s", "fault"), [(0.018, False), (2.0, True)])
 def test_a_late_sync_in_motion(tmp_path, for_s, fault):
-    session = dry_session(tmp_path / "a.mcap", REST, through=partial(Counting, at_sync=170, for_s=for_s))
+    session = dry_session(
+        tmp_path / "a.mcap", REST, through=partial(Counting, at_sync=170, for_s=for_s)
+    )
     assert session.outcome.fault is fault
     assert not session.outcome.unconfirmed
     frames = session.frames
@@ -179,7 +196,9 @@ def test_ctrl_c_again_is_a_quick_stop(tmp_path):
                 stop.at_once = True
             return super().receive(until_ns)
 
-    session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((1001, 2))), through=Impatient, stop=stop)
+    session = dry_session(
+        tmp_path / "a.mcap", Task(reference=np.zeros((1001, 2))), through=Impatient, stop=stop
+    )
     assert session.outcome.fault
     assert session.outcome.reason == "stopped by SIGINT, then again: quick stop"
     assert not session.outcome.unconfirmed
@@ -202,7 +221,8 @@ def sync_of(tmp_path_factory) -> dict[str, int]:
 
 @pytest.mark.parametrize(
     ("kind", "phase"),
-    [*itertools.product(("silent", "emergency"), PHASES), ("reset", "approach"), ("reset", "track"), ("deaf", "enable"),
+    [*itertools.product(("silent", "emergency"), PHASES), ("reset", "approach"),
+     ("reset", "track"), ("deaf", "enable"),
      ("deaf", "stop")],
 )  # fmt: skip
 def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind):
@@ -215,28 +235,39 @@ def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind
     assert session.events("fault") == [outcome.reason]
     assert outcome.unconfirmed == ((1,) if kind == "silent" else ())
     assert [isinstance(item, Outcome) for item in session.announced] == [True]
-    assert session.announced[0].alarm == ("NOT DISABLED: nodes 1: EMERGENCY STOP" if kind == "silent" else "")
+    assert session.announced[0].alarm == (
+        "NOT DISABLED: nodes 1: EMERGENCY STOP" if kind == "silent" else ""
+    )
     assert session.events("not disabled" if kind == "silent" else "disabled")
     if kind == "emergency":
-        report = "node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310 (continuous over current)"
+        report = (
+            "node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310 "
+            "(continuous over current)"
+        )
         assert outcome.reports[0].startswith(report)
         assert session.events("mark") == list(outcome.reports)
     assert session.drives.states[1] is not State.OPERATION_ENABLED
 
 
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
-def test_the_terminal_tells_first_what_may_still_be_enabled_then_the_reason(tmp_path, monkeypatch, capsys, kind):
+def test_the_terminal_tells_first_what_may_still_be_enabled_then_the_reason(
+    tmp_path, monkeypatch, capsys, kind
+):
     faults = [Fault(kind=kind, node=1, sync=130)]
     monkeypatch.setattr(record_module, "SimulatedDrives", partial(FaultyDrives, faults=faults))
     robot, table = tmp_path / "robot.toml", tmp_path / "ref.csv"
     robot.write_text(bus_text(2))
     table.write_text("time_s,joint_1,joint_2\n0,0,0\n0.3,0,0\n")
-    status = main(["record", str(robot), "-o", str(tmp_path / "a.mcap"), "--track", str(table), "--dry-run"])
+    status = main(
+        ["record", str(robot), "-o", str(tmp_path / "a.mcap"), "--track", str(table), "--dry-run"]
+    )
     lines = capsys.readouterr().err.splitlines()
     assert status == 1
     if kind == "silent":
         assert lines.pop(0) == "NOT DISABLED: nodes 1: EMERGENCY STOP"
     (line,) = lines
-    assert line.startswith(f"robot-acquire: {tmp_path / 'a.mcap'}: ended by a fault: node 1 (motor_1): {REASONS[kind]}")
+    assert line.startswith(
+        f"robot-acquire: {tmp_path / 'a.mcap'}: ended by a fault: node 1 (motor_1): {REASONS[kind]}"
+    )
     if kind == "emergency":
         assert "; node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310" in line

@@ -16,16 +16,21 @@ from acquisition.session import Status
 
 
 def test_everything_that_matters_is_on_the_line():
-    status = Status(frames=9000, rate_hz=6501.2, drops=3, late=2, lowest=(-0.5, 0.0), highest=(0.25, 1.0))
+    status = Status(
+        frames=9000, rate_hz=6501.2, drops=3, late=2, lowest=(-0.5, 0.0), highest=(0.25, 1.0)
+    )
     line = live_line(robot_of(bus_text(2)), status, 12.4)
     assert "".join(part for part, _ in line) == (
-        "6501 frames/s, 3 dropped, 0 missing, 2 late, joint_1 -0.500..0.250 rad, joint_2 0.000..1.000 rad, 12 s left"
+        "6501 frames/s, 3 dropped, 0 missing, 2 late, joint_1 -0.500..0.250 rad, joint_2 "
+        "0.000..1.000 rad, 12 s left"
     )
     assert [part for part, bad in line if bad] == [", 3 dropped", ", 2 late"]
 
 
 def test_the_line_is_written_without_waiting_and_without_a_thread(monkeypatch):
-    """A terminal that nobody reads, or that was stopped by Ctrl-S, takes no text: the SYNC loop does not wait for it."""
+    """A terminal that nobody reads, or that was stopped by Ctrl-S, takes no text: the SYNC
+    loop does not wait for it.
+    """
     controller, terminal = os.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 20, 0, 0))
     with open(terminal, "w") as stderr:

@@ -1,4 +1,6 @@
-"""The ramp of a quick stop: read before motion, shown by check, refused where it is too slow, and let finish."""
+"""The ramp of a quick stop: read before motion, shown by check, refused where it is
+too slow, and let finish.
+"""
 
 import numpy as np
 import pytest
@@ -9,20 +11,27 @@ from acquisition.protocol import State, quick_stop_ramp
 from acquisition.session import Stop, Task
 
 LIMIT = 2.0  # rad/s² of each joint
-TEXT = bus_text(2).replace("acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {np.degrees(LIMIT)}")
-ROBOT = robot_of(TEXT.replace("[-150, 150]", "[-260, 260]"))  # wide enough for a path from the middle on
+TEXT = bus_text(2).replace(
+    "acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {np.degrees(LIMIT)}"
+)
+# wide enough for a path from the middle on
+ROBOT = robot_of(TEXT.replace("[-150, 150]", "[-260, 260]"))
 COUNTS = 50 * 65536 / (2 * np.pi)  # of a motor per rad of its joint
 SPEED = 2.15  # rad/s at which the stop begins
 REST = Task(reference=np.zeros((2, 2)))
 
 
 def with_objects(patch: pytest.MonkeyPatch, objects: dict[int, int]) -> None:
-    at_boot(patch, lambda node: node.values.update({(index, 0): value for index, value in objects.items()}))
+    at_boot(
+        patch,
+        lambda node: node.values.update({(index, 0): value for index, value in objects.items()}),
+    )
 
 
 def test_a_quick_stop_takes_its_own_time_and_is_not_cut_at_speed(tmp_path, monkeypatch):
     """Both joints go up to 2.2 rad/s; they stop by 2 rad/s² (605Ah = 5: 6084h)."""
-    stop, seen = Stop(), list[tuple[float, State, float]]()  # time, state of a drive, speed of its joint since the stop
+    # time, state of a drive, speed of its joint since the stop
+    stop, seen = Stop(), list[tuple[float, State, float]]()
 
     class Watching(Through):
         def receive(self, until_ns):
@@ -30,7 +39,9 @@ def test_a_quick_stop_takes_its_own_time_and_is_not_cut_at_speed(tmp_path, monke
             stop.at_once |= bool(drives.plant.state()[1].min() > SPEED)
             if stop.at_once:
                 stop.reason = "stopped by SIGINT"
-                seen.append((self.now_ns() * 1e-9, drives.states[0], float(drives.plant.state()[1][0])))
+                seen.append(
+                    (self.now_ns() * 1e-9, drives.states[0], float(drives.plant.state()[1][0]))
+                )
             return frame
 
     with_objects(monkeypatch, {0x605A: 5, 0x6084: round(2 * COUNTS), 0x6085: 1})
@@ -40,7 +51,9 @@ def test_a_quick_stop_takes_its_own_time_and_is_not_cut_at_speed(tmp_path, monke
     assert session.outcome.reason == "stopped by SIGINT, then again: quick stop"
     assert not session.outcome.unconfirmed
     active = [t for t, state, _ in seen if state is State.QUICK_STOP_ACTIVE]
-    off_s, _, speed = next(item for item in seen if item[0] > active[-1] and item[1] is State.SWITCH_ON_DISABLED)
+    off_s, _, speed = next(
+        item for item in seen if item[0] > active[-1] and item[1] is State.SWITCH_ON_DISABLED
+    )
     assert abs(speed) < 0.1 * SPEED
     assert 0.9 * SPEED / 2.0 < off_s - active[0] < SPEED / 2.0 + 0.1
 
@@ -51,7 +64,10 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path, mon
         run, master = connected(ROBOT)
         (found,) = findings(run, master.bus, "quick stop", 2)
         assert found.ok == ok
-        words = f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed limit to rest"
+        words = (
+            f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed "
+            "limit to rest"
+        )
         assert found.found.startswith(f"quick stop ramp {words}")
     session = dry_session(tmp_path / "a.mcap", REST, robot=ROBOT)
     error = session.outcome.error
@@ -62,14 +78,20 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path, mon
 
 def test_an_unknown_ramp_is_noted(tmp_path, monkeypatch):
     with_objects(monkeypatch, {0x605A: 7})
-    notes = [note.partition(": voltage")[0] for note in dry_session(tmp_path / "a.mcap", REST).events("mark")]
+    notes = [
+        note.partition(": voltage")[0]
+        for note in dry_session(tmp_path / "a.mcap", REST).events("mark")
+    ]
     assert notes == [f"node {k} (motor_{k}): quick stop ramp unknown" for k in (1, 2)]
 
 
 @pytest.mark.parametrize(
     ("values", "ramp"),
     [
-        *(({0x605A: k, 0x6084: 7, 0x6085: 9}, ramp) for k, ramp in ((1, 7), (2, 9), (5, 7), (6, 9))),
+        *(
+            ({0x605A: k, 0x6084: 7, 0x6085: 9}, ramp)
+            for k, ramp in ((1, 7), (2, 9), (5, 7), (6, 9))
+        ),
         *(({0x605A: k, 0x6084: 7, 0x6085: 9}, None) for k in (0, 3, 4, 7, 8, None)),
         ({0x605A: 2, 0x6084: 7, 0x6085: None}, None),
         ({0x605A: 2, 0x6085: 0}, None),

@@ -1,4 +1,6 @@
-"""Sessions over separate processes on loopback: emulate | record, kills, signals, full disks; SYNC is slow."""
+"""Sessions over separate processes on loopback: emulate | record, kills, signals,
+full disks; SYNC is slow.
+"""
 
 import os
 import resource
@@ -13,7 +15,17 @@ import pytest
 import session_processes as processes
 from busy_machine import stalls, tried_again
 from conftest import ROOT
-from session_processes import LAST, count, drives, folder, frames_of, output_of, port, syncs_tracked, texts
+from session_processes import (
+    LAST,
+    count,
+    drives,
+    folder,
+    frames_of,
+    output_of,
+    port,
+    syncs_tracked,
+    texts,
+)
 
 from acquisition.commands import main
 from acquisition.protocol import State
@@ -39,7 +51,9 @@ def recorder_of(pid: int) -> int:
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
-            found += [process.name] * (parent == pid and b"spawn_main" in (process / "cmdline").read_bytes())
+            found += [process.name] * (
+                parent == pid and b"spawn_main" in (process / "cmdline").read_bytes()
+            )
     (recorder,) = found
     return int(recorder)
 
@@ -65,7 +79,15 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
 def test_a_file_that_cannot_grow_stops_the_session(folder):
     out = folder / "log.mcap"
     with drives(folder):
-        command = ("record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"))
+        command = (
+            "record",
+            str(folder / "robot.toml"),
+            "-o",
+            str(out),
+            "--yes",
+            "--track",
+            str(folder / "ref.csv"),
+        )
         largest = (LARGEST_FILE, LARGEST_FILE)
         session = processes.acquire(
             folder, *command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, largest)
@@ -84,22 +106,42 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
     (folder / "passive.toml").write_text(text.replace("node = 2", 'mapping = "traffic"\nnode = 2'))
     out, active, alone = (folder / f"{name}.mcap" for name in ("passive", "active", "alone"))
     ours_ids = (0x80, 0x181, 0x182, 0x201, 0x202)
-    command = ("record", str(folder / "robot.toml"), "--yes", "--track", str(folder / "ref.csv"), "-o")
+    command = (
+        "record",
+        str(folder / "robot.toml"),
+        "--yes",
+        "--track",
+        str(folder / "ref.csv"),
+        "-o",
+    )
     assert main([*command, str(alone), "--dry-run"]) == 0
     with drives(folder), processes.listening(folder, "passive.toml", out) as listener:
         output_of(processes.acquire(folder, *command, str(active)))
         ours = read_recording(active)
         said = processes.data_by_id(ours, *ours_ids)
         said |= processes.data_by_id(read_recording(alone), 0, 0x601, 0x602)
-        for can_id in (0x601, 0x602):  # after the states a real session reads supervision, and what is to be confirmed
+        # after the states a real session reads supervision, and what is to be confirmed
+        for can_id in (0x601, 0x602):
             objects = [(0x1016, 0), (0x1016, 1), (0x1016, 2), (0x6065, 0), (0x6064, 0), (0x6041, 0)]
-            said[can_id][1:1] = [[0x40, index & 0xFF, index >> 8, k, 0, 0, 0, 0] for index, k in objects]
+            said[can_id][1:1] = [
+                [0x40, index & 0xFF, index >> 8, k, 0, 0, 0, 0] for index, k in objects
+            ]
         processes.wait_for(
-            out, lambda r: all(count(frames_of(r), can_id) >= len(said[can_id]) for can_id in said), listener
+            out,
+            lambda r: all(count(frames_of(r), can_id) >= len(said[can_id]) for can_id in said),
+            listener,
         )
         output_of(listener, signal.SIGINT)
     sent = (frames_of(ours)["flags"] & SENT) != 0
-    assert set(frames_of(ours)["can_id"][sent].tolist()) == {0, 0x80, 0x201, 0x202, 0x601, 0x602, 0x77F}
+    assert set(frames_of(ours)["can_id"][sent].tolist()) == {
+        0,
+        0x80,
+        0x201,
+        0x202,
+        0x601,
+        0x602,
+        0x77F,
+    }
     passive = read_recording(out)
     assert not passive.cut
     for can_id, seen in processes.data_by_id(passive, *said).items():
@@ -118,11 +160,24 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
 
 
 @tried_again
-def test_a_follower_that_is_killed_in_motion_harms_nothing_and_a_signal_ends_the_session_in_order(folder):
+def test_a_follower_that_is_killed_in_motion_harms_nothing_and_a_signal_ends_the_session_in_order(
+    folder,
+):
     out, picture = folder / "log.mcap", folder / "live.rrd"
     with drives(folder), processes.tracking(folder, out, "--speed", "0.02") as session:
-        follow = [sys.executable, "-m", "identification", "view", str(out), "--follow", "-o", str(picture)]
-        follower = subprocess.Popen(follow, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+        follow = [
+            sys.executable,
+            "-m",
+            "identification",
+            "view",
+            str(out),
+            "--follow",
+            "-o",
+            str(picture),
+        ]
+        follower = subprocess.Popen(
+            follow, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+        )
         until = time.monotonic() + processes.PATIENCE_S
         while not (picture.exists() and picture.stat().st_size > 20_000):
             assert follower.poll() is None, follower.communicate()
@@ -133,12 +188,18 @@ def test_a_follower_that_is_killed_in_motion_harms_nothing_and_a_signal_ends_the
         names = [os.readlink(link) for link in Path(f"/proc/{follower.pid}/fd").iterdir()]
         of_bus = [row.split()[9] for k in ("udp", "udp6") for row in lines_of(f"/proc/net/{k}")[1:]]
         assert not {f"socket:[{inode}]" for inode in of_bus} & set(names)
-        assert not [line for line in lines_of("/proc/locks") if line.split()[-4] == str(follower.pid)]
+        assert not [
+            line for line in lines_of("/proc/locks") if line.split()[-4] == str(follower.pid)
+        ]
         assert session.poll() is None, session.communicate()
         follower.kill()
         follower.communicate(timeout=processes.PATIENCE_S)
         killed = syncs_tracked(read_recording(out))
-        processes.wait_for(out, lambda recording: syncs_tracked(recording) >= killed + processes.SEEN_SYNCS, session)
+        processes.wait_for(
+            out,
+            lambda recording: syncs_tracked(recording) >= killed + processes.SEEN_SYNCS,
+            session,
+        )
         assert output_of(session, signal.SIGINT).endswith("stopped by SIGINT\n")
     recording = read_recording(out)
     assert not recording.cut

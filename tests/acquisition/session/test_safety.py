@@ -1,4 +1,6 @@
-"""What a session must not be led into: stale frames, other masters, clocks, signals, recorders that hang."""
+"""What a session must not be led into: stale frames, other masters, clocks,
+signals, recorders that hang.
+"""
 
 import os
 import signal
@@ -23,7 +25,9 @@ TRACK = Task(reference=swing(2, seconds=0.5, amplitude=0.1))
 
 
 def test_positions_from_before_start_command_nothing(tmp_path):
-    """PDOs of an earlier session are still in the queue: enabled, and far from where the drives stand."""
+    """PDOs of an earlier session are still in the queue: enabled, and far from
+    where the drives stand.
+    """
     stale = [Frame(0, 0x181 + k % 2, struct.pack("<Hih", 0x0237, 300_000, 0)) for k in range(4)]
     session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(Unasked, frames=stale))
     assert session.outcome.reason == "finished"
@@ -43,16 +47,22 @@ def test_a_stop_before_anything_began(tmp_path, task):
 
 def test_check_shows_what_the_drive_holds_on_its_scale():
     eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
-    text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
+    text = bus_text(1, drive='dictionary = "drive.eds"').replace(
+        'reference = "6074"', 'actual = "6077"'
+    )
     robot = robot_of(text, {"dictionary:drive.eds": eds.read_bytes()})
     run, master = connected(robot)
     (scale,) = findings(run, master.bus, "scale")
-    assert scale.found.startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
+    assert scale.found.startswith(
+        "encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1"
+    )
     assert "robot.toml: 65536 counts per turn" in scale.found
 
 
 def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
-    """All its objects of CiA 402 are 800h higher: its period 60C2h, its mode 6060h and 6061h too."""
+    """All its objects of CiA 402 are 800h higher: its period 60C2h, its
+    mode 6060h and 6061h too.
+    """
     axis = 'control = "6840"\nstatus = "6841"\nobjects = { "6840" = "U16", "6841" = "U16" }'
     bus, link, written, read = bus_of(robot_of(bus_text(1, drive=axis))), Answering(), [], []
     assert axis_of(bus.drives[0]) == 0x800
@@ -62,7 +72,9 @@ def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
     mixed = bus_of(robot_of(bus_text(1, drive=axis.replace('status = "6841"', 'status = "6041"'))))
     with pytest.raises(BadInputError, match="expected those of one axis"):
         axis_of(mixed.drives[0])
-    monkeypatch.setattr(Master, "write", lambda self, node, index, sub, *_: written.append((index, sub)))
+    monkeypatch.setattr(
+        Master, "write", lambda self, node, index, sub, *_: written.append((index, sub))
+    )
     monkeypatch.setattr(Master, "read", lambda self, node, index: read.append(index) or 8)
     Master(link, bus).choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     assert (written, read) == ([(0x68C2, 1), (0x68C2, 2), (0x6860, 0)], [0x6861])
@@ -83,16 +95,23 @@ def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
 
 def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
     limit = np.radians(60)
-    text = bus_text(1, period_s=0.004).replace("acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60")
-    robot = robot_of(text.replace("[-150, 150]", "[-200, 200]"))  # wide enough for a path from the middle on
+    text = bus_text(1, period_s=0.004).replace(
+        "acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60"
+    )
+    # wide enough for a path from the middle on
+    robot = robot_of(text.replace("[-150, 150]", "[-200, 200]"))
     t = np.arange(0, 6, 0.004)
     # 0.5 rad/s², up to 1 rad/s and down again: far more than 0.5 s is needed to come to rest.
     speed = np.interp(t, [0, 0.5, 2.5, 3.5, 5.5, 6], [0, 0, 1.0, 1.0, 0, 0])
     reference = np.cumsum(speed)[:, None] * 0.004
     stop = Stop()
     # Tracking, at full speed.
-    interrupt = partial(At, at_ns=4_800_000_000, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
-    session = dry_session(tmp_path / "a.mcap", Task(reference=reference), robot=robot, through=interrupt, stop=stop)
+    interrupt = partial(
+        At, at_ns=4_800_000_000, act=lambda: setattr(stop, "reason", "stopped by SIGINT")
+    )
+    session = dry_session(
+        tmp_path / "a.mcap", Task(reference=reference), robot=robot, through=interrupt, stop=stop
+    )
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGINT", False)
     targets = session.recording.samples["reference"][:, 0]
     tracked = targets[session.recording.samples["stamp_ns"] > session.phases["track"]]
@@ -105,8 +124,12 @@ def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
 @pytest.mark.parametrize(
     ("number", "handler", "asks"),
     [
-        *((number, signal.SIG_DFL, True) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)),
-        (signal.SIGINT, signal.SIG_IGN, True),  # as a shell without job control starts a job in the background
+        *(
+            (number, signal.SIG_DFL, True)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+        ),
+        # as a shell without job control starts a job in the background
+        (signal.SIGINT, signal.SIG_IGN, True),
         (signal.SIGHUP, signal.SIG_IGN, False),  # as `nohup` does
     ],
 )
@@ -124,7 +147,9 @@ def test_signals_ask_for_a_stop(number, handler, asks):
 def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_logs, "MAX_SILENT_S", 1.0)
     monkeypatch.setattr(recorder_logs, "MAX_HUNG_FINISH_S", 0.5)
-    log = recorder_logs.ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", recorder_logs.Role.FED)
+    log = recorder_logs.ProcessLog(
+        tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", recorder_logs.Role.FED
+    )
     until_s = time.monotonic() + 60
     while log.poll(time.time_ns()) is None:  # it lives
         assert time.monotonic() < until_s

@@ -1,4 +1,6 @@
-"""Sessions on simulated drives: what they record, and that whatever goes wrong every drive ends disabled."""
+"""Sessions on simulated drives: what they record, and that whatever goes wrong
+every drive ends disabled.
+"""
 
 import itertools
 import pkgutil
@@ -9,7 +11,17 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import At, Edited, Fault, FaultyDrives, SyncOfAnother, Through, Unasked, dry_session, swing
+from dry_sessions import (
+    At,
+    Edited,
+    Fault,
+    FaultyDrives,
+    SyncOfAnother,
+    Through,
+    Unasked,
+    dry_session,
+    swing,
+)
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame
@@ -35,9 +47,20 @@ def tracked(session) -> np.ndarray:
 
 def test_a_reference_is_tracked_and_recorded(finished):
     session = finished
-    assert (session.outcome.reason, session.outcome.fault, session.outcome.alarm) == ("finished", False, "")
+    assert (session.outcome.reason, session.outcome.fault, session.outcome.alarm) == (
+        "finished",
+        False,
+        "",
+    )
     assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
-    assert session.events("phase") == ["configure", "enable", "approach", "track", "stop", "disable"]
+    assert session.events("phase") == [
+        "configure",
+        "enable",
+        "approach",
+        "track",
+        "stop",
+        "disable",
+    ]
     assert session.events("end") == ["finished"]
     assert session.events("disabled") == ["every drive confirmed"]
     assert session.recorded.warnings == ()
@@ -62,7 +85,9 @@ def test_nothing_moves_without_a_reference(tmp_path):
     sent = session.sent
     assert not np.isin(sent["can_id"], [0x201, 0x202]).any()
     sdo = sent[(sent["can_id"] > 0x600) & (sent["can_id"] < 0x680)]
-    assert not ((sdo["data"][:, 1] == 0x40) & (sdo["data"][:, 2] == 0x60) & (sdo["data"][:, 0] != 0x40)).any()
+    assert not (
+        (sdo["data"][:, 1] == 0x40) & (sdo["data"][:, 2] == 0x60) & (sdo["data"][:, 0] != 0x40)
+    ).any()
     assert len(session.recording.samples) == pytest.approx(250, abs=3)
 
 
@@ -75,12 +100,18 @@ def test_nothing_moves_without_a_reference(tmp_path):
     ],
 )
 def test_bad_pdos_are_counted_and_the_session_goes_on(tmp_path, kinds, counted):
-    faults = [Fault(kind=kind, node=1, sync=200 + 60 * k, count=kinds[kind]) for k, kind in enumerate(kinds)]
+    faults = [
+        Fault(kind=kind, node=1, sync=200 + 60 * k, count=kinds[kind])
+        for k, kind in enumerate(kinds)
+    ]
     session = dry_session(tmp_path / "a.mcap", TRACK, faults=faults)
     assert session.outcome.reason == "finished"
     counters = session.recording.health[-1].counters
     assert {kind: counters[kind] for kind in counted} == counted
-    assert all(any(f"{count} {kind}" in text for text in session.recorded.warnings) for kind, count in counted.items())
+    assert all(
+        any(f"{count} {kind}" in text for text in session.recorded.warnings)
+        for kind, count in counted.items()
+    )
     gaps = int((np.diff(session.recording.samples["stamp_ns"]) != 2_000_000).sum())
     assert gaps == len(kinds.keys() - {"late"})  # the rows about it, whose order nothing proves
 
@@ -105,7 +136,9 @@ def test_on_a_bus_that_takes_no_frames_any_more_nothing_confirms(tmp_path):
 
 NOT_OPERATIONAL = {"data": b"\x7f"}
 ERROR_FRAME = {"can_id": 0x28, "flags": ERROR, "data": b"\0\0\0\x19"}
-NO_ACKNOWLEDGEMENT = "in acknowledgement; no acknowledgement: no other node receives, or the cable is open"
+NO_ACKNOWLEDGEMENT = (
+    "in acknowledgement; no acknowledgement: no other node receives, or the cable is open"
+)
 
 
 def of(*faults: Fault) -> dict[str, object]:
@@ -113,7 +146,9 @@ def of(*faults: Fault) -> dict[str, object]:
 
 
 def beats(node: int, which: range, other: dict[str, object] | None) -> dict[str, object]:
-    """Of the heartbeats of a node that say operational, those in `which`, from 1, are other frames, or are lost."""
+    """Of the heartbeats of a node that say operational, those in `which`, from 1, are
+    other frames, or are lost.
+    """
     count = itertools.count(1)
 
     def edit(frame: Frame) -> Frame | None:
@@ -125,7 +160,12 @@ def beats(node: int, which: range, other: dict[str, object] | None) -> dict[str,
 
 
 def disobedient(bit: int) -> dict[str, object]:
-    return of(*(Fault(kind="clear", node=2, sync=sync, count=count, bits=bit) for sync, count in ((60, 2), (90, 3))))
+    return of(
+        *(
+            Fault(kind="clear", node=2, sync=sync, count=count, bits=bit)
+            for sync, count in ((60, 2), (90, 3))
+        )
+    )
 
 
 OTHER = {"robot": robot_of(bus_text(2, extra='sync_producer = "other"')), "through": SyncOfAnother}
@@ -135,19 +175,27 @@ ENDED = {"through": partial(SyncOfAnother, ends_ns=2_200_000_000)}
 @pytest.mark.parametrize(
     ("what", "reason"),
     [
-        (of(Fault(kind="short", node=1, sync=250, count=3)), "node 1 (motor_1): 3 SYNC not answered"),
+        (of(Fault(kind="short", node=1, sync=250, count=3)),
+         "node 1 (motor_1): 3 SYNC not answered"),
         (beats(2, range(1, 10**9), NOT_OPERATIONAL),
          "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
-        (beats(1, range(4, 5), NOT_OPERATIONAL), "node 1 (motor_1): left operational (NMT state 127)"),
+        (beats(1, range(4, 5), NOT_OPERATIONAL), "node 1 (motor_1): left operational (NMT state "
+                                                 "127)"),
         (beats(1, range(2, 5), None), "node 1 (motor_1): heartbeat lost for 0.30 s"),
         (beats(1, range(4, 5), ERROR_FRAME), f"bus: error frame: protocol: {NO_ACKNOWLEDGEMENT}"),
         (disobedient(0x0200),
-         "node 2 (motor_2): does not take commands from the bus (statusword bit 9, remote, is 0) for 3 SYNC"),
-        (disobedient(0x1000), "node 2 (motor_2): does not follow its target (statusword bit 12 is 0) for 3 SYNC"),
-        ({"through": partial(Unasked, frames=[Frame(1_600_000_000, 0x80, b"")])}, "bus: another producer sends SYNC"),
-        (OTHER | ENDED, "bus: no SYNC in 10 periods: expected the other producer's; or sync_producer = 'recorder'"),
-        (OTHER | of(Fault(kind="missing", node=1, sync=300, count=4)), "node 1 (motor_1): 3 SYNC not answered"),
-        ({"through": partial(DeadBus, ends=803)}, "bus: frame cannot be sent: transmit buffer full"),
+         "node 2 (motor_2): does not take commands from the bus (statusword bit 9, remote, is 0) "
+         "for 3 SYNC"),
+        (disobedient(0x1000), "node 2 (motor_2): does not follow its target (statusword bit 12 is "
+                              "0) for 3 SYNC"),
+        ({"through": partial(Unasked, frames=[Frame(1_600_000_000, 0x80, b"")])},
+         "bus: another producer sends SYNC"),
+        (OTHER | ENDED, "bus: no SYNC in 10 periods: expected the other producer's; or "
+                        "sync_producer = " "'recorder'"),
+        (OTHER | of(Fault(kind="missing", node=1, sync=300, count=4)),
+         "node 1 (motor_1): 3 SYNC not answered"),
+        ({"through": partial(DeadBus, ends=803)},
+         "bus: frame cannot be sent: transmit buffer full"),
     ],
 )  # fmt: skip
 def test_what_ends_a_session_leaves_every_drive_disabled(tmp_path, what, reason):
@@ -161,7 +209,9 @@ def test_what_ends_a_session_leaves_every_drive_disabled(tmp_path, what, reason)
 def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path):
     stale, lost = beats(2, range(1, 3), NOT_OPERATIONAL), beats(1, range(2, 3), None)
     session = dry_session(
-        tmp_path / "a.mcap", TRACK, through=lambda link: lost["through"](link=stale["through"](link=link))
+        tmp_path / "a.mcap",
+        TRACK,
+        through=lambda link: lost["through"](link=stale["through"](link=link)),
     )
     assert session.outcome.reason == "finished"
 
@@ -177,7 +227,9 @@ def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
 def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     stop = Stop()
-    interrupt = partial(At, at_ns=LISTENED_NS + at * 1e9, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
+    interrupt = partial(
+        At, at_ns=LISTENED_NS + at * 1e9, act=lambda: setattr(stop, "reason", "stopped by SIGINT")
+    )
     session = dry_session(tmp_path / "a.mcap", TRACK, through=interrupt, stop=stop)
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGINT", False)
     assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
@@ -217,14 +269,17 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
     ("change", "task", "expected", "disabled"),
     [
         # Of drives that are only to be recorded, or that are away, nobody confirms anything.
-        *((("= 0.42", "= 0.5"), task, "rated value (6076:0) = 420: expected 500 as robot.toml says", disabled)
+        *((("= 0.42", "= 0.5"), task,
+           "rated value (6076:0) = 420: expected 500 as robot.toml says", disabled)
           for task, disabled in ((Task(duration_s=1.0), []), (TRACK, ["every drive confirmed"]))),
         *((("node = 2", "node = 9"), task, "node 9: object 6041:0: no answer in 0.3 s", [])
           for task in (Task(duration_s=1.0), TRACK)),
         (("node = 1", 'tpdo = [{ objects = ["6064", "6074"] }]\nnode = 1'), TRACK,
          "node 1: no PDO from it carries 6041:0:", []),
-        (("node = 1", 'rpdo = [{ objects = ["6040"] }]\nnode = 1'), TRACK, "no PDO to the drive carries 607A:0", []),
-        (("node = 1", 'rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]\nnode = 1'), TRACK,
+        (("node = 1", 'rpdo = [{ objects = ["6040"] }]\nnode = 1'), TRACK,
+         "no PDO to the drive carries 607A:0", []),
+        (("node = 1", 'rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]\nnode = 1'),
+         TRACK,
          "carries 6071:0: expected only 6040:0, 6060:0", []),
     ],
 )  # fmt: skip
@@ -246,13 +301,18 @@ def test_a_description_that_disagrees_with_the_drive_or_the_task_is_refused_befo
         (swing(2), 2147480000, "counts: expected -2147483648 to 2147483647"),
     ],
 )
-def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, reference, zero_counts, expected):
+def test_a_reference_that_leaves_a_limit_is_refused_before_start(
+    tmp_path, reference, zero_counts, expected
+):
     robot = robot_of(bus_text(2, drive=f"zero_counts = {zero_counts}"))
-    session = dry_session(tmp_path / "a.mcap", Task(reference=reference, place="ref.csv"), robot=robot)
+    session = dry_session(
+        tmp_path / "a.mcap", Task(reference=reference, place="ref.csv"), robot=robot
+    )
     assert "ref.csv: at " in session.outcome.reason
     assert expected in session.outcome.reason
     assert len(session.sent) == 0
-    assert session.events("disabled") + session.events("not disabled") == []  # nothing is said of drives not addressed
+    # nothing is said of drives not addressed
+    assert session.events("disabled") + session.events("not disabled") == []
 
 
 def test_sync_of_another_producer_is_followed_and_a_mode_in_the_pdo_stays_the_mode(tmp_path):
@@ -275,7 +335,11 @@ def test_the_mode_is_awaited(tmp_path, reads, fault):
             if (can_id, data[:4]) != (0x602, bytes.fromhex("40616000")):
                 return sent
             self.asked += 1
-            return sent if self.asked > reads else [(0x582, answer[:4] + bytes(4)) for _, answer in sent]
+            return (
+                sent
+                if self.asked > reads
+                else [(0x582, answer[:4] + bytes(4)) for _, answer in sent]
+            )
 
     session = dry_session(tmp_path / "a.mcap", TRACK, simulated=Late)
     if fault:

@@ -1,4 +1,6 @@
-"""The recorder's process stops the drives of a session that dies or hangs; `disable` stops those of anybody."""
+"""The recorder's process stops the drives of a session that dies or hangs; `disable`
+stops those of anybody.
+"""
 
 import itertools
 import multiprocessing
@@ -14,7 +16,18 @@ import pytest
 from busy_machine import SYNC_S, stalls, tried_again
 from dry_sessions import DrySession, Fault, SlowAnswers, Through, connected, dry_session, enable
 from made_up_buses import bus_of, bus_text, robot_of
-from session_processes import PATIENCE_S, bus_at, drives, folder, frames_of, port, states_of, texts, tracking, wait_for
+from session_processes import (
+    PATIENCE_S,
+    bus_at,
+    drives,
+    folder,
+    frames_of,
+    port,
+    states_of,
+    texts,
+    tracking,
+    wait_for,
+)
 
 import acquisition.session.process as process_module
 from acquisition.bus import Master, open_link
@@ -37,7 +50,11 @@ def states(recording: Recording, number: int) -> list[tuple[int, State]]:
 
 
 def stopped_s(recording: Recording, number: int, since_ns: int) -> float:
-    then = [t for t, state in states(recording, number) if t > since_ns and state is not State.OPERATION_ENABLED]
+    then = [
+        t
+        for t, state in states(recording, number)
+        if t > since_ns and state is not State.OPERATION_ENABLED
+    ]
     return (then[0] - since_ns) * 1e-9
 
 
@@ -51,12 +68,17 @@ def last_target_ns(recording: Recording) -> int:
 def disabled_by_the_recorder(recording: Recording) -> bool:
     """ShowStatus, and the drives' own last words on the disk too."""
     confirmed = "every drive confirmed to the recorder's process" in texts(recording, "disabled")
-    return confirmed and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
+    return confirmed and all(
+        states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2)
+    )
 
 
 @pytest.mark.parametrize(
     ("number", "silent"),
-    [(signal.SIGKILL, "the session's process is gone"), (signal.SIGSTOP, "no sign of life from the session for 0.3 s")],
+    [
+        (signal.SIGKILL, "the session's process is gone"),
+        (signal.SIGSTOP, "no sign of life from the session for 0.3 s"),
+    ],
 )
 @tried_again
 def test_drives_without_supervision_of_their_own_are_stopped(folder, number, silent):
@@ -78,7 +100,9 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number, sil
                 assert "another" not in errors  # the second stop's frames are ours
         recording = wait_for(out, lambda r: not r.cut)
         assert last_target_ns(recording) == last_ns  # who wakes up enables nothing
-        assert {state for t, state in states(recording, 1) if t > last_ns + 10**9} <= {State.SWITCH_ON_DISABLED}
+        assert {state for t, state in states(recording, 1) if t > last_ns + 10**9} <= {
+            State.SWITCH_ON_DISABLED
+        }
         assert states_of(folder) == [State.SWITCH_ON_DISABLED] * 2
     assert f"{silent}: the recorder's process stopped the drives" in texts(recording, "fault")
     assert len(recording.samples) > 0
@@ -92,11 +116,15 @@ def test_drives_left_enabled_are_disabled_by_command(folder, capsys):
             enable(master)
             master.sync()
             master.wait(link.now_ns() + 1_000_000_000, for_answers=True)
-            assert [master.state(drive) for drive in master.bus.drives] == [State.OPERATION_ENABLED] * 2
+            assert [master.state(drive) for drive in master.bus.drives] == [
+                State.OPERATION_ENABLED
+            ] * 2
             assert main(["disable", str(folder / "robot.toml")]) == 0
             assert capsys.readouterr().out == "disabled: nodes 1, 2; all in pre-operational\n"
             master.wait(link.now_ns() + 200_000_000)  # answers to the command's own questions
-            assert [master.state(drive) for drive in master.bus.drives] == [State.SWITCH_ON_DISABLED] * 2
+            assert [master.state(drive) for drive in master.bus.drives] == [
+                State.SWITCH_ON_DISABLED
+            ] * 2
             link.send(0x201, struct.pack("<Hi", 6, 0))  # a PDO commands nothing any more
             master.sync()
             master.wait(link.now_ns() + 100_000_000)
@@ -106,7 +134,9 @@ def test_drives_left_enabled_are_disabled_by_command(folder, capsys):
 def test_disable_says_first_who_did_not_confirm(folder, capsys):
     assert main(["disable", str(folder / "robot.toml")]) == 1
     assert capsys.readouterr() == ("", "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n")
-    (folder / "away.toml").write_text((folder / "robot.toml").read_text().replace("udp_multicast", "socketcan"))
+    (folder / "away.toml").write_text(
+        (folder / "robot.toml").read_text().replace("udp_multicast", "socketcan")
+    )
     assert main(["disable", str(folder / "away.toml")]) == 1
     first, second = capsys.readouterr().err.splitlines()
     assert first == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"
@@ -136,7 +166,9 @@ def test_a_watchdog_acts_only_when_armed_and_not_ended_and_says_so_before(monkey
     assert life.stopped() == ""
     life.alive()
     watchdog._thread.join(20)
-    assert said == ["no sign of life from the session for 0.3 s: the recorder's process stopped the drives"]
+    assert said == [
+        "no sign of life from the session for 0.3 s: the recorder's process stopped the drives"
+    ]
     life.close()
 
 
@@ -185,8 +217,12 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
 
 @pytest.mark.parametrize("kind", ["", "silent", "emergency"])
 def test_slow_drives_end_without_a_word_of_the_second_stop(tmp_path, kind):
-    """Where a drive does not confirm, the session shows that it runs while it awaits answers; the others raise no 8130h."""
-    session = beating_session(tmp_path / "a.mcap", [Fault(kind=kind, node=3, sync=150)] if kind else ())
+    """Where a drive does not confirm, the session shows that it runs while it awaits answers; the
+    others raise no 8130h.
+    """
+    session = beating_session(
+        tmp_path / "a.mcap", [Fault(kind=kind, node=3, sync=150)] if kind else ()
+    )
     assert session.outcome.fault == bool(kind)
     assert session.outcome.unconfirmed == ((3,) if kind == "silent" else ())
     assert len(session.outcome.reports) == (kind == "emergency")
@@ -197,12 +233,20 @@ def test_slow_drives_end_without_a_word_of_the_second_stop(tmp_path, kind):
     ended = [t for t, sign in Beating.signs if sign == "ended"]
     assert bool(ended) == (kind != "silent")
     last_ns = ended[0] if ended else frames["time_ns"][frames["can_id"] == 0].max()
-    assert max(b - a for a, b in itertools.pairwise([t for t in (*alive, last_ns) if t <= last_ns])) < 0.1e9
+    assert (
+        max(b - a for a, b in itertools.pairwise([t for t in (*alive, last_ns) if t <= last_ns]))
+        < 0.1e9
+    )
     if not kind:
         (disabled_ns,) = [e.stamp_ns for e in session.recording.events if e.kind == "disabled"]
         assert last_ns <= disabled_ns
-        restored = (frames["can_id"] > 0x600) & (frames["data"][:, 1] == 0x16) & (frames["time_ns"] >= last_ns)
-        assert restored.sum() == 4  # the consumer heartbeats: all that comes after, and none of it counts
+        restored = (
+            (frames["can_id"] > 0x600)
+            & (frames["data"][:, 1] == 0x16)
+            & (frames["time_ns"] >= last_ns)
+        )
+        # the consumer heartbeats: all that comes after, and none of it counts
+        assert restored.sum() == 4
 
 
 def test_signs_never_wait_for_a_recorder_that_hangs():

@@ -16,12 +16,16 @@ FREE, HELD = np.zeros(1, bool), np.ones(1, bool)
 DEG = np.pi / 180
 
 
-def joint(*, inertia=1.0, viscous=0.0, coulomb=0.0, load=0.0, slides=False, position=0.0) -> JointwisePlant:
+def joint(
+    *, inertia=1.0, viscous=0.0, coulomb=0.0, load=0.0, slides=False, position=0.0
+) -> JointwisePlant:
     a, b, c, d = (np.array([x]) for x in (inertia, viscous, coulomb, load))
     return JointwisePlant(a, b, c, d, slides=np.array([slides]), position=np.array([position]))
 
 
-def after(plant: JointwisePlant, effort: float, seconds: float, held: np.ndarray = FREE, steps: int = 1000):
+def after(
+    plant: JointwisePlant, effort: float, seconds: float, held: np.ndarray = FREE, steps: int = 1000
+):
     for _ in range(steps):
         plant.step(np.array([effort]), held, seconds / steps)
     q, dq = plant.state()
@@ -36,8 +40,10 @@ QUARTER = -np.pi / 2  # where a load hangs straight down
     [
         # 4 N m on 2 kg m²: after 1 s 2 rad/s and 1 rad, from where it began.
         ({"inertia": 2.0, "position": 0.5}, 4.0, 1.0, 1.5, 2.0, 2e-3),
-        # Viscous friction: speed tends to effort / viscous with the time constant inertia / viscous.
-        ({"inertia": 2.0, "viscous": 4.0}, 6.0, 0.5, 0.75 * np.exp(-1), 1.5 * (1 - np.exp(-1)), 1e-3),
+        # Viscous friction: speed tends to effort / viscous with the time
+        # constant inertia / viscous.
+        ({"inertia": 2.0, "viscous": 4.0}, 6.0, 0.5, 0.75 * np.exp(-1), 1.5 * (1 - np.exp(-1)),
+         1e-3),
         # Coulomb friction takes its share of either sign.
         *(({"coulomb": 1.0}, side * 3.0, 1.0, side * 1.0, side * 2.0, 2e-3) for side in (1, -1)),
         *(({"coulomb": 1.0}, side * 0.999, 1.0, 0.0, 0.0, 0.0) for side in (1, -1)),
@@ -46,7 +52,8 @@ QUARTER = -np.pi / 2  # where a load hangs straight down
         ({"load": 5.0}, 0.0, 0.01, -2.5e-4, -0.05, 5e-5),
         ({"load": 5.0, "slides": True, "position": 2.0}, 5.0, 1.0, 2.0, 0.0, 1e-12),
         # Small swings about -90° have the period 2 pi sqrt(inertia / load).
-        ({"inertia": 2.0, "load": 5.0, "position": QUARTER + 0.01}, 0.0, 2 * np.pi * np.sqrt(0.4), QUARTER + 0.01, 0.0, 2e-4),
+        ({"inertia": 2.0, "load": 5.0, "position": QUARTER + 0.01}, 0.0, 2 * np.pi * np.sqrt(0.4),
+         QUARTER + 0.01, 0.0, 2e-4),
     ],
 )  # fmt: skip
 def test_a_joint_moves_as_its_closed_form(parts, effort, seconds, q, dq, within):
@@ -77,10 +84,12 @@ def test_a_typical_plant_by_hand():
     plant = typical_plant(robot, rated, load_share=0.0)
     assert plant.state()[0] == pytest.approx([-45 * DEG, 0.0])
     plant.step(np.array([0.05 * 21 + 1.0, 0.05 * 21]), np.zeros(2, bool), 1e-6)
-    assert plant.state()[1] == pytest.approx([1e-6 / inertia[0], 0.0])  # Coulomb friction is a twentieth of 21 N m
+    # Coulomb friction is a twentieth of 21 N m
+    assert plant.state()[1] == pytest.approx([1e-6 / inertia[0], 0.0])
     for _ in range(500):
         plant.step(np.array([0.1 * 21, -0.1 * 21]), np.zeros(2, bool), 0.02)
-    assert plant.state()[1] == pytest.approx([200 * DEG, -200 * DEG])  # another twentieth is viscous at 200 deg/s
+    # another twentieth is viscous at 200 deg/s
+    assert plant.state()[1] == pytest.approx([200 * DEG, -200 * DEG])
     loaded = typical_plant(robot, rated)
     loaded.step(np.zeros(2), np.zeros(2, bool), 1e-3)
     assert loaded.state()[1][1] == pytest.approx(-(0.3 - 0.05) * 21e-3 / inertia[1])
@@ -89,7 +98,10 @@ def test_a_typical_plant_by_hand():
 def test_a_table_goes_by_its_rate():
     """Rows every 10 ms; time is rounded to the nearest row; the last row stays."""
     samples = np.zeros(4, sample_dtype(1, reference=False))
-    samples["position"][:, 0], samples["effort"][:, 0] = [1.0, 3.0, 4.0, 4.5], [10.0, 20.0, 30.0, 40.0]
+    samples["position"][:, 0], samples["effort"][:, 0] = (
+        [1.0, 3.0, 4.0, 4.5],
+        [10.0, 20.0, 30.0, 40.0],
+    )
     plant, seen = TablePlant(samples, 100.0), []
     with pytest.raises(BadInputError, match="holds no samples"):
         TablePlant(samples[:0], 100.0)
@@ -110,16 +122,24 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
     free = np.zeros(2, bool)
     for _ in range(50):
         made.plant.step(np.zeros(2), free, 0.001)
-    # Level joints fall with (0.3 - 0.05) of the rated effort; half of that effort accelerates them by 4000 deg/s².
+    # Level joints fall with (0.3 - 0.05) of the rated effort; half of that effort accelerates
+    # them by 4000 deg/s².
     fallen = 0.5 * (0.25 / 0.5) * np.radians(4000) * 0.05**2
     assert made.plant.state()[0] == pytest.approx([-fallen] * 2, rel=0.05)
     monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: EntryPoints())
     scara = robot_named("scara")
     alone = driven_plant(scara, bus_of(scara))
-    assert "no installed package offers the robot's dynamics (entry points robot_idim.plants)" in alone.warning
+    assert (
+        "no installed package offers the robot's dynamics (entry points robot_idim.plants)"
+        in alone.warning
+    )
 
 
 def test_parameters_that_describe_no_robot_are_refused_in_one_line():
-    robot = robot_of((REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ2 = -1000.0"))
-    with pytest.raises(BadInputError, match="cannot be simulated: the inertia matrix is not positive"):
+    robot = robot_of(
+        (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ2 = -1000.0")
+    )
+    with pytest.raises(
+        BadInputError, match="cannot be simulated: the inertia matrix is not positive"
+    ):
         driven_plant(robot, bus_of(robot))

@@ -1,4 +1,6 @@
-"""Simulated drives as their master sees them: real dictionaries, mapping by SDO, loops, quantisation."""
+"""Simulated drives as their master sees them: real dictionaries, mapping by
+SDO, loops, quantisation.
+"""
 
 import dataclasses
 import re
@@ -15,17 +17,23 @@ from acquisition.simulated import SimulatedDrives
 DEMAND = 'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42'
 VENDORS = {  # keys of the drive, and where its effort comes from
     "elmo_Gold.dcf": (DEMAND, "6074:0 (torque demand"),
-    "nanotec_CL4-E-2-12.eds": ('reference = "6074"\nrated_torque_nm = 0.42', "6074:0 (torque demand"),
-    "maxon_EPOS4.eds": ('reference = "30D0"', "30D0:0 (current demand value (maxon EPOS4)), raw I32 in mA"),
-    "maxon_EPOS2_347717.eds": ('reference = "2031"', "2031:0 (current demand value (maxon EPOS2)), raw I16 in mA"),
+    "nanotec_CL4-E-2-12.eds": ('reference = "6074"\nrated_torque_nm = 0.42',
+                               "6074:0 (torque demand"),
+    "maxon_EPOS4.eds": ('reference = "30D0"', "30D0:0 (current demand value (maxon EPOS4)), raw "
+                                              "I32 in mA"),
+    "maxon_EPOS2_347717.eds": ('reference = "2031"',
+                               "2031:0 (current demand value (maxon EPOS2)), raw I16 in mA"),
     "ros2_canopen_cia402_slave_fake.eds":
-        ('actual = "6077"\nrated_torque_nm = 0.42', "6077:0 (torque actual value (CiA 402)), the actual value instead of"),
+        ('actual = "6077"\nrated_torque_nm = 0.42',
+         "6077:0 (torque actual value (CiA 402)), the actual value instead of"),
 }  # fmt: skip
 
 
 def robot_with(name: str, *, n: int = 2):
     keys, _ = VENDORS[name]
-    text = bus_text(n).replace('reference = "6074"\nrated_torque_nm = 0.42', f'dictionary = "{name}"\n{keys}')
+    text = bus_text(n).replace(
+        'reference = "6074"\nrated_torque_nm = 0.42', f'dictionary = "{name}"\n{keys}'
+    )
     if "rated_torque" not in keys:
         text = text.replace('effort_unit = "N m"', 'drive_gain = 0.05\ndrive_gain_unit = "N m/A"')
     return robot_of(text, {f"dictionary:{name}": (needs_data("eds") / name).read_bytes()})
@@ -47,7 +55,9 @@ def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name
     raw = data[:, at : at + entry.bits // 8].copy().view(f"<i{entry.bits // 8}")[:, 0]
     assert np.ptp(raw) > 10  # the vendor's own reference object carries the effort
     scale = abs(drive.effort.scale) * float(robot.gain[0]) * 50
-    assert np.ptp(session.recording.samples["effort"][:, 0]) == pytest.approx(np.ptp(raw) * scale, rel=1e-6)
+    assert np.ptp(session.recording.samples["effort"][:, 0]) == pytest.approx(
+        np.ptp(raw) * scale, rel=1e-6
+    )
     assert "dictionary:" + name in session.recording.attachments
     assert f"{entry}" in session.recording.metadata["effort_provenance"]
 
@@ -71,11 +81,15 @@ def test_another_drive_than_the_dictionary_says_is_told():
     run, master = connected(robot_with("elmo_Gold.dcf", n=1))
     assert master.differences() == []
     run.drives.nodes[0].values[0x1018, 1] = 0x123
-    assert master.differences() == ["node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"]
+    assert master.differences() == [
+        "node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"
+    ]
 
 
 def test_a_drive_states_its_units_limits_and_modes():
-    """Literal values: 65536 counts per turn, ratio 50, 200 deg/s and +-150 deg at the joint; the second counts backwards."""
+    """Literal values: 65536 counts per turn, ratio 50, 200 deg/s and +-150 deg at the joint; the
+    second counts backwards.
+    """
     before, after = bus_text(2).rsplit("65536", 1)
     _, master = connected(robot_of(f"{before}6553.6\nsign = -1\nzero_counts = 100{after}"))
 
@@ -86,7 +100,11 @@ def test_a_drive_states_its_units_limits_and_modes():
     units = [(index, sub) for index in (0x608F, 0x6091, 0x6092) for sub in (1, 2)]
     assert stated(1, *units) == [65536, 1, 1, 1, 65536, 1]
     assert stated(1, (0x607D, 1), (0x607D, 2)) == [2**32 - limit, limit]
-    assert stated(1, (0x6502, 0), (0x607F, 0), (0x6080, 0)) == [0x80, round(200 / 360 * 50 * 65536), 1667]
+    assert stated(1, (0x6502, 0), (0x607F, 0), (0x6080, 0)) == [
+        0x80,
+        round(200 / 360 * 50 * 65536),
+        1667,
+    ]
     assert stated(2, *units) == [32768, 5, 1, 1, 32768, 5]
     assert stated(2, (0x607D, 1), (0x607D, 2)) == [2**32 + 100 - 136533, 136633]
     master.nmt(129, 1)  # reset node
@@ -94,7 +112,9 @@ def test_a_drive_states_its_units_limits_and_modes():
 
 
 def test_a_boot_up_counts_as_the_first_heartbeat():
-    """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat time after its boot-up."""
+    """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat
+    time after its boot-up.
+    """
     made, _ = connected(robot_of(bus_text(1)), SimulatedDrives)
     made.drives.set_heartbeats(100)
     assert made.drives.boot() == [(0x701, b"\0")]

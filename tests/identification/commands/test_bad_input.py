@@ -52,7 +52,9 @@ def test_volts_never_become_newton_metres(tmp_path):
     with RecordingWriter(path, header(volts)) as writer:
         writer.samples(recording.samples)
     assert load_signals(path).robot.effort_units[0] == "V"
-    with pytest.raises(BadInputError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"):
+    with pytest.raises(
+        BadInputError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"
+    ):
         load_signals(path, robot_named("scara"))
 
 
@@ -60,12 +62,22 @@ def test_volts_never_become_newton_metres(tmp_path):
     ("key", "value", "cutoff_hz", "expected"),
     [
         (None, None, "1e-9", "cut-off = 1e-09 Hz: 5 periods are longer"),
-        ("bandwidth_hz", "1e-9", "25", "controller.bandwidth_hz = 1e-09: expected a period shorter than"),
+        (
+            "bandwidth_hz",
+            "1e-9",
+            "25",
+            "controller.bandwidth_hz = 1e-09: expected a period shorter than",
+        ),
         ("sample_rate_hz", "1e9", None, "expected at most 2e+07 steps"),
     ],
 )
-def test_cutoffs_and_controllers_that_cannot_be(capsys, robot_file, key, value, cutoff_hz, expected):
-    lines = [f"{key} = {value}" if key and li.startswith(key) else li for li in robot_file.read_text().splitlines()]
+def test_cutoffs_and_controllers_that_cannot_be(
+    capsys, robot_file, key, value, cutoff_hz, expected
+):
+    lines = [
+        f"{key} = {value}" if key and li.startswith(key) else li
+        for li in robot_file.read_text().splitlines()
+    ]
     robot_file.write_text("\n".join(lines))
     options = ["--robot", robot_file, "--method", "iv"] if key else []
     options += ["--cutoff-hz", cutoff_hz] if cutoff_hz else []
@@ -91,25 +103,36 @@ def changed_fit(folder, change):
 
 
 def test_a_start_of_huge_values_is_told_and_written(capsys, tmp_path):
-    fit, out = changed_fit(tmp_path, lambda c: [p.update(value=1e200) for p in c["parameters"]]), tmp_path / "iv.json"
+    fit, out = (
+        changed_fit(tmp_path, lambda c: [p.update(value=1e200) for p in c["parameters"]]),
+        tmp_path / "iv.json",
+    )
     status, _, err = run(capsys, "fit", SESSION, "--method", "iv", "--start", fit, "--json", out)
     assert (status, err) == (0, "")
     assert json.loads(out.read_text())["iterations"][0]["instruments"] == "reference"
 
 
 def test_a_fit_that_diverged_is_told_wherever_it_is_used(capsys, tmp_path):
-    good, bad = REPLAY / "scara" / "fit.json", changed_fit(tmp_path, lambda c: c.update(status="diverged"))
+    good, bad = (
+        REPLAY / "scara" / "fit.json",
+        changed_fit(tmp_path, lambda c: c.update(status="diverged")),
+    )
     assert f"{bad}: its status is diverged" in run(capsys, "validate", bad, SESSION)[1]
     assert f"{bad}: its status is diverged" in run(capsys, "compare", good, bad)[1]
     assert "its status is" not in run(capsys, "validate", good, SESSION)[1]
 
 
 def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
-    """The reference is compared with the position as it was measured, not as the stated bandwidth lets it through."""
+    """The reference is compared with the position as it was measured, not as the stated
+    bandwidth lets it through.
+    """
     signals = load_signals(SESSION)
     low = msgspec.structs.replace(signals.robot.controller, bandwidth_hz=0.45)
     slow = dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, controller=low))
-    assert identify_iv(slow, Overrides(cutoff_hz=25.0, decimation=20), Iteration()).status == "converged"
+    assert (
+        identify_iv(slow, Overrides(cutoff_hz=25.0, decimation=20), Iteration()).status
+        == "converged"
+    )
 
 
 def test_what_the_recorder_warned_of_stands_in_the_fit(tmp_path):
@@ -117,6 +140,8 @@ def test_what_the_recorder_warned_of_stands_in_the_fit(tmp_path):
     path = tmp_path / "warned.mcap"
     with RecordingWriter(path, header(recording.robot)) as writer:
         writer.samples(recording.samples)
-        writer.event(int(recording.samples["stamp_ns"][-1]), "warning", "SYNC came every 4 ms: expected 8 ms")
+        writer.event(
+            int(recording.samples["stamp_ns"][-1]), "warning", "SYNC came every 4 ms: expected 8 ms"
+        )
     fit = identify_ls(load_signals(path), Overrides())
     assert "recording: SYNC came every 4 ms: expected 8 ms" in fit.warnings

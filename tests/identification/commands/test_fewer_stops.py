@@ -28,7 +28,10 @@ def test_a_table_in_place_of_a_recording(capsys, tmp_path):
 def test_written_files_are_told_with_how_to_open_them(capsys, tmp_path):
     report, picture = tmp_path / "a.html", tmp_path / "a.rrd"
     said = answer(capsys, "fit", SCARA, "--method", "wls", "--report", report, "--rrd", picture)
-    assert said.endswith(f"open the report: {report} in a browser\nopen the plots: rerun --bind 127.0.0.1 {picture}\n")
+    assert said.endswith(
+        f"open the report: {report} in a browser\nopen the plots: rerun --bind 127.0.0.1 "
+        f"{picture}\n"
+    )
 
 
 def test_a_study_says_how_long_a_run_took_and_what_is_zero(capsys, tmp_path):
@@ -48,12 +51,21 @@ def test_an_edited_description_beside_a_recording(capsys, tmp_path):
     recording, robot = tmp_path / "session.mcap", tmp_path / "robot.toml"
     shutil.copy(SCARA, recording)
     stored = load_signals(recording).robot.files["robot.toml"]
-    told = f"{robot} differs from the description in session.mcap, which was used: --robot {robot} uses it"
-    for old, new, differs in ((b"", b"", False), (b"hz = 5.0", b"hz = 6.0", True), (b'"SCARA"', b'"another"', False)):
+    told = (
+        f"{robot} differs from the description in session.mcap, which was used: --robot "
+        f"{robot} uses it"
+    )
+    for old, new, differs in (
+        (b"", b"", False),
+        (b"hz = 5.0", b"hz = 6.0", True),
+        (b'"SCARA"', b'"another"', False),
+    ):
         robot.write_bytes(stored.replace(old, new, 1))
         assert (told in answer(capsys, "fit", recording, "--method", "wls")) == differs
     robot.write_bytes(stored.replace(b"hz = 5.0", b"hz = 6.0"))
-    assert "differs from the description" not in answer(capsys, "fit", recording, "--method", "wls", "--robot", robot)
+    assert "differs from the description" not in answer(
+        capsys, "fit", recording, "--method", "wls", "--robot", robot
+    )
 
 
 def test_a_robot_without_urdf(capsys, tmp_path):
@@ -67,7 +79,9 @@ def test_a_robot_without_urdf(capsys, tmp_path):
     assert "3 joints of rpR" in said
 
 
-@pytest.mark.parametrize("given", [[], ["--dh", "RX"], ["arm.urdf", "--dh", "RR"], ["--dh", "RR", "--joints", "a,b"]])
+@pytest.mark.parametrize(
+    "given", [[], ["--dh", "RX"], ["arm.urdf", "--dh", "RR"], ["--dh", "RR", "--joints", "a,b"]]
+)
 def test_init_needs_a_urdf_or_letters(capsys, given):
     assert main(["init", *given]) == 1
     assert "--dh" in capsys.readouterr().err

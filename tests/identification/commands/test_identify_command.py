@@ -21,13 +21,31 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     assert (status, err) == (0, "")
     assert out.startswith("SCARA: IV (reference recorded), converged, trust; 0.")
     assert (tmp_path / "fit.md").read_text().startswith(f"# {out.splitlines()[0]}")
-    assert "fit.txt: ending = '.txt'" in refused(capsys, "fit", SESSION, "--report", tmp_path / "fit.txt")
+    assert "fit.txt: ending = '.txt'" in refused(
+        capsys, "fit", SESSION, "--report", tmp_path / "fit.txt"
+    )
     assert "the 8 that move the torque most, of 8 determined" in out
     fit = json.loads((tmp_path / "fit.json").read_text())
-    assert [p["name"] for p in fit["parameters"]] == ["ZZ1R", "Fv1", "Fc1", "ZZ2", "MX2", "MY2", "Fv2", "Fc2"]
+    assert [p["name"] for p in fit["parameters"]] == [
+        "ZZ1R",
+        "Fv1",
+        "Fc1",
+        "ZZ2",
+        "MX2",
+        "MY2",
+        "Fv2",
+        "Fc2",
+    ]
     assert fit["parameters"][0]["expression"] == "ZZ1 + 0.25 M2"
     assert fit["parameters"][0]["unit"] == "kg m²"
-    assert {"method", "status", "relative_error_percent", "condition_number", "rows", "provenance"} <= set(fit)
+    assert {
+        "method",
+        "status",
+        "relative_error_percent",
+        "condition_number",
+        "rows",
+        "provenance",
+    } <= set(fit)
     assert (fit["sample_rate_hz"], fit["cutoff_hz"], fit["decimation"]) == (1000.0, 25.0, 40)
     assert [j["name"] for j in fit["joints"]] == ["shoulder", "elbow"]
     assert len(fit["provenance"]["sha256"]) == 64
@@ -59,15 +77,24 @@ def test_options_and_keys_change_the_fit(capsys, tmp_path):
         "essential.json": ["--essential"],
     }.items():
         assert run(capsys, "fit", SESSION, *options, "--json", tmp_path / name)[0] == 0
-    none, essential = (json.loads((tmp_path / n).read_text()) for n in ("none.json", "essential.json"))
-    assert (none["cutoff_hz"], none["decimation"], none["method"], none["span"]) == (None, 20, "ols", "all samples")
+    none, essential = (
+        json.loads((tmp_path / n).read_text()) for n in ("none.json", "essential.json")
+    )
+    assert (none["cutoff_hz"], none["decimation"], none["method"], none["span"]) == (
+        None,
+        20,
+        "ols",
+        "all samples",
+    )
     assert [p["name"] for p in essential["parameters"]] == essential["essential"]["names"]
 
 
 def test_simulation_is_repeatable(capsys, tmp_path):
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
     asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"
-    assert "no [parameters] to simulate with" in refused(capsys, "simulate", asymmetric, "-o", tmp_path / "c.mcap")
+    assert "no [parameters] to simulate with" in refused(
+        capsys, "simulate", asymmetric, "-o", tmp_path / "c.mcap"
+    )
     for name in ("a.mcap", "b.mcap"):
         assert run(capsys, "simulate", SCARA, "-o", tmp_path / name, *options)[0] == 0
     a, b = (read_recording(tmp_path / name).samples for name in ("a.mcap", "b.mcap"))
@@ -96,11 +123,18 @@ def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
 
 
 def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
-    robot, samples, path = robot_named("scara"), np.array(read_recording(SESSION).samples[:4000]), tmp_path / "log.mcap"
+    robot, samples, path = (
+        robot_named("scara"),
+        np.array(read_recording(SESSION).samples[:4000]),
+        tmp_path / "log.mcap",
+    )
     still, half = samples.copy(), samples.copy()
     still["position"], half["position"][:, 1] = samples["position"][0], samples["position"][0, 1]
     for rows, message in (
-        (np.delete(samples, np.s_[1500:1510]), "samples: 1 gap(s), the first after 1.4990 s: a step of 11.000 ms"),
+        (
+            np.delete(samples, np.s_[1500:1510]),
+            "samples: 1 gap(s), the first after 1.4990 s: a step of 11.000 ms",
+        ),
         (samples[3000:3300], "expected at least 1200, 30 decimated rows"),
         (samples[:1], "expected a trajectory"),
         (still, "no joint moves"),
@@ -112,20 +146,30 @@ def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
 
 def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
     text = (REPLAY / "emps" / "robot.toml").read_text()
-    text = text.replace("drive_gain = 35.15065188\n", "").replace('drive_gain_unit = "N/V"', 'effort_unit = "V"')
+    text = text.replace("drive_gain = 35.15065188\n", "").replace(
+        'drive_gain_unit = "N/V"', 'effort_unit = "V"'
+    )
     robot = robot_from_files({"robot.toml": text.replace("span = ", "#").encode()}, "emps.toml")
     t = np.arange(6000) / 1000
     samples = np.zeros(6000, sample_dtype(1, reference=False))
     samples["stamp_ns"] = np.arange(6000) * 1_000_000
     w = 2 * np.pi * 0.5
-    samples["position"][:, 0], dq, ddq = 0.1 * np.sin(w * t), 0.1 * w * np.cos(w * t), -0.1 * w**2 * np.sin(w * t)
+    samples["position"][:, 0], dq, ddq = (
+        0.1 * np.sin(w * t),
+        0.1 * w * np.cos(w * t),
+        -0.1 * w**2 * np.sin(w * t),
+    )
     samples["effort"][:, 0] = 2.7 * ddq + 5.8 * dq + 0.6 * np.sign(dq)
     write_samples(tmp_path / "volts.mcap", robot, samples)
     status, out, _ = run(capsys, "fit", tmp_path / "volts.mcap", "--json", tmp_path / "fit.json")
     assert status == 0
     assert "drive gains are not known: torques and parameters are in V, not in N m" in out
     first, viscous, dry = json.loads((tmp_path / "fit.json").read_text())["parameters"][:3]
-    assert [(p["name"], p["unit"]) for p in (first, viscous, dry)] == [("M1", "V s²/m"), ("Fv1", "V s/m"), ("Fc1", "V")]
+    assert [(p["name"], p["unit"]) for p in (first, viscous, dry)] == [
+        ("M1", "V s²/m"),
+        ("Fv1", "V s/m"),
+        ("Fc1", "V"),
+    ]
     assert first["value"] == pytest.approx(2.7, rel=0.01)
 
 
@@ -138,8 +182,14 @@ ONE = {"name": "MX2", "value": 1, "sigma": 1, "unit": "kg m"}
         ({"format": 1}, "not a fit"),
         ({"format": 9, "parameters": []}, "format = 9: expected 1"),
         ({"parameters": []}, "expected those of the recording's robot"),
-        ({"parameters": [ONE | {"name": "ZZ9"}]}, "parameters = 'ZZ9': expected those of the recording's robot"),
-        ({"parameters": [ONE | {"unit": "A"}]}, "MX2.unit = 'A': expected kg m, as the recording's robot has it"),
+        (
+            {"parameters": [ONE | {"name": "ZZ9"}]},
+            "parameters = 'ZZ9': expected those of the recording's robot",
+        ),
+        (
+            {"parameters": [ONE | {"unit": "A"}]},
+            "MX2.unit = 'A': expected kg m, as the recording's robot has it",
+        ),
         (
             {"parameters": [ONE | {"low": 1.5, "high": 0.5}]},
             "expected finite values, sigmas of at least 0, low not above high",

@@ -1,4 +1,6 @@
-"""What the terminal shows: every digit at any width, names as they are, and what the words under a table say."""
+"""What the terminal shows: every digit at any width, names as they are, and what the
+words under a table say.
+"""
 
 import json
 import re
@@ -39,8 +41,12 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
 def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
     print_whole(fit_document(signals_of(emps), identify(signals_of(emps), Overrides())), short=True)
     printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
-    section = (ROOT / "identification" / "README.md").read_text().split("\n## The report of a fit\n")[1]
-    shown = [line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")]
+    section = (
+        (ROOT / "identification" / "README.md").read_text().split("\n## The report of a fit\n")[1]
+    )
+    shown = [
+        line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")
+    ]
     assert shown[0][0] == "EMPS:"
     assert len(shown) >= 10
     for *line, last in shown:
@@ -54,13 +60,23 @@ def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
 def test_names_are_printed_as_they_are(name, capsys, tmp_path):
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
-    assert main(["simulate", str(REPLAY / "scara" / "robot.toml"), "-o", str(path), "--duration-s", "3"]) == 0
+    assert (
+        main(
+            ["simulate", str(REPLAY / "scara" / "robot.toml"), "-o", str(path), "--duration-s", "3"]
+        )
+        == 0
+    )
     assert f"{path}: simulated" in capsys.readouterr().out
     assert main(["validate", str(REPLAY / "scara" / "fit.json"), str(path)]) == 0
     out = capsys.readouterr().out
     assert f"{path.name}: 1000 Hz" in out
     assert "evaluated on: " in out, "nothing is fitted"
     assert "fitted: " not in out
-    section = Section(title=name, table=Table(columns=columns(name), rows=((name,),)), lines=(name,), warnings=(name,))
+    section = Section(
+        title=name,
+        table=Table(columns=columns(name), rows=((name,),)),
+        lines=(name,),
+        warnings=(name,),
+    )
     print_whole(Document(title=f"{name}: fit", sections=(section,)))
     assert capsys.readouterr().out.count(name) == 6

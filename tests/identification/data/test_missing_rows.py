@@ -1,4 +1,6 @@
-"""Rows that are missing or repeated, by the steps of the positions: told with their share, and never where none is."""
+"""Rows that are missing or repeated, by the steps of the positions: told with their share,
+and never where none is.
+"""
 
 from dataclasses import replace
 
@@ -20,7 +22,9 @@ def shares(q):
 
 
 def drawn(rows, percent):
-    at = np.random.default_rng(3).choice(np.arange(5, rows - 5, 2), round(0.01 * percent * rows), replace=False)
+    at = np.random.default_rng(3).choice(
+        np.arange(5, rows - 5, 2), round(0.01 * percent * rows), replace=False
+    )
     return np.isin(np.arange(rows), at)
 
 
@@ -39,7 +43,9 @@ def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
     q = q[name]
     chosen = drawn(len(q), percent)
     before = np.where(chosen, np.arange(len(q)) - 1, np.arange(len(q)))
-    of_lost, of_repeated, of_held = (shares(x) for x in (q[~chosen], np.repeat(q, 1 + chosen, axis=0), q[before]))
+    of_lost, of_repeated, of_held = (
+        shares(x) for x in (q[~chosen], np.repeat(q, 1 + chosen, axis=0), q[before])
+    )
     assert of_lost == pytest.approx([percent, 0, 0], abs=0.1 + 0.05 * percent)
     assert of_repeated == pytest.approx([0, percent, 0], abs=0.1 + 0.05 * percent)
     assert of_held[2] == pytest.approx(percent, abs=0.1 + 0.15 * percent)
@@ -53,7 +59,8 @@ def test_nothing_is_found_where_nothing_is_lost(q, name):
 
 
 @pytest.mark.parametrize(
-    ("what", "step"), [("12 bit over the range", None), ("slow motion", 1e-5), ("Stribeck 50 %", 1e-5)]
+    ("what", "step"),
+    [("12 bit over the range", None), ("slow motion", 1e-5), ("Stribeck 50 %", 1e-5)],
 )
 def test_nothing_is_found_in_coarse_or_slow_motion(what, step):
     """Counts of 10 µm beside those of the kind."""
@@ -63,7 +70,9 @@ def test_nothing_is_found_in_coarse_or_slow_motion(what, step):
 
 
 def test_abrupt_stops_are_no_missing_rows():
-    """Of two steps at a stop one is twice the median of its neighbours, and the other none of it."""
+    """Of two steps at a stop one is twice the median of its neighbours,
+    and the other none of it.
+    """
     speed = np.repeat([1.0, 0.0, -1.0, 0.0] * 50, 40) * 1e-3
     q = np.cumsum(speed)[:, None] + 1e-6 * np.random.default_rng(0).standard_normal((len(speed), 1))
     assert shares(q).max() == 0
@@ -85,13 +94,16 @@ def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx
     note = line_of(ls_of(tx40))
     assert (note.level, note.value) == ("ok", None)
     assert "encoder of joint joint_3" in note.text
-    assert max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0  # coarse and abrupt motion at a low rate
+    # coarse and abrupt motion at a low rate
+    assert max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0
 
 
 def test_the_verdict_of_arrays_with_lost_rows_is_caution():
     signals = short("scara", 1).recording(1)
     lossy = with_lost_rows(signals, drawn(len(signals.q), 1.0))
-    arrays = signals_from_arrays(lossy.q, lossy.effort, lossy.sample_rate_hz, robot_named("scara"), lossy.q_ref)
+    arrays = signals_from_arrays(
+        lossy.q, lossy.effort, lossy.sample_rate_hz, robot_named("scara"), lossy.q_ref
+    )
     fit = identify_ls(arrays, Overrides())
     line = line_of(fit)
     assert (line.level, line.value) == ("caution", pytest.approx(1.0, abs=0.1))

@@ -30,7 +30,11 @@ def refused(x: int) -> int:
 
 def killed(mark: Path, number: int, times: int) -> int:
     """Task 3 ends its worker by kill -9, as often as told."""
-    if number == 3 and (mark.write_text(mark.read_text() + "x") if mark.exists() else mark.write_text("x")) <= times:
+    if (
+        number == 3
+        and (mark.write_text(mark.read_text() + "x") if mark.exists() else mark.write_text("x"))
+        <= times
+    ):
         os.kill(os.getpid(), signal.SIGKILL)
     return number
 
@@ -38,7 +42,9 @@ def killed(mark: Path, number: int, times: int) -> int:
 @pytest.fixture(scope="module")
 def cluster():
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as dask:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0"
+    ) as dask:
         yield dask.scheduler_address
         distributed.default_client().close()
 
@@ -67,15 +73,24 @@ def told_of(work, *task) -> str:
 def test_a_killed_worker_ends_the_run_in_one_line(tmp_path):
     tasks = [(tmp_path / "mark", number, 1) for number in range(6)]
     line = told_of(Work(2), killed, tasks)
-    wanted = "A worker process managed by the executor was unexpectedly terminated: expected more memory, or a smaller Work(N)"
+    wanted = (
+        "A worker process managed by the executor was unexpectedly terminated: expected more "
+        "memory, or a smaller Work(N)"
+    )
     assert line == wanted
     assert list(Work(2).run(killed, tasks)) == list(range(6)), "new workers do it"
 
 
-def test_a_killed_worker_of_dask_is_replaced_and_one_that_cannot_work_is_told(cluster, tmp_path, monkeypatch):
+def test_a_killed_worker_of_dask_is_replaced_and_one_that_cannot_work_is_told(
+    cluster, tmp_path, monkeypatch
+):
     """joblib's own backend of Dask waits forever for what its workers cannot do."""
-    assert list(Work(cluster).run(killed, [(tmp_path / "once", k, 1) for k in range(6)])) == list(range(6))
-    assert "4 different workers" in told_of(Work(cluster), killed, [(tmp_path / "ever", k, 99) for k in range(6)])
+    assert list(Work(cluster).run(killed, [(tmp_path / "once", k, 1) for k in range(6)])) == list(
+        range(6)
+    )
+    assert "4 different workers" in told_of(
+        Work(cluster), killed, [(tmp_path / "ever", k, 99) for k in range(6)]
+    )
     monkeypatch.setattr(work_module, "__package__", "only_here")
     assert "No module named 'only_here'" in told_of(Work(cluster), slowly_squared, [(1,)])
 
@@ -89,8 +104,12 @@ def test_a_cluster_of_one_worker_does_the_tasks():
 
 
 def test_a_script_needs_no_guard():
-    script = "from identification import Work\nprint(*Work(2).run(pow, [(k, 2) for k in range(4)]))\n"
-    done = subprocess.run([sys.executable, "-"], input=script, capture_output=True, text=True, timeout=60)
+    script = (
+        "from identification import Work\nprint(*Work(2).run(pow, [(k, 2) for k in range(4)]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-"], input=script, capture_output=True, text=True, timeout=60
+    )
     assert (done.stdout, done.stderr) == ("0 1 4 9\n", "")
 
 

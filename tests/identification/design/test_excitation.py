@@ -1,4 +1,6 @@
-"""References that tell most of the parameters: gradients against differences, limits between samples, the command."""
+"""References that tell most of the parameters: gradients against differences, limits
+between samples, the command.
+"""
 
 import json
 import math
@@ -16,10 +18,23 @@ from pictured_fits import Written
 from urdfs import TURN_AND_SLIDE, TURN_AND_SLIDE_TOML
 
 from acquisition.errors import BadInputError, NoFitError, RobotIdimError
-from acquisition.robot import Payload, check_limits, fourier_reference, load_robot, robot_from_files, table_reference
+from acquisition.robot import (
+    Payload,
+    check_limits,
+    fourier_reference,
+    load_robot,
+    robot_from_files,
+    table_reference,
+)
 from identification.commands import main
 from identification.data import load_signals
-from identification.design import ExcitationSettings, excitation_document, excite, prior_information, search
+from identification.design import (
+    ExcitationSettings,
+    excitation_document,
+    excite,
+    prior_information,
+    search,
+)
 from identification.design.information import Information, earlier_information, torque_noise
 from identification.design.limits import Series, limits_of, motion_of
 from identification.model import (
@@ -43,7 +58,10 @@ def limited(robot):
     """With a saturation of each motor, far above what motions need."""
     drives = robot.bus.drive
     most = [32.767 * drive.rated_torque_nm for drive in drives]
-    motors = (msgspec.structs.replace(motor, saturation=x) for motor, x in zip(robot.motors, most, strict=True))
+    motors = (
+        msgspec.structs.replace(motor, saturation=x)
+        for motor, x in zip(robot.motors, most, strict=True)
+    )
     return replace(robot, motors=tuple(motors))
 
 
@@ -68,7 +86,9 @@ def with_text(name, old, new, count=-1):
 def asymmetric():
     """The TX40 with friction that differs by direction at its first three joints."""
     text = (REPLAY / "tx40" / "robot.toml").read_text()
-    text = text.replace("following_error_deg = 15", 'following_error_deg = 15\nfriction = "asymmetric"', 3)
+    text = text.replace(
+        "following_error_deg = 15", 'following_error_deg = 15\nfriction = "asymmetric"', 3
+    )
     text = re.sub(r"^(F[vc])([123]) = (.*)$", r"\1p\2 = \3\n\1n\2 = 1\3", text, flags=re.MULTILINE)
     return limited(robot_from_files({"robot.toml": text.encode()}, "here"))
 
@@ -88,11 +108,15 @@ ASYMMETRIC, LOADED = asymmetric(), (limited(loaded_scara()), limited(whole_arm()
 def information_of(robot, model, base):
     noise, earlier = np.random.default_rng(3).uniform(0.5, 2.0, robot.n), np.zeros((base.b, base.b))
     creep = 0.05 * np.array([joint.si("speed") for joint in robot.joints])
-    return Information(model=model, base=base, noise=noise, rows=300.0, earlier=earlier, creep=creep)
+    return Information(
+        model=model, base=base, noise=noise, rows=300.0, earlier=earlier, creep=creep
+    )
 
 
 def random_x(robot, series=SERIES, seed=0, share=0.6):
-    found = fourier_reference(robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=share)
+    found = fourier_reference(
+        robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=share
+    )
     return series.coefficients(found)
 
 
@@ -107,7 +131,8 @@ def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
     at = reference.at(np.arange(50) * SERIES.period_s / 50)
     for given, expected in zip(motion_of(x, SERIES.basis(50)), at, strict=True):
         assert given == pytest.approx(expected)
-    assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == K  # nothing is left out twice
+    # nothing is left out twice
+    assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == K
 
 
 @pytest.mark.parametrize("robot", [SCARA, ASYMMETRIC], ids=["scara", "tx40"])
@@ -129,13 +154,21 @@ def test_the_gradient_is_that_of_differences(robot):
     for d in directions:
         far, near = ((value(x + k * h * d) - value(x - k * h * d)) / (2 * k * h) for k in (2, 1))
         by_differences = (4 * near - far) / 3  # Richardson
-        assert (gradient * d).sum() == pytest.approx(by_differences, abs=1e-6 * np.abs(gradient).max())
+        assert (gradient * d).sum() == pytest.approx(
+            by_differences, abs=1e-6 * np.abs(gradient).max()
+        )
 
 
-@pytest.mark.parametrize("robot", [ASYMMETRIC, *LOADED], ids=["asymmetric", "loaded scara", "loaded tx40"])
+@pytest.mark.parametrize(
+    "robot", [ASYMMETRIC, *LOADED], ids=["asymmetric", "loaded scara", "loaded tx40"]
+)
 def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
     *_, direct = modelled(robot)
-    limits, basis, x = limits_of(robot, (direct,), 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
+    limits, basis, x = (
+        limits_of(robot, (direct,), 0.8, "here"),
+        SERIES.basis(40),
+        random_x(robot, share=0.3),
+    )
     n, L = robot.n, len(limits.names)
     slopes = limits.shares_and_slopes(motion_of(x, basis))[1]
     J = limits.jacobian(slopes, basis, np.tile(np.arange(40)[:, None], (1, L)))
@@ -145,20 +178,25 @@ def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
         d = rng.standard_normal(x.shape)
         ends = np.array([limits.shares(motion_of(x + k * h * d, basis)) for k in (-2, -1, 1, 2)])
         slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * h)
-        same = ends[0] * ends[-1] > 0  # where an effort changes its side, so does what load friction adds
-        for columns in (slice(0, 3 * n), slice(3 * n, None)):  # motion; efforts, whose shares are smaller by far
+        # where an effort changes its side, so does what load friction adds
+        same = ends[0] * ends[-1] > 0
+        # motion; efforts, whose shares are smaller by far
+        for columns in (slice(0, 3 * n), slice(3 * n, None)):
             off, own = np.abs((J @ d.ravel()).reshape(40, L) - slope)[:, columns], same[:, columns]
             assert own.mean() > 0.9
             assert off[own].max() < 1e-6 * np.abs(J.reshape(40, L, -1)[:, columns]).max()
 
 
 def test_efforts_count_friction_at_its_full_size():
-    robot = with_text("tx40", "following_error_deg = 15", "following_error_deg = 15\neffort_nm = 60", 1)
+    robot = with_text(
+        "tx40", "following_error_deg = 15", "following_error_deg = 15\neffort_nm = 60", 1
+    )
     *_, direct = modelled(robot)
     limits = limits_of(robot, (direct,), 0.5, "here")
     assert limits.coulomb[0] == pytest.approx(6.9822)
     assert limits.allowed[0] == pytest.approx(30 - 6.9822)
-    # Motor 5 gives (tau5 - tau6) / 45: the friction of joint 5, of joint 6 and, at both, of motor 6.
+    # Motor 5 gives (tau5 - tau6) / 45: the friction of joint 5, of joint 6 and,
+    # at both, of motor 6.
     assert limits.effort.names[-1] == "motor motor_5"
     motion = motion_of(random_x(robot), SERIES.basis(200))
     tau = direct.torque(*motion)
@@ -181,7 +219,9 @@ def test_information_is_that_of_least_squares():
 
 @pytest.fixture(scope="module")
 def tx40_excitation():
-    robot = with_text("tx40", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 60\n", 1)
+    robot = with_text(
+        "tx40", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 60\n", 1
+    )
     settings = ExcitationSettings(period_s=5.0, harmonics=5, periods=1)
     said = []
     return robot, excite(robot, settings, prior_information(robot), "here", said.append), said
@@ -207,13 +247,16 @@ def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_e
     *_, direct = modelled(robot)
     torque = np.abs(direct.torque(*motion))[:, 0].max()
     assert 0.5 * 60 < torque <= 0.8 * 60
-    assert (found.used > 0.797).sum() >= 9  # most limits of position and speed, and one effort, are used to the full
+    # most limits of position and speed, and one effort, are used to the full
+    assert (found.used > 0.797).sum() >= 9
     names = dict(zip(found.limits.names, found.used, strict=True))
     assert names["effort of joint joint_1"] >= torque / 60 - 1e-3
 
 
 def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_does_not():
-    """The position at the ends is a hair beyond its limit: drawn to rest there nothing would be left of the motion."""
+    """The position at the ends is a hair beyond its limit: drawn to rest there nothing would
+    be left of the motion.
+    """
     limits = limits_of(SCARA, (), 0.8, "here")
     start = random_x(SCARA, share=0.4)
     x = 2.5 * start
@@ -236,7 +279,9 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: start)
     information = SimpleNamespace(sigma=lambda motion: next(sigmas))
     limits = limits_of(SCARA, (), 0.8, "here")
-    problem = search.SearchProblem(series=SERIES, information=information, limits=limits, plain=np.ones(2))
+    problem = search.SearchProblem(
+        series=SERIES, information=information, limits=limits, plain=np.ones(2)
+    )
     x, sigma = search.best_of_searches(problem, 1, "here", lambda text: None)
     assert x is starts[2]
     assert sigma.tolist() == [0.8, 0.95]
@@ -244,8 +289,12 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
 
 def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
-    with pytest.raises(NoFitError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by"):
-        excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here")
+    with pytest.raises(
+        NoFitError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by"
+    ):
+        excite(
+            SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here"
+        )
 
 
 @pytest.mark.parametrize(
@@ -254,8 +303,18 @@ def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
         ("bandwidth_hz = 5.0", "bandwidth_hz = 1.0", 8, "harmonics 3 or fewer, or period_s 24"),
         ("bandwidth_hz = 5.0", "bandwidth_hz = 0.1", 10, "expected period_s 300 or longer"),
         ("speed_deg_s = 180\n", "", 10, "joint[0].speed_deg_s: joint shoulder states none"),
-        ("acceleration_deg_s2 = 1500\n", "", 10, "joint[0].acceleration_deg_s2: joint shoulder states none"),
-        ("[-120, 120]", "[-120, 120]\neffort_nm = 0.9", 10, "joint shoulder: Coulomb friction of 0.82 N m"),
+        (
+            "acceleration_deg_s2 = 1500\n",
+            "",
+            10,
+            "joint[0].acceleration_deg_s2: joint shoulder states none",
+        ),
+        (
+            "[-120, 120]",
+            "[-120, 120]\neffort_nm = 0.9",
+            10,
+            "joint shoulder: Coulomb friction of 0.82 N m",
+        ),
         ("counts_per_turn = 262144", "counts_per_turn = 1e11", 2, "(motor_1) = "),
     ],
 )
@@ -268,21 +327,29 @@ def test_what_cannot_be_is_refused_in_one_line(old, new, harmonics, says):
 
 
 def test_gravity_that_a_joint_cannot_hold_is_refused():
-    robot = with_text("tx40", "acceleration_deg_s2 = 2500", "acceleration_deg_s2 = 2500\neffort_nm = 24")
+    robot = with_text(
+        "tx40", "acceleration_deg_s2 = 2500", "acceleration_deg_s2 = 2500\neffort_nm = 24"
+    )
     robot = replace(robot, gravity=np.array([9.81, 0.0, 0.0]))
-    with pytest.raises(BadInputError, match=r"joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"):
+    with pytest.raises(
+        BadInputError, match=r"joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"
+    ):
         excite(robot, ExcitationSettings(), prior_information(robot), "here")
 
 
 NOT_CHECKED = "torque not checked: no parameters, neither a fit nor [parameters]"
-NOT_LIMITED = "torque of joint shoulder, elbow is not limited: no effort_nm or effort_n, no saturation of its motor"
+NOT_LIMITED = (
+    "torque of joint shoulder, elbow is not limited: no effort_nm or effort_n, no saturation "
+    "of its motor"
+)
 LEFT_OUT = "load friction (mu1, mu2) is not in the criterion, but in the effort limits"
 
 
 @pytest.mark.parametrize(
     ("robot", "warnings"),
     [
-        (robot_named("scara"), (NOT_LIMITED,)),  # the range of the object that reports an effort is no limit
+        # the range of the object that reports an effort is no limit
+        (robot_named("scara"), (NOT_LIMITED,)),
         (LOADED[0], (LEFT_OUT,)),
         (without_parameters(LOADED[0]), (NOT_CHECKED, LEFT_OUT)),
     ],
@@ -306,25 +373,37 @@ def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
     rms = np.sqrt((direct.torque(*motions[0]) ** 2).mean(axis=0))
     knowledge = prior_information(SCARA)
     assert torque_noise(SCARA, direct, knowledge, motions)[0] == pytest.approx(0.02 * rms)
-    assert torque_noise(SCARA, direct, prior_information(SCARA, noise=(0.3,)), motions)[0].tolist() == [0.3, 0.3]
-    with pytest.raises(BadInputError, match=r"noise.*expected one number, or one for each of 2 joints"):
+    assert torque_noise(SCARA, direct, prior_information(SCARA, noise=(0.3,)), motions)[
+        0
+    ].tolist() == [0.3, 0.3]
+    with pytest.raises(
+        BadInputError, match=r"noise.*expected one number, or one for each of 2 joints"
+    ):
         prior_information(SCARA, noise=(1.0, 2.0, 3.0))
     beta = described_parameters(model, base)
     values = zip(base.names, beta, base.units, strict=True)
     parameters = [{"name": n, "value": v, "unit": u, "sigma": 0.1} for n, v, u in values]
     joints = [{"moving_relative_error_percent": 5.0, "autocorrelation": 0.6}] * 2
-    (tmp_path / "fit.json").write_text(json.dumps({"parameters": parameters, "joints": joints, "method": "iv"}))
+    (tmp_path / "fit.json").write_text(
+        json.dumps({"parameters": parameters, "joints": joints, "method": "iv"})
+    )
     known = prior_information(SCARA, fit=tmp_path / "fit.json")
     assert (known.warnings, known.beta_from) == ((), "fit.json")
     assert known.beta == pytest.approx(beta)
-    assert torque_noise(SCARA, direct, known, motions)[0] == pytest.approx(0.05 * 2 * rms)  # sqrt(1.6 / 0.4) = 2
+    # sqrt(1.6 / 0.4) = 2
+    assert torque_noise(SCARA, direct, known, motions)[0] == pytest.approx(0.05 * 2 * rms)
 
 
 @pytest.fixture(scope="module")
 def earlier(tmp_path_factory):
-    path, robot = tmp_path_factory.mktemp("earlier") / "log.mcap", loaded_scara(("viscous", "coulomb", "load"))
+    path, robot = (
+        tmp_path_factory.mktemp("earlier") / "log.mcap",
+        loaded_scara(("viscous", "coulomb", "load")),
+    )
     q_ref = fourier_reference(robot, period_s=3.0, seed=1).at(np.arange(3001) / 1000)[0]
-    write_signals(path, closed_loop(robot, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated")
+    write_signals(
+        path, closed_loop(robot, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated"
+    )
     return path
 
 
@@ -344,7 +423,11 @@ def test_earlier_recordings_add_what_their_least_squares_know_of_all_but_load_fr
 
 
 def test_the_command_writes_a_reference_that_can_be_tracked(tmp_path, capsys):
-    out, toml, after = tmp_path / "ref.csv", REPLAY / "scara" / "robot.toml", REPLAY / "scara" / "session.mcap"
+    out, toml, after = (
+        tmp_path / "ref.csv",
+        REPLAY / "scara" / "robot.toml",
+        REPLAY / "scara" / "session.mcap",
+    )
     options = ["--period=3", "--harmonics=3", "--periods=2", f"--after={after}"]
     assert main(["excite", str(toml), "-o", str(out), *options]) == 0
     printed = " ".join(capsys.readouterr().out.split())
@@ -386,7 +469,9 @@ capsule = {{ radius_m = 0.1, from_m = [0.2, 0, 0], to_m = [1, 0, 0] }}
 name = "m{name}"
 effort_unit = "N m"
 """
-    return robot_from_files({"robot.toml": f"{text}{toml}[controller]\nbandwidth_hz = 10\n".encode()}, "here")
+    return robot_from_files(
+        {"robot.toml": f"{text}{toml}[controller]\nbandwidth_hz = 10\n".encode()}, "here"
+    )
 
 
 def obstacles_in(robot, find=lambda name: None, poses=((0.0, 0.0),)):
@@ -397,7 +482,17 @@ def test_pairs_that_are_adjacent_or_always_near_are_left_out():
     """Stretched out: the base reaches into link b, links are 0.2 m or more apart."""
     robot = capsules("ground_m = -0.3", 1.15, "abcde")
     obstacles = obstacles_in(robot, poses=np.zeros((3, 5)))
-    apart = ["base and c", "base and d", "base and e", "a and c", "a and d", "a and e", "b and d", "b and e", "c and e"]
+    apart = [
+        "base and c",
+        "base and d",
+        "base and e",
+        "a and c",
+        "a and d",
+        "a and e",
+        "b and d",
+        "b and e",
+        "c and e",
+    ]
     checked = [name.replace("link of ", "") for name in obstacles.names]
     assert checked == [f"ground and {name}" for name in "abcde"] + apart
     assert obstacles.near == ("base and link of b",)
@@ -417,12 +512,18 @@ def unchecked(monkeypatch, robot, settings):
     """Positions along the reference that is found without a check of distances."""
     with monkeypatch.context() as patched:
         patched.setattr(search, "MARGIN_M", -np.inf)
-        return excite(robot, settings, prior_information(robot), "here").reference.at(np.linspace(0, 4, 3001))[0]
+        return excite(robot, settings, prior_information(robot), "here").reference.at(
+            np.linspace(0, 4, 3001)
+        )[0]
 
 
 @pytest.mark.parametrize(("base_m", "seed", "stays"), [(0.95, 3, True), (1.03, 2, False)])
-def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch, base_m, seed, stays):
-    """Where the reference keeps it without a check it stays; one that goes through the base is moved."""
+def test_links_keep_their_distance_between_the_samples_of_the_search(
+    monkeypatch, base_m, seed, stays
+):
+    """Where the reference keeps it without a check it stays; one that goes
+    through the base is moved.
+    """
     robot, settings = capsules("", base_m), ExcitationSettings(period_s=4.0, harmonics=4, seed=seed)
     found = excite(robot, settings, prior_information(robot), "here")
     q = found.reference.at(np.linspace(0, 4, 3001))[0]
@@ -441,20 +542,35 @@ def test_a_robot_whose_links_are_near_each_other_at_rest_is_refused():
     text = capsules("", 0.95).files["robot.toml"].decode()
     folded = text.replace("d_m = 1, theta_deg = 0", "d_m = 1, theta_deg = 180")
     robot = robot_from_files({"robot.toml": folded.encode()}, "here")
-    with pytest.raises(NoFitError, match=r"keeps the limits: base and link of b are -\d.\d+ m apart at rest"):
-        excite(robot, ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot), "here")
+    with pytest.raises(
+        NoFitError, match=r"keeps the limits: base and link of b are -\d.\d+ m apart at rest"
+    ):
+        excite(
+            robot, ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot), "here"
+        )
 
 
 def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named(tmp_path):
-    assert obstacles_in(capsules("ground_m = -0.05")).near == ("ground and link of a", "ground and link of b")
+    assert obstacles_in(capsules("ground_m = -0.05")).near == (
+        "ground and link of a",
+        "ground and link of b",
+    )
     shape = '<collision><origin xyz="0 0 0.5"/><geometry>{}</geometry></collision>'
-    sphere, mesh = shape.format('<sphere radius="0.1"/>'), shape.format('<mesh filename="package://none/a.stl"/>')
+    sphere, mesh = (
+        shape.format('<sphere radius="0.1"/>'),
+        shape.format('<mesh filename="package://none/a.stl"/>'),
+    )
 
     def arm(solid):
-        urdf = TURN_AND_SLIDE.format(effort="80").replace('<link name="base"/>', f'<link name="base">{sphere}</link>')
+        urdf = TURN_AND_SLIDE.format(effort="80").replace(
+            '<link name="base"/>', f'<link name="base">{sphere}</link>'
+        )
         urdf = urdf.replace('<link name="slide"/>', f'<link name="slide">{solid}</link>')
         urdf = urdf.replace('<child link="slide"/>', '<child link="slide"/><origin xyz="3 0 0"/>')
-        files = {"robot.toml": TURN_AND_SLIDE_TOML.format(elbow="", rail="").encode(), "robot.urdf": urdf.encode()}
+        files = {
+            "robot.toml": TURN_AND_SLIDE_TOML.format(elbow="", rail="").encode(),
+            "robot.urdf": urdf.encode(),
+        }
         return robot_from_files(files, "here")
 
     obstacles = obstacles_in(arm(sphere))
@@ -483,9 +599,13 @@ def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_pa
         for quantity, key in (("q", "position"), ("dq", "speed"), ("torque", None)):
             t_ns, values = file.curves[f"/{quantity}/{joint.name}/reference"]
             motion = found.reference.at(1e-9 * t_ns)
-            expected = direct.torque(*motion) if key is None else motion[("position", "speed").index(key)]
+            expected = (
+                direct.torque(*motion) if key is None else motion[("position", "speed").index(key)]
+            )
             assert values == pytest.approx(expected[:, j], rel=1e-6, abs=1e-6)
-            low, high = (file.curves.get(f"/{quantity}/{joint.name}/{end}") for end in ("low", "high"))
+            low, high = (
+                file.curves.get(f"/{quantity}/{joint.name}/{end}") for end in ("low", "high")
+            )
             if key == "speed":
                 assert high[1].tolist() == [joint.si("speed")] * 2
             elif key == "position":
@@ -505,8 +625,14 @@ def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     expected, limits = excitation_document(found).sections
     first = expected.table.rows[0]
     halves = [1.96 * found.sigma[0], 1.96 * found.plain[0], found.plain[0] / found.sigma[0]]
-    assert [first[0], *(cell.exact for cell in first[2:5])] == ["ZZ1R", *(pytest.approx(x, rel=1e-4) for x in halves)]
-    assert [row[0] for row in limits.table.rows] == [*(f"joint_{j}" for j in range(1, 7)), "motor motor_5"]
+    assert [first[0], *(cell.exact for cell in first[2:5])] == [
+        "ZZ1R",
+        *(pytest.approx(x, rel=1e-4) for x in halves),
+    ]
+    assert [row[0] for row in limits.table.rows] == [
+        *(f"joint_{j}" for j in range(1, 7)),
+        "motor motor_5",
+    ]
     assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)
 
 
@@ -517,24 +643,39 @@ def loaded(robot, payload=PAYLOAD):
 
 
 def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():
-    robot = with_text("scara", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 40\n", 1)
-    settings, knowledge = ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot, payload=PAYLOAD)
+    robot = with_text(
+        "scara", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 40\n", 1
+    )
+    settings, knowledge = (
+        ExcitationSettings(period_s=4.0, harmonics=4),
+        prior_information(robot, payload=PAYLOAD),
+    )
     found = excite(robot, settings, knowledge, "here")
     motion = found.reference.at(np.linspace(0, 4, 2001))
     *_, direct = modelled(robot)
-    without, carrying = (np.abs(model.torque(*motion))[:, 0].max() for model in (direct, loaded(robot)))
+    without, carrying = (
+        np.abs(model.torque(*motion))[:, 0].max() for model in (direct, loaded(robot))
+    )
     assert without < carrying
     assert 0.9 * 32 < carrying <= 0.8 * 40
     expected, limits = excitation_document(found).sections
     told = "drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 ± 0.005 m"
     assert expected.lines[-1].startswith(told)
-    assert [row[0] for row in limits.table.rows][-2:] == ["shoulder with the payload", "elbow with the payload"]
+    assert [row[0] for row in limits.table.rows][-2:] == [
+        "shoulder with the payload",
+        "elbow with the payload",
+    ]
 
 
 def test_the_deviations_of_gains_are_those_of_the_normal_equations():
-    """Of the rows of both runs, what is not stated of the payload, and the gains; a stated centre of mass tells more."""
+    """Of the rows of both runs, what is not stated of the payload, and the gains; a stated
+    centre of mass tells more.
+    """
     model, base, direct = modelled(SCARA)
-    information, motion = information_of(SCARA, model, base), motion_of(random_x(SCARA), SERIES.basis(60))
+    information, motion = (
+        information_of(SCARA, model, base),
+        motion_of(random_x(SCARA), SERIES.basis(60)),
+    )
     per = np.tile(1 / information.noise, 60)[:, None]
     whole = model.regressor(*motion).reshape(120, -1) * per
     W, R = whole[:, base.columns], SCARA.R
@@ -560,7 +701,9 @@ def test_the_deviations_of_gains_are_those_of_the_normal_equations():
 
 
 def test_a_payload_without_torques_is_refused(tmp_path, capsys):
-    (tmp_path / "robot.toml").write_bytes(without_parameters(robot_named("scara")).files["robot.toml"])
+    (tmp_path / "robot.toml").write_bytes(
+        without_parameters(robot_named("scara")).files["robot.toml"]
+    )
     command = ["excite", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "ref.csv"), "--payload"]
     for given, said in (("2@0,0,0.1", "without parameters and drive gains"), ("two", "KG@X,Y,Z")):
         assert main([*command, given]) == 1
@@ -570,7 +713,11 @@ def test_a_payload_without_torques_is_refused(tmp_path, capsys):
 def test_efforts_count_load_friction_against_the_motion():
     robot = LOADED[1]
     model, base, direct = modelled(robot)
-    limits, basis, x = limits_of(robot, (direct,), 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
+    limits, basis, x = (
+        limits_of(robot, (direct,), 0.8, "here"),
+        SERIES.basis(40),
+        random_x(robot, share=0.3),
+    )
     motion = motion_of(x, basis)
     n = robot.n
     of_links = torque_of_links(direct, motion)
@@ -581,5 +728,7 @@ def test_efforts_count_load_friction_against_the_motion():
     used, _ = limits.shares_and_slopes(motion)
     assert np.abs(used[:, 3 * n :]) == pytest.approx(expected)
     assert limits.shares(motion) == pytest.approx(used)
-    true = np.abs(direct.torque(*motion) @ limits.effort.directions.T / limits.effort.limits).max(axis=0)
+    true = np.abs(direct.torque(*motion) @ limits.effort.directions.T / limits.effort.limits).max(
+        axis=0
+    )
     assert (limits.share_of_whole(motion)[3 * n :] >= true * (1 - 1e-9)).all()

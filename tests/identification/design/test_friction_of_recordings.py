@@ -1,4 +1,6 @@
-"""The choice of friction terms by several recordings: held out one by one, against least squares by hand; their page."""
+"""The choice of friction terms by several recordings: held out one by one, against least
+squares by hand; their page.
+"""
 
 import dataclasses
 import json
@@ -17,7 +19,12 @@ from identification.design import select_friction, with_terms
 from identification.design.selection import Trial, smallest_near_best
 from identification.errors import RobotIdimError
 from identification.methods import identify_ls
-from identification.regression import make_problem, rows_of_recording, torque_of_recording, weights_at
+from identification.regression import (
+    make_problem,
+    rows_of_recording,
+    torque_of_recording,
+    weights_at,
+)
 from identification.study import write_signals
 from identification.view import charts
 
@@ -26,19 +33,25 @@ MORE = "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n"
 
 
 def with_own(robot, *own: str):
-    return dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=own))
+    return dataclasses.replace(
+        robot, identification=msgspec.structs.replace(robot.identification, own=own)
+    )
 
 
 @cache
 def several(own: tuple[str, ...] = ()):
-    """Three recordings, one shorter, of a robot with root friction at the shoulder and load friction at both joints."""
+    """Three recordings, one shorter, of a robot with root friction at the shoulder and load
+    friction at both joints.
+    """
     usual = [*USUAL, "offset"] if own else USUAL
     robot = with_own(upright([[*usual, "root", "load"], [*usual, "load"]], MORE), *own)
     found = []
     for seed, duration_s in ((1, 6.0), (2, 4.0), (3, 6.0)):
         signals = recorded(robot, seed, duration_s)
         if own:
-            signals = dataclasses.replace(signals, effort=signals.effort + seed * np.array([3.0, 0.5]))
+            signals = dataclasses.replace(
+                signals, effort=signals.effort + seed * np.array([3.0, 0.5])
+            )
         found.append(dataclasses.replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}"))
     return tuple(found)
 
@@ -53,19 +66,26 @@ def weighted_regressor(problem) -> np.ndarray:
     s = problem.settings
     m = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     whole = problem.model.regressor(m.q, m.dq, m.ddq)[..., problem.base.columns]
-    return s.decimator.filtered(weights_at(problem, m.t_s)[:, None] * whole.transpose(1, 2, 0)).transpose(0, 2, 1)
+    return s.decimator.filtered(
+        weights_at(problem, m.t_s)[:, None] * whole.transpose(1, 2, 0)
+    ).transpose(0, 2, 1)
 
 
 @pytest.mark.parametrize(("count", "own"), [(1, ()), (3, ("Off",))])
 def test_parts_are_held_out_one_by_one(count, own):
-    """By hand: weighted rows of the other parts, recordings or fifths, error of moving rows; own offsets fitted to it."""
+    """By hand: weighted rows of the other parts, recordings or fifths, error of moving rows;
+    own offsets fitted to it.
+    """
     recordings = Recordings(sources=several(own)[:count])
     choice = chosen(own) if count > 1 else select_friction(recordings, WITHOUT_LAG)
     assert choice.recommended.terms == (ROOT | LOAD, LOAD)
     w = identify_ls(recordings, choice.overrides).estimate.weights[:, None]
     problems = [make_problem(signals, choice.overrides) for signals in recordings.sources]
     plain = [rows_of_recording(problem) for problem in problems]
-    tau, speed, fast = (np.concatenate([getattr(one, name) for one in plain]).T for name in ("tau", "speed", "counts"))
+    tau, speed, fast = (
+        np.concatenate([getattr(one, name) for one in plain]).T
+        for name in ("tau", "speed", "counts")
+    )
     W = np.concatenate([weighted_regressor(problem) for problem in problems], axis=1)
     Y = np.concatenate([one.system.Y.reshape(len(w), -1, 1) for one in plain], axis=1)
     if count > 1:
@@ -77,18 +97,29 @@ def test_parts_are_held_out_one_by_one(count, own):
     moving = np.abs(speed) > 0.02 * np.abs(speed).max(axis=1, keepdims=True)
     off, fitted = np.array([name.startswith("Off") for name in plain[0].system.names]), []
     for k in range(part.max() + 1):
-        A = np.concatenate([W[..., ~off], *(W[..., off] * (part == i)[:, None] for i in range(part.max() + 1))], axis=2)
+        A = np.concatenate(
+            [W[..., ~off], *(W[..., off] * (part == i)[:, None] for i in range(part.max() + 1))],
+            axis=2,
+        )
         of_others, of_part = fast & (part != k), fast & (part == k)
         beta = np.zeros(len(off))
-        beta[~off] = np.linalg.lstsq((A * w[..., None])[of_others], (Y[..., 0] * w)[of_others])[0][: (~off).sum()]
+        beta[~off] = np.linalg.lstsq((A * w[..., None])[of_others], (Y[..., 0] * w)[of_others])[0][
+            : (~off).sum()
+        ]
         if off.any():
             rho = Y[..., 0] - W @ beta
-            beta[off] = np.linalg.lstsq((W[..., off] * w[..., None])[of_part], (rho * w)[of_part])[0]
+            beta[off] = np.linalg.lstsq((W[..., off] * w[..., None])[of_part], (rho * w)[of_part])[
+                0
+            ]
         rho = Y[..., 0] - W @ beta
         assert choice.usual.scores[k] == pytest.approx((((rho * w)[of_part]) ** 2).sum(), rel=1e-6)
         fitted.append(beta)
-    of_each = [(problem, fitted if count == 1 else fitted[k : k + 1]) for k, problem in enumerate(problems)]
-    predicted = np.concatenate([torque_of_recording(problem, *betas)[1] for problem, betas in of_each]).T
+    of_each = [
+        (problem, fitted if count == 1 else fitted[k : k + 1]) for k, problem in enumerate(problems)
+    ]
+    predicted = np.concatenate(
+        [torque_of_recording(problem, *betas)[1] for problem, betas in of_each]
+    ).T
     for k in range(part.max() + 1):
         shown = moving & (part == k)
         error = 100 * np.linalg.norm((tau - predicted)[shown]) / np.linalg.norm(tau[shown])
@@ -96,10 +127,14 @@ def test_parts_are_held_out_one_by_one(count, own):
 
 
 def test_terms_whose_interval_holds_0_go_joint_by_joint():
-    """Root and load friction at all joints predict best; in a fit of these the root of the elbow is not seen."""
+    """Root and load friction at all joints predict best; in a fit of these the root of
+    the elbow is not seen.
+    """
     both = next(trial for trial in chosen().trials if trial.terms == (ROOT | LOAD,) * 2)
     assert both.significant_terms == chosen().recommended.terms
-    sources = (dataclasses.replace(one, robot=with_terms(one.robot, both.terms)) for one in several())
+    sources = (
+        dataclasses.replace(one, robot=with_terms(one.robot, both.terms)) for one in several()
+    )
     fit = identify_ls(Recordings(sources=tuple(sources)), WITHOUT_LAG)
     t = dict(zip(fit.estimate.names, fit.estimate.beta / fit.intervals.sigma, strict=True))
     limit = stats.t.isf(0.02 / 2 / 6, fit.intervals.freedom)  # three terms at two joints are tried
@@ -110,7 +145,9 @@ def test_of_sets_within_one_standard_error_of_the_best_the_smallest_is_taken():
     def trial(count, *scores):
         terms = tuple(frozenset({"root"} if k < count else ()) for k in range(3))
         errors = {"fitted_error_percent": 1.0, "held_out_percents": np.ones(4)}
-        return Trial(terms=terms, significant_terms=terms, scores=np.array(scores, dtype=float), **errors)
+        return Trial(
+            terms=terms, significant_terms=terms, scores=np.array(scores, dtype=float), **errors
+        )
 
     best, near, far = trial(3, 9, 11, 10, 10), trial(2, 11, 10, 12, 9), trial(1, 12, 14, 12, 13)
     # The paired differences have the means 0.5 and 2.75 and the standard errors 0.87 and 0.25.
@@ -145,18 +182,31 @@ def test_a_recording_that_the_others_cannot_predict_is_named():
 def test_the_command_prints_stores_and_writes_the_terms(names, tmp_path, capsys):
     for signals in several():
         write_signals(tmp_path / signals.recording, signals, source="test")
-    text = "gravity_m_s2 = [0, -9.81, 0] # it hangs\n" + (REPLAY / "scara" / "robot.toml").read_text()
+    text = (
+        "gravity_m_s2 = [0, -9.81, 0] # it hangs\n" + (REPLAY / "scara" / "robot.toml").read_text()
+    )
     toml, result = tmp_path / "robot.toml", tmp_path / "out.json"
     stated = ["viscous = true", "coulomb = true # both"]
     toml.write_text(text.replace("rotor_inertia", "\n".join([*stated, "rotor_inertia"]), 1))
     page = tmp_path / "a.html"
-    options = ["--robot", str(toml), "--torque-lag-s=none", "--json", str(result), "--write", "--report", str(page)]
+    options = [
+        "--robot",
+        str(toml),
+        "--torque-lag-s=none",
+        "--json",
+        str(result),
+        "--write",
+        "--report",
+        str(page),
+    ]
     assert main(["friction", *(str(tmp_path / name) for name in names), *options]) == 0
     stored, several_names = json.loads(result.read_text()), names if len(names) > 1 else []
     terms = {"shoulder": [*USUAL, "root", "load"], "elbow": [*USUAL, "load"]}
     assert (stored["recommended"], stored["recording"]) == (terms, names[0])
     assert [one["recording"] for one in stored.get("recordings", [])] == several_names
-    assert sorted(stored["held_out"]) == (sorted(several_names) or [f"fifth {k}" for k in range(1, 6)])
+    assert sorted(stored["held_out"]) == (
+        sorted(several_names) or [f"fifth {k}" for k in range(1, 6)]
+    )
     for one in stored["sets"]:
         assert len(one["held_out_percents"]) == len(stored["held_out"])
         assert one["held_out_error_percent"] == pytest.approx(np.mean(one["held_out_percents"]))
@@ -169,14 +219,20 @@ def test_the_command_prints_stores_and_writes_the_terms(names, tmp_path, capsys)
         assert f"{line} # {joint}\n" in out
         expected = expected.replace(f'name = "{joint}"\n', f'name = "{joint}"\n{line}\n')
     assert toml.read_text() == expected
-    assert all(f"friction {joint}, {fit} [" in page.read_text() for joint in terms for fit in ("usual", "recommended"))
+    assert all(
+        f"friction {joint}, {fit} [" in page.read_text()
+        for joint in terms
+        for fit in ("usual", "recommended")
+    )
     held = ", ".join(several_names) or "fifths of the recording"
     assert f"held out: {held}, each predicted by the fit of the others" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(("terms", "own"), [(["root"], ("Fv",)), (["root", "load"], ())])
 def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
-    """Rows of all recordings; curves and intervals of the shared parameters, at three loads; of own parameters the mean."""
+    """Rows of all recordings; curves and intervals of the shared parameters, at three loads; of
+    own parameters the mean.
+    """
     monkeypatch.setattr(charts, "MAX_DOTS", 10**9)  # each row
     values = "Fr1 = 0.8\nmu1 = 0.3\n" if len(terms) > 1 else "Fr1 = 0.8\n"
     robot = with_own(upright([[*USUAL, *terms], USUAL], values), *own)
@@ -184,23 +240,33 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
     fit = identify_ls(Recordings(sources=sources), WITHOUT_LAG)
 
     def columns(v, load, labels):
-        """(k, b) friction of the shoulder per unit of the parameters; of their own the mean over recordings."""
+        """(k, b) friction of the shoulder per unit of the parameters; of their own
+        the mean over recordings.
+        """
         g = np.zeros((len(v), len(fit.estimate.names)))
-        shapes = {"Fv1": v, "Fc1": np.sign(v), "Fr1": np.sqrt(np.abs(v)) * np.sign(v), "mu1": load * np.sign(v)}
+        shapes = {
+            "Fv1": v,
+            "Fc1": np.sign(v),
+            "Fr1": np.sqrt(np.abs(v)) * np.sign(v),
+            "mu1": load * np.sign(v),
+        }
         for i, (name, _, label) in enumerate(x.partition("@") for x in fit.estimate.names):
             if name in shapes and label in ("", *labels):
                 g[:, i] = shapes[name] / (len(labels) if label else 1)
         return g
 
     def rows_of(fit, labels):
-        """Points (2, k) of the rows of the shoulder, whose curves and intervals are those of the parameters."""
+        """Points (2, k) of the rows of the shoulder, whose curves and intervals are
+        those of the parameters.
+        """
         shoulder, _ = charts.friction_charts(fit)
         assert len(shoulder.curves) == 6 * (3 if "load" in terms else 1)
         for curve, *edges in zip(*[iter(shoulder.curves)] * 3, strict=True):
             v, torque = curve.line
             g = columns(v, float(curve.name.split()[1]) if "load" in terms else 0.0, labels)
             half = fit.intervals.reach * np.sqrt(np.sum(g @ fit.intervals.covariance * g, axis=1))
-            np.testing.assert_allclose(torque, g @ fit.estimate.beta, rtol=0.01)  # the load is rounded
+            # the load is rounded
+            np.testing.assert_allclose(torque, g @ fit.estimate.beta, rtol=0.01)
             for edge, side in zip(edges, (-1, 1), strict=True):
                 assert (edge.name, edge.dashed) == ("95 % interval", True)
                 np.testing.assert_allclose(edge.line[1] - torque, side * half, rtol=0.02)
@@ -214,7 +280,9 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
         if own:
             expected = np.stack([v, columns(v, 0.0, [label]) @ fit.estimate.beta + rho])[:, rows]
             np.testing.assert_allclose(dots, expected, rtol=1e-9, atol=1e-9)
-        each.append(dots[:, np.abs(dots[0]) > 0.02 * np.abs(whole[0]).max()])  # of the peak that all have
+        # of the peak that all have
+        each.append(dots[:, np.abs(dots[0]) > 0.02 * np.abs(whole[0]).max()])
     assert len(whole[0]) > 100
-    found, expected = (x[:, np.lexsort(x)] for x in (whole, np.concatenate(each, axis=1)))  # in any order of loads
+    # in any order of loads
+    found, expected = (x[:, np.lexsort(x)] for x in (whole, np.concatenate(each, axis=1)))
     np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -1,4 +1,6 @@
-"""The nearest physically consistent parameters: against differences, against another optimiser, and what a robot asks."""
+"""The nearest physically consistent parameters: against differences, against another optimiser,
+and what a robot asks.
+"""
 
 import numpy as np
 import pytest
@@ -25,11 +27,16 @@ def test_gradient_and_hessian_are_those_of_differences(arm):
         (K, physical), C = one_link(), covariance(7, 0.1)
         chi = physical.start
     b, p = K.shape
-    objective = _Objective(K @ chi + rng.normal(size=b), _inverse_root(np.ones(b), C), K, physical, 0.7, 0.02)
+    objective = _Objective(
+        K @ chi + rng.normal(size=b), _inverse_root(np.ones(b), C), K, physical, 0.7, 0.02
+    )
     g, J = objective.derivatives(chi)
     H, steps = J.T @ J, (h := 3e-7) * np.eye(p)
     by_values = [(objective.value(chi + d) - objective.value(chi - d)) / (2 * h) for d in steps]
-    by_gradients = [(objective.derivatives(chi + d)[0] - objective.derivatives(chi - d)[0]) / (2 * h) for d in steps]
+    by_gradients = [
+        (objective.derivatives(chi + d)[0] - objective.derivatives(chi - d)[0]) / (2 * h)
+        for d in steps
+    ]
     np.testing.assert_allclose(g, by_values, rtol=1e-6, atol=1e-6 * np.abs(g).max())
     np.testing.assert_allclose(H, by_gradients, rtol=1e-5, atol=1e-8 * np.abs(H).max())
 
@@ -40,16 +47,20 @@ def test_the_optimum_is_that_of_another_optimiser():
     C, wrong = covariance(7, 0.05), np.concatenate([body(5), [-0.4, 0.1, 0.3, -0.2]])
     found = consistent_parameters(K @ wrong, C, K, physical, gamma=0.5, gamma_x=0.1)
 
-    def cost(z: np.ndarray) -> float:  # written a second time: P = L L', x = exp(z), and no constraint is left
+    # written a second time: P = L L', x = exp(z), and no constraint is left
+    def cost(z: np.ndarray) -> float:
         L = np.zeros((4, 4))
         L[np.tril_indices(4)] = z[:10]
         P, (own, x, a, b) = L @ L.T, np.exp(z[10:])
         tensor = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
-        last = [own + 0.3 * x, x, a, b + x**2 / a]  # [[a, x], [x, b + x²/a]] has the determinant a b
+        # [[a, x], [x, b + x²/a]] has the determinant a b
+        last = [own + 0.3 * x, x, a, b + x**2 / a]
         rho = K @ (np.concatenate([tensor[np.triu_indices(3)], P[:3, 3], P[3:, 3], last]) - wrong)
         divergence = np.trace(np.linalg.solve(physical.prior[0], P)) - np.log(np.linalg.det(P))
         return float(
-            0.5 * rho @ np.linalg.solve(C, rho) + 0.5 * divergence - 0.05 * (z[10] + z[11] + 100 * (z[12] + z[13]))
+            0.5 * rho @ np.linalg.solve(C, rho)
+            + 0.5 * divergence
+            - 0.05 * (z[10] + z[11] + 100 * (z[12] + z[13]))
         )
 
     root = np.linalg.cholesky(pseudo_inertia(physical.start[:10]))
@@ -57,7 +68,9 @@ def test_the_optimum_is_that_of_another_optimiser():
     best = minimize(cost, start, options={"gtol": 1e-7, "maxiter": 5000})
     mine = np.linalg.cholesky(pseudo_inertia(found.chi[:10]))
     x, a, b = found.chi[11:]
-    at = np.concatenate([mine[np.tril_indices(4)], np.log([*physical.combinations @ found.chi, a, b - x**2 / a])])
+    at = np.concatenate(
+        [mine[np.tril_indices(4)], np.log([*physical.combinations @ found.chi, a, b - x**2 / a])]
+    )
     assert cost(at) == pytest.approx(best.fun, abs=1e-6)
     np.testing.assert_allclose(np.abs(at), np.abs(best.x), rtol=1e-3, atol=1e-3)
     assert found.decrement <= 1e-6
@@ -84,7 +97,9 @@ def test_an_impossible_arm_becomes_a_possible_one():
 
 
 def test_a_possible_arm_stays_where_it_is():
-    """The prior being its own, by the reach of the barrier of friction and rotors alone; else by that of the links too."""
+    """The prior being its own, by the reach of the barrier of friction and rotors alone; else by
+    that of the links too.
+    """
     for described, reach in ((True, 1e-3), (False, 1.5)):
         _, K, chi, physical = tx40(described=described)
         beta = K @ chi
@@ -95,16 +110,21 @@ def test_a_possible_arm_stays_where_it_is():
 
 
 def test_what_is_asked_of_a_coupled_wrist():
-    """Ia5 - Ia6, a positive viscous matrix, Coulomb power at the three corners: the published values have all of it.
+    """Ia5 - Ia6, a positive viscous matrix, Coulomb power at the three corners: the published
+    values have all of it.
 
-    Though Fv6 = 0.689 is below Fvm6 = 0.8: motor 6 alone does not feed joint 6 what joint 5 does not take.
+    Though Fv6 = 0.689 is below Fvm6 = 0.8: motor 6 alone does not feed joint 6 what
+    joint 5 does not take.
     """
     robot = robot_named("tx40")
     idm = InverseModel(robot)
     chi = np.array([robot.parameters.get(name, 0.0) for name in idm.names])
     found = requirements(idm, shaped=False)
     asked = {text: matrix for matrix, _, text in found}
-    viscous, corners = "viscous friction of joint_5 and joint_6", ("Fc5 + Fcm6", "Fc6 + Fcm6", "Fc5 + Fc6")
+    viscous, corners = (
+        "viscous friction of joint_5 and joint_6",
+        ("Fc5 + Fcm6", "Fc6 + Fcm6", "Fc5 + Fc6"),
+    )
     alone = {f"{x}{j}" for x in ("Fv", "Fc", "Ia") for j in range(1, 5)}
     assert set(asked) == alone | {"Ia5 - Ia6", "Ia6", viscous, *corners}
     least = {text: np.linalg.eigvalsh(matrix @ chi)[0] for text, matrix in asked.items()}
@@ -119,7 +139,9 @@ def test_what_is_asked_of_a_coupled_wrist():
     R[5, 4] = 1.0
     rotor = np.zeros((6, 6))
     columns = [names.index(f"Ia{j}") for j in range(1, 7)]
-    shares = np.array([matrix[0, 0, columns] for matrix, first, _ in found if first.kind == "rotor"])
+    shares = np.array(
+        [matrix[0, 0, columns] for matrix, first, _ in found if first.kind == "rotor"]
+    )
     for c, value in zip(columns, np.linalg.solve(shares, own), strict=True):
         rotor += value * idm.sources[c].matrix
     np.testing.assert_allclose(rotor, R.T @ np.diag(own) @ R)
@@ -131,14 +153,22 @@ URDF = """<robot name="arm"><link name="base"/>
 <link name="two"/>
 <joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 0 1"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-<joint name="b" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0.4 0 0"/><axis xyz="0 0 1"/>
+<joint name="b" type="revolute"><parent link="one"/><child link="two"/>
+<origin xyz="0.4 0 0"/><axis xyz="0 0 1"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
 
 
 def urdf_arm() -> Robot:
-    joint = '[[joint]]\nname = "{0}"\ntype = "revolute"\n[[motor]]\nname = "{0}"\neffort_unit = "N m"\n'
-    text = f'name = "arm"\nurdf = "arm.urdf"\n{joint.format("a")}{joint.format("b")}[controller]\nbandwidth_hz = 5.0\n'
-    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": URDF.encode()}, "robot.toml")
+    joint = (
+        '[[joint]]\nname = "{0}"\ntype = "revolute"\n[[motor]]\nname = "{0}"\neffort_unit = "N m"\n'
+    )
+    text = (
+        'name = "arm"\nurdf = '
+        f'"arm.urdf"\n{joint.format("a")}{joint.format("b")}[controller]\nbandwidth_hz = 5.0\n'
+    )
+    return robot_from_files(
+        {"robot.toml": text.encode(), "robot.urdf": URDF.encode()}, "robot.toml"
+    )
 
 
 def test_links_expected_are_those_of_a_urdf_or_plausible_ones():
@@ -150,20 +180,27 @@ def test_links_expected_are_those_of_a_urdf_or_plausible_ones():
     # A rod of the TX40's length from joint 2 to joint 3: its middle is half way.
     idm, _, _, plain = tx40(described=False)
     M = plain.start[plain.links][1]
-    np.testing.assert_allclose(M[6:9] / M[9], 0.5 * np.array(idm.model.jointPlacements[3].translation), atol=1e-12)
+    np.testing.assert_allclose(
+        M[6:9] / M[9], 0.5 * np.array(idm.model.jointPlacements[3].translation), atol=1e-12
+    )
     assert np.linalg.norm(M[6:9] / M[9]) == pytest.approx(0.5 * np.hypot(0.225, 0.035))
 
 
 def test_estimates_that_are_no_numbers_are_refused():
     K, physical = one_link()
-    for beta, C in ((np.full(7, np.nan), np.eye(7)), (np.ones(7), -np.eye(7) + 2 * np.ones((7, 7)))):
+    for beta, C in (
+        (np.full(7, np.nan), np.eye(7)),
+        (np.ones(7), -np.eye(7) + 2 * np.ones((7, 7))),
+    ):
         with pytest.raises(NoFitError, match="no consistent parameters found"):
             consistent_parameters(beta, C, K, physical)
 
 
 @pytest.mark.parametrize("rows", [[[1, 1], [1, -1]], [[1, 0.5, 0], [0, 1, 1]]])
 def test_coulomb_friction_takes_power_at_all_speeds_where_it_does_at_the_corners(rows):
-    """Joints of their own and motors that turn with several, values of either sign: the corners say what random speeds say."""
+    """Joints of their own and motors that turn with several, values of either sign: the corners say
+    what random speeds say.
+    """
     directions = np.concatenate([np.eye(len(rows[0])), rows])
     rng = np.random.default_rng(2)
     drawn, v = rng.normal(0.5, 1.0, (200, len(directions))), rng.normal(size=(20_000, len(rows[0])))
@@ -188,7 +225,9 @@ def test_intervals_are_those_of_the_inverse_hessian():
     beta = K @ np.concatenate([5 * body(5), physical.start[10:]])
     found = consistent_parameters(beta, C, K, physical)
     (of_chi, _), (of_beta, _) = parameter_certainty(found, C, K, physical)
-    _, J = _Objective(found.beta, _inverse_root(found.beta, C), K, physical, 1.0, 0.0).derivatives(found.chi)
+    _, J = _Objective(found.beta, _inverse_root(found.beta, C), K, physical, 1.0, 0.0).derivatives(
+        found.chi
+    )
     d = np.linalg.norm(J, axis=0)
     H = np.linalg.pinv(J / d, rcond=1e-13) @ np.linalg.pinv(J / d, rcond=1e-13).T / np.outer(d, d)
     np.testing.assert_allclose(of_chi[:10], np.sqrt(np.diag(H))[:10], rtol=1e-5)

@@ -1,4 +1,6 @@
-"""Weights, estimates, covariances and tests of small systems, from the formulas as they stand in the papers."""
+"""Weights, estimates, covariances and tests of small systems, from the formulas as
+they stand in the papers.
+"""
 
 import numpy as np
 import pytest
@@ -41,15 +43,26 @@ def test_a_condensed_system_has_the_same_least_squares():
     np.testing.assert_array_equal(few.joint_of_row, np.repeat([0, 1], [5, 3]))
     for solve in (ordinary_least_squares, weighted_least_squares):
         expected, found = solve(whole), solve(few)
-        for name in ("beta", "covariance", "weights", "residual_norm", "condition_number_scaled", "rows"):
-            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-14)
+        for name in (
+            "beta",
+            "covariance",
+            "weights",
+            "residual_norm",
+            "condition_number_scaled",
+            "rows",
+        ):
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-14
+            )
 
 
 def test_instruments_with_weights_and_left_out_rows_are_the_formula():
     Z, W, Y = system(1, 40, 3)
     joints, weights = np.repeat([0, 1], 20), np.array([3.0, 0.2])
     used = (np.arange(40) % 5 > 0).astype(float)
-    fit = instrumental_variables(System.whole(W, Y, joints, tuple("abc")).with_rows(used), Z, weights)
+    fit = instrumental_variables(
+        System.whole(W, Y, joints, tuple("abc")).with_rows(used), Z, weights
+    )
     D2 = np.diag(weights[joints] ** 2 * used)
     inverse = np.linalg.inv(Z.T @ D2 @ W)
     np.testing.assert_allclose(fit.beta, inverse @ Z.T @ D2 @ Y, rtol=1e-10)
@@ -62,11 +75,15 @@ def test_instruments_with_weights_and_left_out_rows_are_the_formula():
         fit.bread @ fit.Q.T @ (np.sqrt(np.diag(D2)) * (Y - W @ true)), fit.beta - true, atol=1e-10
     )
     unweighted = np.linalg.solve(Z.T @ np.sqrt(D2) @ W, Z.T @ np.sqrt(D2) @ Y)
-    assert np.abs(unweighted - fit.beta).max() > 1e-3  # weights on Z too: it makes a difference here
+    # weights on Z too: it makes a difference here
+    assert np.abs(unweighted - fit.beta).max() > 1e-3
 
 
 def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
-    """Joint 1: six rows, three columns. Joint 2: five rows, three columns of which one is twice another: rank 2."""
+    """Joint 1: six rows, three columns.
+
+    Joint 2: five rows, three columns of which one is twice another: rank 2.
+    """
     rng = np.random.default_rng(4)
     W = np.zeros((11, 4))
     W[:6, [0, 1, 3]] = rng.normal(size=(6, 3))
@@ -86,11 +103,15 @@ def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
     D = np.diag(fit.weights[joints])
     np.testing.assert_allclose(fit.beta, np.linalg.lstsq(D @ full, D @ Y, rcond=None)[0], rtol=1e-9)
     rho = D @ (Y - full @ fit.beta)
-    np.testing.assert_allclose(fit.covariance, rho @ rho / 10 * np.linalg.inv(full.T @ D @ D @ full), rtol=1e-9)
+    np.testing.assert_allclose(
+        fit.covariance, rho @ rho / 10 * np.linalg.inv(full.T @ D @ D @ full), rtol=1e-9
+    )
 
 
 def test_the_f_test_of_the_reduction_is_the_formula():
-    """F = ((RSS_reduced - RSS_full)/dropped) / (RSS_full/(r - b)); twelve rows and five columns, so that each number shows."""
+    """F = ((RSS_reduced - RSS_full)/dropped) / (RSS_full/(r - b)); twelve rows and five columns, so
+    that each number shows.
+    """
     rng = np.random.default_rng(12)
     W = rng.normal(size=(12, 5))
     Y = W @ np.array([50.0, 0.01, -40.0, 0.0, 60.0]) + rng.normal(size=12)
@@ -130,7 +151,9 @@ def test_a_joint_without_torque_weighs_no_more_than_a_million_others():
 
 @pytest.mark.parametrize(("ratio", "kept"), [(30.0, ("a", "b")), (10.0, ("a",))])
 def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
-    """Orthonormal columns, s = 1: %sigma 5 and 66.7, a ratio of 13.3; F = 1.5² (r - 2)/(r - 1) does not keep the second."""
+    """Orthonormal columns, s = 1: %sigma 5 and 66.7, a ratio of 13.3; F = 1.5² (r - 2)/(r - 1)
+    does not keep the second.
+    """
     Q = np.linalg.qr(np.random.default_rng(8).normal(size=(40, 3)))[0]
     W, Y = Q[:, :2], Q @ np.array([20.0, 1.5, np.sqrt(39.0)])
     problem = System.whole(W, Y, np.zeros(40, dtype=int), ("a", "b"))
@@ -146,7 +169,9 @@ def test_a_column_of_rounding_alone_is_not_excited():
     rng = np.random.default_rng(5)
     W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
     with pytest.raises(NoFitError, match="parameters not excited = b: no torque depends on them"):
-        ordinary_least_squares(System.whole(W, rng.normal(size=30), np.zeros(30, dtype=int), tuple("abc")))
+        ordinary_least_squares(
+            System.whole(W, rng.normal(size=30), np.zeros(30, dtype=int), tuple("abc"))
+        )
 
 
 def test_the_tail_of_f_is_that_of_scipy_stats():
@@ -154,7 +179,9 @@ def test_the_tail_of_f_is_that_of_scipy_stats():
     for F, dropped, freedom in zip(
         rng.exponential(4.0, 300), rng.integers(1, 100, 300), rng.uniform(1, 1e6, 300), strict=True
     ):
-        assert f_tail(F, dropped, freedom) == pytest.approx(stats.f.sf(F, dropped, freedom), rel=1e-8, abs=1e-280)
+        assert f_tail(F, dropped, freedom) == pytest.approx(
+            stats.f.sf(F, dropped, freedom), rel=1e-8, abs=1e-280
+        )
     assert f_tail(-1e-17, 3, 20) == 1.0  # rounding of a residual that does not grow
     assert f_tail(np.inf, 3, 20) == 0.0
 
@@ -163,15 +190,23 @@ def test_the_tail_of_f_is_that_of_scipy_stats():
 def test_quantiles_are_those_of_the_distributions(freedom):
     for tail in (0.2, 0.025, 1e-3):
         assert t_quantile(1 - tail, freedom) == pytest.approx(stats.t.isf(tail, freedom), rel=1e-12)
-        assert chi_squared_quantile(tail, freedom) == pytest.approx(stats.chi2.isf(tail, freedom), rel=1e-12)
+        assert chi_squared_quantile(tail, freedom) == pytest.approx(
+            stats.chi2.isf(tail, freedom), rel=1e-12
+        )
 
 
 @pytest.mark.parametrize("condition", [1.0, 1e6])
 @pytest.mark.parametrize("rows", [5, 2048, 5000])
 def test_factors_of_tall_matrices(rows, condition):
-    """Blocks of rows factored on their own: RᵀR = AᵀA, and orthonormal columns that span A's, well conditioned or not."""
+    """Blocks of rows factored on their own: RᵀR = AᵀA, and orthonormal columns that span A's,
+    well conditioned or not.
+    """
     rng = np.random.default_rng(3)
-    A = rng.normal(size=(rows, 4)) @ np.linalg.qr(rng.normal(size=(4, 4)))[0] * np.geomspace(1, 1 / condition, 4)
+    A = (
+        rng.normal(size=(rows, 4))
+        @ np.linalg.qr(rng.normal(size=(4, 4)))[0]
+        * np.geomspace(1, 1 / condition, 4)
+    )
     A = A @ np.linalg.qr(rng.normal(size=(4, 4)))[0]
     R, Q = r_factor(A), orthonormal(A)
     assert R.shape == (4, 4)

@@ -30,13 +30,17 @@ from identification.regression import Overrides
 # Closed forms
 
 
-@pytest.mark.parametrize(("T", "B"), [(10, 4), (63, 6), (100, 8), (252, 15), (253, 16), (10**6, 16)])
+@pytest.mark.parametrize(
+    ("T", "B"), [(10, 4), (63, 6), (100, 8), (252, 15), (253, 16), (10**6, 16)]
+)
 def test_how_many_cosines(T, B):
     assert cosines(T) == B
 
 
 def test_every_step_from_rows_to_an_interval():
-    """Scores of two joints, bread, weights, rows that do not count, and what white noise leaves, worked out row by row."""
+    """Scores of two joints, bread, weights, rows that do not count, and what white noise leaves,
+    worked out row by row.
+    """
     T, rng = 120, np.random.default_rng(2)
     W, Z = rng.normal(size=(2, 2 * T, 3))
     Z = W + 0.3 * Z
@@ -48,10 +52,14 @@ def test_every_step_from_rows_to_an_interval():
     rho = (Y - W @ found.beta) * weights[joint] * used
     by_rows = intervals(found, rho, 2)
     D = weights[joint] * used
-    to_beta = np.linalg.inv(Z.T @ (D[:, None] ** 2 * W)) @ (D[:, None] * Z).T  # beta - beta_true = to_beta rho
+    # beta - beta_true = to_beta rho
+    to_beta = np.linalg.inv(Z.T @ (D[:, None] ** 2 * W)) @ (D[:, None] * Z).T
     S = np.array([to_beta[:, t] * rho[t] + to_beta[:, T + t] * rho[T + t] for t in range(T)])
     B = 9  # 0.4 T^(2/3) = 9.7
-    L = [np.sqrt(2 / T) * sum(np.cos(np.pi * k * (t + 0.5) / T) * S[t] for t in range(T)) for k in range(1, B + 1)]
+    L = [
+        np.sqrt(2 / T) * sum(np.cos(np.pi * k * (t + 0.5) / T) * S[t] for t in range(T))
+        for k in range(1, B + 1)
+    ]
     H = found.Q @ found.Q.T
     at = np.tile(np.arange(T), 2)
     of_white = np.zeros(3)
@@ -60,27 +68,37 @@ def test_every_step_from_rows_to_an_interval():
         of_white += np.sum((a - a @ H) ** 2, axis=1) / B
     variance = np.mean(np.square(L), axis=0) / of_white * np.sum(to_beta**2, axis=1)
     np.testing.assert_allclose(by_rows.sigma, np.sqrt(variance), rtol=1e-9)
-    np.testing.assert_allclose(by_rows.low, found.beta - stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9)
-    np.testing.assert_allclose(by_rows.high, found.beta + stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9)
+    np.testing.assert_allclose(
+        by_rows.low, found.beta - stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        by_rows.high, found.beta + stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("parts", [(120,), (50, 70)])
 def test_a_slow_column_has_the_deviation_of_its_coefficient(parts):
-    """Of white noise and a drift beside five slow columns: z'e, z what the drift adds to them, has the variance |z|².
+    """Of white noise and a drift beside five slow columns: z'e, z what the drift adds to them,
+    has the variance |z|².
 
-    Its estimate is a square of e, so that its mean over white noise is its sum over the unit vectors. What the estimate takes
-    out of the residuals makes it over a fifth less where it is not counted.
+    Its estimate is a square of e, so that its mean over white noise is its sum over the
+    unit vectors. What the estimate takes out of the residuals makes it over a fifth less
+    where it is not counted.
     """
     n, T = 2, 120
     time = np.tile(np.arange(T) / T, n)
     joint = np.repeat(np.eye(n), T, axis=0)
-    W = np.concatenate([joint, joint * np.cos(4 * time)[:, None], np.sin(7 * time)[:, None]], axis=1)
+    W = np.concatenate(
+        [joint, joint * np.cos(4 * time)[:, None], np.sin(7 * time)[:, None]], axis=1
+    )
     Q = np.linalg.qr(W)[0]
     drift = joint[:, 0] * time
     z = drift - Q @ (Q.T @ drift)
     rho = np.eye(n * T) - Q @ Q.T - np.outer(z, z) / (z @ z)
     columns = np.repeat(z[:, None], n * T, axis=1)
-    found = deviations_of_sums(columns, rho, Q, n, [Spans(instants=part, count=part) for part in parts])
+    found = deviations_of_sums(
+        columns, rho, Q, n, [Spans(instants=part, count=part) for part in parts]
+    )
     assert found @ found == pytest.approx(z @ z, rel=1e-9)
     scores, edges = (columns * rho).reshape(n, T, -1).sum(axis=0), np.cumsum([0, *parts])
     apart = [deviations(scores[a:b], cosines(b - a)) ** 2 for a, b in pairwise(edges)]
@@ -117,16 +135,27 @@ def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, opt
     # A span's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.
     assert apart.max() < 0.12
     assert np.median(apart) < 0.02
-    np.testing.assert_allclose(reduced.intervals.low, reduced.beta[reduced.beta != 0] - reduced.intervals.half)
+    np.testing.assert_allclose(
+        reduced.intervals.low, reduced.beta[reduced.beta != 0] - reduced.intervals.half
+    )
 
 
 def test_spans_of_one_instant_have_the_intervals_of_the_rows():
-    """As many instants as spans. Joints weighted, rows left out, two recordings, all or some of the parameters."""
+    """As many instants as spans.
+
+    Joints weighted, rows left out, two recordings, all or some of the parameters.
+    """
     T, n, b, rng = SPANS, 2, 4, np.random.default_rng(5)
     rows, spans = [], []
     for _ in range(2):
-        W, Y, counts = rng.normal(size=(n, b, T)), rng.normal(size=(n, T)), rng.uniform(size=(T, n)) > 0.3
-        one = System.whole(W.transpose(0, 2, 1).reshape(n * T, b), Y.ravel(), np.repeat([0, 1], T), tuple("abcd"))
+        W, Y, counts = (
+            rng.normal(size=(n, b, T)),
+            rng.normal(size=(n, T)),
+            rng.uniform(size=(T, n)) > 0.3,
+        )
+        one = System.whole(
+            W.transpose(0, 2, 1).reshape(n * T, b), Y.ravel(), np.repeat([0, 1], T), tuple("abcd")
+        )
         one = one.with_rows(counts.T.ravel().astype(float))
         rows.append(dataclasses.replace(one, spans=(Spans(instants=T, count=T),)))
         factors = SpanFactors(T, n)
@@ -141,14 +170,19 @@ def test_spans_of_one_instant_have_the_intervals_of_the_rows():
         fit, found = weighted_least_squares(some), weighted_least_squares(other)
         np.testing.assert_allclose(found.beta, fit.beta, rtol=1e-9)
         W_w, Y_w = some.weighted(fit.weights)
-        wanted, by_spans = intervals(fit, Y_w - W_w @ fit.beta, n, (T, T)), intervals_of(other, found)
+        wanted, by_spans = (
+            intervals(fit, Y_w - W_w @ fit.beta, n, (T, T)),
+            intervals_of(other, found),
+        )
         np.testing.assert_allclose(by_spans.sigma, wanted.sigma, rtol=1e-9)
         np.testing.assert_allclose(by_spans.low, wanted.low, rtol=1e-9)
         assert by_spans.freedom == wanted.freedom
 
 
 def test_intervals_of_several_recordings_by_hand():
-    """Variances of the recordings' own cosines add up, each over the share of white noise that its cosines find."""
+    """Variances of the recordings' own cosines add up, each over the share of white noise
+    that its cosines find.
+    """
     parts, n, b, rng = (40, 90), 2, 3, np.random.default_rng(8)
     T = sum(parts)
     W, Y, joint = rng.normal(size=(n * T, b)), rng.normal(size=n * T), np.repeat([0, 1], T)
@@ -162,17 +196,24 @@ def test_intervals_of_several_recordings_by_hand():
         B = int(0.4 * length ** (2 / 3))
         L, white, whole = np.zeros(b), np.zeros(b), (rows[inside] ** 2).sum(axis=0)
         for k in range(1, B + 1):
-            a = rows * (inside * np.sqrt(2) * np.cos(np.pi * k * (time - first + 0.5) / length))[:, None]
+            a = (
+                rows
+                * (inside * np.sqrt(2) * np.cos(np.pi * k * (time - first + 0.5) / length))[:, None]
+            )
             L += (a.T @ rho) ** 2 / B
             white += ((a**2).sum(axis=0) - ((fit.Q.T @ a) ** 2).sum(axis=0)) / B
         variance, freedom = variance + L / (white / whole), freedom + B
     assert found.freedom == freedom
     np.testing.assert_allclose(found.sigma, np.sqrt(variance), rtol=1e-9)
-    np.testing.assert_allclose(found.half, stats.t.ppf(0.975, freedom) * np.sqrt(variance), rtol=1e-6)
+    np.testing.assert_allclose(
+        found.half, stats.t.ppf(0.975, freedom) * np.sqrt(variance), rtol=1e-6
+    )
 
 
 def test_spans_are_equal_and_have_the_products_of_their_rows():
-    """1010 instants in 120 spans of 8 or 9, brought in pieces that end within a span; the second joint feels one column."""
+    """1010 instants in 120 spans of 8 or 9, brought in pieces that end within a span; the second
+    joint feels one column.
+    """
     T, n, rng = 1010, 2, np.random.default_rng(9)
     columns, counts = rng.normal(size=(n, 7, T)), rng.uniform(size=(T, n)) > 0.2
     columns[1, [0, 1, 3, 4]] = 0.0
@@ -189,7 +230,9 @@ def test_spans_are_equal_and_have_the_products_of_their_rows():
     for k, (a, z) in enumerate(pairwise(spans.edges)):
         for j in range(n):
             rows = columns[j, :, a:z][:, counts[a:z, j]]
-            np.testing.assert_allclose(found[j, k].T @ found[j, k], rows @ rows.T, rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(
+                found[j, k].T @ found[j, k], rows @ rows.T, rtol=1e-9, atol=1e-12
+            )
 
 
 def test_a_part_of_the_time_has_its_spans():

@@ -1,4 +1,6 @@
-"""`robot-identify export`: reloaded in pinocchio and MuJoCo, models have the fit's torques; the user's files keep the rest."""
+"""`robot-identify export`: reloaded in pinocchio and MuJoCo, models have the fit's torques; the
+user's files keep the rest.
+"""
 
 import dataclasses
 import json
@@ -21,11 +23,23 @@ from scipy.interpolate import CubicSpline
 from acquisition.robot import load_robot, robot_from_files
 from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import consistent_parameters
-from identification.export import export_model, make_urdf, model_of_fit, split_parameters, write_models
+from identification.export import (
+    export_model,
+    make_urdf,
+    model_of_fit,
+    split_parameters,
+    write_models,
+)
 from identification.export.exporting import replace_parameters
 from identification.export.formats import quaternion, roll_pitch_yaw
 from identification.methods import fit_file, stored_robot, with_consistent
-from identification.model import InverseModel, JointTerm, base_parameters, direct_model, physical_parameters
+from identification.model import (
+    InverseModel,
+    JointTerm,
+    base_parameters,
+    direct_model,
+    physical_parameters,
+)
 from identification.report import Covariance, LeftOut, read_fit, write_json
 from identification.simulation import Reference, recorded_loop
 
@@ -49,15 +63,22 @@ def values_of(model, seed=1):
 
 
 def exported(model, chi, folder, **outputs):
-    paths = {name: folder / f"out.{name}" for name in ("urdf", "mjcf", "toml") if outputs.get(name, True)}
+    paths = {
+        name: folder / f"out.{name}" for name in ("urdf", "mjcf", "toml") if outputs.get(name, True)
+    }
     made, document = export_model(split_parameters(model, chi, "fit.json"), "fit.json", **paths)
     write_models(made)
     return {name: path.read_text() for name, path in paths.items()}, document
 
 
 def torque(model, chi, q, dq, ddq, *, without=()):
-    """The fit's torque (N, n), terms of some kinds left out; `links` of all terms that are of joints."""
-    left_out = (isinstance(s, JointTerm) and ("terms" in without or s.kind in without) for s in model.sources)
+    """The fit's torque (N, n), terms of some kinds left out; `links` of all
+    terms that are of joints.
+    """
+    left_out = (
+        isinstance(s, JointTerm) and ("terms" in without or s.kind in without)
+        for s in model.sources
+    )
     kept = np.flatnonzero(~np.fromiter(left_out, bool))
     return model.regressor(q, dq, ddq)[:, :, kept] @ chi[kept]
 
@@ -103,16 +124,25 @@ def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
     if name != "tx40":
         value = dict(zip(model.names, chi, strict=True))
         np.testing.assert_allclose(loaded.damping, [value[f"Fv{j + 1}"] for j in range(robot.n)])
-        np.testing.assert_allclose(loaded.upperDryFrictionLimit, [value[f"Fc{j + 1}"] for j in range(robot.n)])
+        np.testing.assert_allclose(
+            loaded.upperDryFrictionLimit, [value[f"Fc{j + 1}"] for j in range(robot.n)]
+        )
     limits = [joint.si("position") for joint in robot.joints]
     found = zip(loaded.lowerPositionLimit, loaded.upperPositionLimit, strict=True)
     assert None in limits or list(found) == limits  # a joint without has two coordinates
     known = {"emps": [10.0 * 35.15065188]}.get(name)  # N: saturation in V, drive gain in N/V
     assert list(loaded.effortLimit) == (pytest.approx(known) if known else [1e9] * robot.n)
-    assert list(loaded.velocityLimit) == pytest.approx([joint.si("speed") for joint in robot.joints])
-    (lines,) = [s.lines for s in document.sections if s.title.startswith(str(tmp_path / "out.urdf"))]
+    assert list(loaded.velocityLimit) == pytest.approx(
+        [joint.si("speed") for joint in robot.joints]
+    )
+    (lines,) = [
+        s.lines for s in document.sections if s.title.startswith(str(tmp_path / "out.urdf"))
+    ]
     assert any("m/s²: not in a URDF" in line for line in lines) == turned
-    unknown = f"unknown effort of {', '.join(names)}: written as 1e+09; state effort_nm, effort_n or saturation"
+    unknown = (
+        f"unknown effort of {', '.join(names)}: written as 1e+09; state effort_nm, effort_n or "
+        "saturation"
+    )
     assert [line for line in lines if line.startswith("unknown ")] == ([] if known else [unknown])
 
 
@@ -128,7 +158,9 @@ def test_a_stated_effort_is_a_new_urdfs_limit_whatever_the_motors_are_recorded_i
 def inverse_in_mujoco(text, q, dq, ddq, *, friction):
     mujoco = pytest.importorskip("mujoco", reason="mujoco, of the extra `test`, is not installed")
     model = mujoco.MjModel.from_xml_string(text)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    )
     if not friction:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data, found = mujoco.MjData(model), np.empty_like(q)
@@ -148,22 +180,30 @@ def test_frictionloss_is_dry_friction_where_it_is_saturated(tx40_model, tmp_path
     q, dq, ddq = q[fast], dq[fast], ddq[fast]
     assert len(q) > 50
     found, _ = inverse_in_mujoco(texts["mjcf"], q, dq, ddq, friction=True)
-    np.testing.assert_allclose(found, torque(tx40_model, chi, q, dq, ddq, without=["offset"]), atol=1e-9)
+    np.testing.assert_allclose(
+        found, torque(tx40_model, chi, q, dq, ddq, without=["offset"]), atol=1e-9
+    )
 
 
 USERS = urdfs.urdf(
-    turn=urdfs.joint("turn", "continuous", "base", "column", '<dynamics damping="9" friction="8"/>', "0 0.6 0.8"),
+    turn=urdfs.joint(
+        "turn", "continuous", "base", "column", '<dynamics damping="9" friction="8"/>', "0 0.6 0.8"
+    ),
     mount=urdfs.joint("mount", "fixed", "beam", "tool", origin="0.1 0.2 0"),
-    left="<link name='left'><!-- by hand --><visual><geometry><mesh filename='package://arm/l.stl'/></geometry></visual></link>",
+    left="<link name='left'><!-- by hand --><visual><geometry><mesh "
+    "filename='package://arm/l.stl'/></geometry></visual></link>",
     extra="""<material name="grey"><color rgba="0.5 0.5 0.5 1"/></material> <!-- the hand -->
-<xacro:note xmlns:xacro="http://www.ros.org/wiki/xacro" text="a > b"/><gazebo><plugin name="x" filename="libx.so"/></gazebo>
+<xacro:note xmlns:xacro="http://www.ros.org/wiki/xacro" text="a > b"/>
+<gazebo><plugin name="x" filename="libx.so"/></gazebo>
 <!-- the end -->""",
 )
 USERS = USERS.replace("?>", ' encoding="utf-8"?>\n<!-- made by a CAD program; do not edit -->', 1)
 
 
 def without_values(text):
-    """A URDF in canonical form, comments included, without inertials and dynamics, and without blanks between elements."""
+    """A URDF in canonical form, comments included, without inertials and dynamics, and without
+    blanks between elements.
+    """
     text = ET.canonicalize(text, with_comments=True)
     for tag in ("inertial", "dynamics"):
         text = re.sub(rf"<{tag}[ >].*?</{tag}>", "", text, flags=re.DOTALL)
@@ -172,7 +212,10 @@ def without_values(text):
 
 @pytest.mark.parametrize("light", [False, True])
 def test_the_users_urdf_comes_back_with_other_values_and_nothing_else(light, tmp_path):
-    """Header, comments, prefixes, meshes, limits stay, bodies have its names. A link too light for those fixed to it is all."""
+    """Header, comments, prefixes, meshes, limits stay, bodies have its names.
+
+    A link too light for those fixed to it is all.
+    """
     model = InverseModel(urdfs.robot_of_arm(USERS, "# my arm\n"))
     chi = values_of(model)
     chi[26:36] *= 0.3 if light else 10  # of the beam
@@ -218,13 +261,20 @@ def test_a_toml_has_the_values_and_all_other_lines(tx40_model, tmp_path):
     ],
 )
 def test_parameters_replace_what_was_there_however_it_was_written(table):
-    text = f'name = "x"\nmatrix = [\n    [1, 0],\n    [0, 1],\n]\n{table}[[joint]]\nname = "j" # remark\n'
+    text = (
+        f'name = "x"\nmatrix = [\n    [1, 0],\n    [0, 1],\n]\n{table}[[joint]]\nname = "j" # '
+        "remark\n"
+    )
     made = replace_parameters(text, {"Fv1": 0.25, "M1": 1e-3}, "new")
     was, now = tomllib.loads(text), tomllib.loads(made)
     assert now.pop("parameters") == {"Fv1": 0.25, "M1": 1e-3}
     was.pop("parameters", None)
     assert now == was
-    for part, kept in (("# remark", True), ("old", False), ("# of the joint", "# of the joint" in text)):
+    for part, kept in (
+        ("# remark", True),
+        ("old", False),
+        ("# of the joint", "# of the joint" in text),
+    ):
         assert (part in made) == kept
     assert "# new\n[parameters]\n" in made
 
@@ -241,7 +291,9 @@ def test_a_toml_names_the_urdf_that_is_written_with_it(tmp_path):
     assert texts["toml"].startswith("# my arm\n")
     assert load_robot(tmp_path / "out.toml").urdf == texts["urdf"]
     _, document = exported(model, values_of(model), tmp_path, urdf=False)
-    assert any("it names arm.urdf, which is missing" in line for s in document.sections for line in s.lines)
+    assert any(
+        "it names arm.urdf, which is missing" in line for s in document.sections for line in s.lines
+    )
 
 
 def losses(document, title):
@@ -267,30 +319,52 @@ def test_losses_of_a_format_are_reported_with_their_torque(tx40_model, tmp_path)
     rms = value["Ia3"] * tx40_model.robot.joints[2].si("acceleration") / np.sqrt(3)
     assert of_urdf["rotor inertia", "joint_3"][0] == pytest.approx(rms, rel=0.05)
     what = "friction (Fvm6, Fcm6)"
-    assert {(w, joint) for w, joint in of_urdf if w.startswith("friction")} == {(what, "joint_5"), (what, "joint_6")}
+    assert {(w, joint) for w, joint in of_urdf if w.startswith("friction")} == {
+        (what, "joint_5"),
+        (what, "joint_6"),
+    }
     # Joints have their own friction, at full size; that of the motor along both is missing.
     speeds = [joint.si("speed") for joint in tx40_model.robot.joints]
     dq = np.random.default_rng(2).uniform(-1, 1, (4000, 6)) * speeds
     zero = np.zeros_like(dq)
-    _, loaded = in_pinocchio(texts["urdf"], [j.name for j in tx40_model.robot.joints], zero[:1], dq[:1], zero[:1])
+    _, loaded = in_pinocchio(
+        texts["urdf"], [j.name for j in tx40_model.robot.joints], zero[:1], dq[:1], zero[:1]
+    )
     np.testing.assert_allclose(loaded.damping, [value[f"Fv{j + 1}"] for j in range(6)])
-    np.testing.assert_allclose(loaded.upperDryFrictionLimit, [value[f"Fc{j + 1}"] for j in range(6)])
-    both = [torque(tx40_model, chi, zero, dq, zero, without=kinds)[:, 4] for kinds in (["offset"], ["terms"])]
-    missing = both[0] - both[1] - (dq * loaded.damping + np.sign(dq) * loaded.upperDryFrictionLimit)[:, 4]
+    np.testing.assert_allclose(
+        loaded.upperDryFrictionLimit, [value[f"Fc{j + 1}"] for j in range(6)]
+    )
+    both = [
+        torque(tx40_model, chi, zero, dq, zero, without=kinds)[:, 4]
+        for kinds in (["offset"], ["terms"])
+    ]
+    missing = (
+        both[0] - both[1] - (dq * loaded.damping + np.sign(dq) * loaded.upperDryFrictionLimit)[:, 4]
+    )
     assert of_urdf[what, "joint_5"][0] == pytest.approx(np.sqrt(np.mean(missing**2)), rel=0.05)
 
 
-def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported_with_a_loss(tmp_path):
-    """The published TX40: Fv6 - Fvm6 is below zero, which MuJoCo takes and gains energy by; robot.toml says it as it is."""
+def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported_with_a_loss(
+    tmp_path,
+):
+    """The published TX40: Fv6 - Fvm6 is below zero, which MuJoCo takes and gains energy by;
+    robot.toml says it as it is.
+    """
     robot = robot_named("tx40")
     model = InverseModel(robot)
     chi = np.array([robot.parameters.get(name, 0.0) for name in model.names])
     texts, document = exported(model, chi, tmp_path)
     found = losses(document, "out.mjcf")
     assert {(what, joint) for what, joint in found} == {("friction (Fv6)", "joint_6")}
-    missing = (robot.parameters["Fvm6"] - robot.parameters["Fv6"]) * robot.joints[5].si("speed") / np.sqrt(3)
+    missing = (
+        (robot.parameters["Fvm6"] - robot.parameters["Fv6"])
+        * robot.joints[5].si("speed")
+        / np.sqrt(3)
+    )
     assert found["friction (Fv6)", "joint_6"][0] == pytest.approx(missing, rel=0.05)
-    values = [float(x) for x in re.findall(r'(?:damping|frictionloss|armature)="([^"]*)"', texts["mjcf"])]
+    values = [
+        float(x) for x in re.findall(r'(?:damping|frictionloss|armature)="([^"]*)"', texts["mjcf"])
+    ]
     assert min(values) >= 0
     assert load_robot(tmp_path / "out.toml").parameters["Fv6"] == 0.6894
     chi[model.names.index("Fvm6")] = 1.2
@@ -341,11 +415,15 @@ def test_a_fit_that_is_not_consistent_is_made_so(fits, tmp_path, capsys):
     for name, path in fits.items():
         status, printed, _ = run(capsys, "export", path, *outputs_in(tmp_path, name))
         assert status == 0
-        assert ("is not consistent: the nearest consistent parameters are used" in printed) == (name == "free")
+        assert ("is not consistent: the nearest consistent parameters are used" in printed) == (
+            name == "free"
+        )
         values[name] = load_robot(tmp_path / f"{name}.toml").parameters
     assert values["free"] == pytest.approx(values["consistent"], rel=1e-6, abs=1e-9)
     consistent = json.loads(fits["consistent"].read_text())["standard_parameters"]
-    assert values["consistent"] == {p["name"]: p["value"] if abs(p["value"]) > 1e-18 else 0.0 for p in consistent}
+    assert values["consistent"] == {
+        p["name"]: p["value"] if abs(p["value"]) > 1e-18 else 0.0 for p in consistent
+    }
 
 
 def test_parameters_left_out_are_zero_with_their_own_deviation(fits):
@@ -363,7 +441,9 @@ def test_parameters_left_out_are_zero_with_their_own_deviation(fits):
     beta = np.array([p.value for p in stored.parameters])
     beta[out], C[out], C[:, out], C[out, out] = 0.0, 0.0, 0.0, sigma**2
     model = InverseModel(stored_robot(stored, "fit.json"))
-    expected = consistent_parameters(beta, C, base_parameters(model).K, physical_parameters(model)).chi
+    expected = consistent_parameters(
+        beta, C, base_parameters(model).K, physical_parameters(model)
+    ).chi
     np.testing.assert_allclose(model_of_fit(few, "fit.json")[0].chi, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -391,8 +471,14 @@ REFUSED = {
     "amperes": (unknown_gain, "motor[0].drive_gain is missing"),
     "description": (lambda c: c.update(description={}), "description"),
     "names": (lambda c: c["standard_parameters"].pop(), "standard_parameters"),
-    "covariance": (lambda c: (c.pop("standard_parameters"), c.pop("covariance")), "covariance is missing"),
-    "some of it": (lambda c: (c.pop("standard_parameters"), c["covariance"]["names"].pop()), "covariance"),
+    "covariance": (
+        lambda c: (c.pop("standard_parameters"), c.pop("covariance")),
+        "covariance is missing",
+    ),
+    "some of it": (
+        lambda c: (c.pop("standard_parameters"), c["covariance"]["names"].pop()),
+        "covariance",
+    ),
 }
 
 
@@ -418,8 +504,22 @@ def test_files_are_written_all_or_none(fits, tmp_path, capsys):
 
 
 GAINS = [
-    {"motor": "j1", "unit": "N m/A", "described": 0.5, "value": 0.61, "half_width": 0.01, "determined": True},
-    {"motor": "j2", "unit": "N m/A", "described": 0.3, "value": 0.9, "half_width": 0.4, "determined": False},
+    {
+        "motor": "j1",
+        "unit": "N m/A",
+        "described": 0.5,
+        "value": 0.61,
+        "half_width": 0.01,
+        "determined": True,
+    },
+    {
+        "motor": "j2",
+        "unit": "N m/A",
+        "described": 0.3,
+        "value": 0.9,
+        "half_width": 0.4,
+        "determined": False,
+    },
 ]
 MOTORS = """[[motor]]  # shoulder
 name = "{}"
@@ -451,7 +551,12 @@ UNKNOWN = re.sub(r"(?m)^drive_gain = .*\ndrive_gain_unit = .*$", 'effort_unit = 
     ("motors", "others", "expected", "said"),
     [
         (MOTORS, {}, [(0.61, 0.01), (0.3, None)], "as described"),
-        (UNKNOWN, {"described": None}, [(0.61, 0.01), (0.9, 0.4)], "as identified, since none is described"),
+        (
+            UNKNOWN,
+            {"described": None},
+            [(0.61, 0.01), (0.9, 0.4)],
+            "as identified, since none is described",
+        ),
     ],
 )
 def test_a_toml_has_determined_drive_gains_or_those_nobody_describes(
@@ -460,7 +565,10 @@ def test_a_toml_has_determined_drive_gains_or_those_nobody_describes(
     gains = [gain | others for gain in GAINS]
     path = changed(fits["consistent"], tmp_path, lambda content: in_amperes(content, motors, gains))
     status, printed, _ = run(capsys, "export", path, *outputs_in(tmp_path, kinds=("toml", "urdf")))
-    assert (status, f"{said}; not determined: 0.9 ± 0.4 N m/A" in " ".join(printed.split())) == (0, True)
+    assert (status, f"{said}; not determined: 0.9 ± 0.4 N m/A" in " ".join(printed.split())) == (
+        0,
+        True,
+    )
     robot, text = load_robot(tmp_path / "x.toml"), (tmp_path / "x.toml").read_text()
     assert [(m.drive_gain, m.drive_gain_half_width) for m in robot.motors] == expected
     assert ("drive_gain = 0.61  # catalogue\n" in text) == (motors == MOTORS)
@@ -469,7 +577,9 @@ def test_a_toml_has_determined_drive_gains_or_those_nobody_describes(
 
 
 def under_law(name, structure):
-    """A robot under a law at its motors of 6 Hz, its values, and a reference of 3 s that begins at rest."""
+    """A robot under a law at its motors of 6 Hz, its values, and a reference of 3
+    s that begins at rest.
+    """
     robot = robot_named(name)
     model = InverseModel(robot)
     chi = values_of(model)
@@ -490,10 +600,13 @@ def under_law(name, structure):
 
 
 @pytest.mark.parametrize(
-    ("name", "structure"), [("scara", "pd"), ("tx40", "cascade_p_p"), ("scara", "pd_velocity_feedforward")]
+    ("name", "structure"),
+    [("scara", "pd"), ("tx40", "cascade_p_p"), ("scara", "pd_velocity_feedforward")],
 )
 def test_actuators_move_mujocos_robot_as_the_law_moves_the_simulated_one(name, structure, tmp_path):
-    """Without Coulomb friction and offsets, which MuJoCo has softly or not at all; the wrist of the TX40 is coupled."""
+    """Without Coulomb friction and offsets, which MuJoCo has softly or not at all; the wrist
+    of the TX40 is coupled.
+    """
     mujoco = pytest.importorskip("mujoco", reason="mujoco, of the extra `test`, is not installed")
     model, chi, t, q_ref = under_law(name, structure)
     chi[[isinstance(s, JointTerm) and s.kind in ("coulomb", "offset") for s in model.sources]] = 0.0
@@ -514,10 +627,16 @@ def test_actuators_move_mujocos_robot_as_the_law_moves_the_simulated_one(name, s
         r, dr = rows @ path(data.time), rows @ path(data.time, 1)
         data.ctrl[:] = np.column_stack([r, dr]).ravel() if loaded.nu == 2 * n else r
         mujoco.mj_step(loaded, data)
-    simulated = simulate(direct_model(model, chi), recorded_loop(model.robot), Reference(q_ref, path(t, 1), path(t, 2)))
+    simulated = simulate(
+        direct_model(model, chi),
+        recorded_loop(model.robot),
+        Reference(q_ref, path(t, 1), path(t, 2)),
+    )
     assert simulated.reason is None
     q, given = simulated.q[: len(moved)], q_ref[: len(moved)]
-    off, behind = (np.abs(q - other).max(axis=0) / np.ptp(q, axis=0) for other in (np.array(moved), given))
+    off, behind = (
+        np.abs(q - other).max(axis=0) / np.ptp(q, axis=0) for other in (np.array(moved), given)
+    )
     print(np.round(100 * off, 3), np.round(100 * behind, 1))
     assert off.max() < 0.02
     assert behind.max() > 0.02
@@ -533,4 +652,6 @@ def test_a_found_law_is_written_where_the_description_has_none(name, tmp_path, c
         expected = value if name == "tx40" else getattr(described, key)
         assert getattr(now, key) == (tuple(expected) if isinstance(expected, list) else expected)
     assert now.bandwidth_hz == described.bandwidth_hz
-    assert (found["structure"], len(stored.law.motors)) == (("pid", 6) if name == "tx40" else (now.structure, 2))
+    assert (found["structure"], len(stored.law.motors)) == (
+        ("pid", 6) if name == "tx40" else (now.structure, 2)
+    )

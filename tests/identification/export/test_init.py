@@ -1,4 +1,6 @@
-"""A URDF as a description by init, which other commands ask for; dynamics against pinocchio's own reading."""
+"""A URDF as a description by init, which other commands ask for; dynamics against
+pinocchio's own reading.
+"""
 
 import tomllib
 from pathlib import Path
@@ -33,7 +35,9 @@ def refused(capsys, *arguments):
 
 
 def torque_of_the_urdf(text, names, states):
-    """pinocchio's torque at the joints `names` of the URDF as it stands, all other joints at rest at zero."""
+    """pinocchio's torque at the joints `names` of the URDF as it stands, all other
+    joints at rest at zero.
+    """
     model = pin.buildModelFromXML(text)
     data, tau = model.createData(), []
     places = [model.joints[model.getJointId(name)] for name in names]
@@ -48,14 +52,17 @@ def torque_of_the_urdf(text, names, states):
 
 @pytest.mark.parametrize("names", [(*ARM, "finger"), ("turn", "slide")])
 def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
-    """Fixed and locked links are part of the link that carries them; the axis of the first joint is along none of the frame."""
+    """Fixed and locked links are part of the link that carries them; the axis of the first joint is
+    along none of the frame.
+    """
     assert run(capsys, "init", "arm.urdf", "--joints", ",".join(names), "-o", "robot.toml")[0] == 0
     robot = load_robot("robot.toml")
     dynamics = InverseModel(robot)
     chi = np.array([robot.parameters.get(name, 0.0) for name in dynamics.names])
     states = np.random.default_rng(3).normal(size=(3, 20, len(names)))
     tau = torque_of_the_urdf(urdf(), names, states)
-    tau[:, 0] += 0.6 * states[1, :, 0] + 0.25 * np.sign(states[1, :, 0])  # damping and friction of the first joint
+    # damping and friction of the first joint
+    tau[:, 0] += 0.6 * states[1, :, 0] + 0.25 * np.sign(states[1, :, 0])
     assert np.abs(tau).max() > 5
     np.testing.assert_allclose(dynamics.regressor(*states) @ chi, tau, atol=1e-11)
 
@@ -72,18 +79,34 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
         "locked at zero: finger: prismatic",
         "locked at zero: thumb: prismatic, mimics finger",
     ]
-    for line in ("#     thumb: prismatic, mimics finger", "# column", "# arm, sensor", "# beam, tool, left, right"):
+    for line in (
+        "#     thumb: prismatic, mimics finger",
+        "# column",
+        "# arm, sensor",
+        "# beam, tool, left, right",
+    ):
         assert f"\n{line}\n" in text  # links that move with one joint
     turn, slide = robot.joints[0], robot.joints[2]
     assert (robot.name, turn.si("position")) == ("made up", pytest.approx((-2, 1.5), rel=1e-9))
     assert (turn.si("speed"), turn.effort_nm) == pytest.approx((3, 40), rel=1e-9)
     assert (slide.si("position"), slide.si("speed"), slide.effort_n) == ((0.1, 0.4), 0.5, 90)
     assert (robot.parameters["Fv1"], robot.parameters["Fc1"]) == (0.6, 0.25)
-    assert robot.parameters["M3"] == pytest.approx(0.7 + 0.3 + 0.1 + 0.1)  # beam, tool, finger, thumb
-    assert (turn.acceleration_deg_s2, turn.following_error_deg, robot.controller.bandwidth_hz) == (None, None, None)
+    # beam, tool, finger, thumb
+    assert robot.parameters["M3"] == pytest.approx(0.7 + 0.3 + 0.1 + 0.1)
+    assert (turn.acceleration_deg_s2, turn.following_error_deg, robot.controller.bandwidth_hz) == (
+        None,
+        None,
+        None,
+    )
     marked = [line for line in text.splitlines()[1:] if "FILL IN" in line]
     assert all(line.startswith("#") for line in marked)
-    for key in ("acceleration_deg_s2", "acceleration_m_s2", "following_error_deg", "bandwidth_hz", "drives"):
+    for key in (
+        "acceleration_deg_s2",
+        "acceleration_m_s2",
+        "following_error_deg",
+        "bandwidth_hz",
+        "drives",
+    ):
         assert any(key in line for line in marked), key
     assert out.splitlines()[-1] == f"to be filled in: {len(marked)} lines with FILL IN"
 
@@ -107,12 +130,16 @@ def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsy
     status, printed, _ = run(capsys, *out)
     text, robot = (here / "robot.toml").read_text(), load_robot("robot.toml")
     assert status == 0
-    assert [(d.node, d.counts_per_turn) for d in resolve(robot, "robot.toml").file.drive] == [(7, 7000), (3, 3000)]
+    assert [(d.node, d.counts_per_turn) for d in resolve(robot, "robot.toml").file.drive] == [
+        (7, 7000),
+        (3, 3000),
+    ]
     assert "#: [bus]" not in text
     marked = [number for number, line in enumerate(text.splitlines(), 1) if "FILL IN" in line]
     assert lines_to_fill_in(robot) == marked[-5:]
     assert len(marked) > 10
-    assert f"to be filled in: {len(marked) - 1} lines" in printed  # the first line says what the mark means
+    # the first line says what the mark means
+    assert f"to be filled in: {len(marked) - 1} lines" in printed
 
 
 def test_what_is_there_is_not_replaced_and_the_urdf_is_found_from_the_output(here, capsys):
@@ -132,16 +159,23 @@ def test_what_is_there_is_not_replaced_and_the_urdf_is_found_from_the_output(her
     options = ["--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"]
     status, out, _ = run(capsys, "init", "arm.urdf", *options)
     assert (status, load_robot("robot.toml").joints[0].rotor_inertia) == (0, False)
-    assert "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor" in out
+    assert (
+        "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes "
+        "its rotor" in out
+    )
 
 
 def test_the_example_of_the_drives_is_one(here, capsys):
-    """Without the mark of its lines: a description whose simulated drives can be resolved and moved."""
+    """Without the mark of its lines: a description whose simulated drives can
+    be resolved and moved.
+    """
     assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
     (here / "cell.toml").write_text((here / "robot.toml").read_text().replace("\n#: ", "\n"))
     robot = load_robot("cell.toml")
     assert robot.parameters["Fv1"] == 0.6  # stated by the URDF; others are made up, for all joints
-    assert {f"{name}{j}" for name in ("Ia", "Fv", "Fc") for j in (1, 2, 3)} <= robot.parameters.keys()
+    assert {
+        f"{name}{j}" for name in ("Ia", "Fv", "Fc") for j in (1, 2, 3)
+    } <= robot.parameters.keys()
     assert "Ia1" not in load_robot("robot.toml").parameters
     bus = resolve(robot, "cell.toml")
     assert [drive.node for drive in bus.drives] == [1, 2, 3]
@@ -153,41 +187,84 @@ def test_the_example_of_the_drives_is_one(here, capsys):
 def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
     """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
     equal = LIMIT.replace("-2", "0").replace("1.5", "0")
-    for kind, limit in (("continuous", ""), ("revolute", ""), ("continuous", LIMIT), ("revolute", equal)):
+    for kind, limit in (
+        ("continuous", ""),
+        ("revolute", ""),
+        ("continuous", LIMIT),
+        ("revolute", equal),
+    ):
         (here / "arm.urdf").write_text(urdf(turn=joint("turn", kind, "base", "column", limit)))
-        assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in run(capsys, "init", "arm.urdf", *NAMES)[1]
+        assert (
+            "# position_deg = [LOWEST, HIGHEST] # FILL IN"
+            in run(capsys, "init", "arm.urdf", *NAMES)[1]
+        )
         if limit:
             continue
         assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", f"{kind}.toml")[0] == 0
         assert "# speed_deg_s = ... # FILL IN" in (here / f"{kind}.toml").read_text()
         error = refused(capsys, "study", f"{kind}.toml", "--runs", "1")
         assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
-        of_range = [*NAMES, *STATED, "--range", "3,3,0.3", "--speed", "2,2,0.2", "-o", f"{kind}_moves.toml"]
+        of_range = [
+            *NAMES,
+            *STATED,
+            "--range",
+            "3,3,0.3",
+            "--speed",
+            "2,2,0.2",
+            "-o",
+            f"{kind}_moves.toml",
+        ]
         assert run(capsys, "init", "arm.urdf", *of_range)[0] == 0
         limits = load_robot(f"{kind}_moves.toml").joints[0]
-        assert (limits.si("position"), limits.si("speed")) == (pytest.approx((-3, 3)), pytest.approx(2))
+        assert (limits.si("position"), limits.si("speed")) == (
+            pytest.approx((-3, 3)),
+            pytest.approx(2),
+        )
 
 
 def test_options_and_limits_of_the_urdf_hold_together(here):
-    """The narrower range, the smaller speed; one value holds for all joints of one kind, one bandwidth for the robot."""
-    stated = {"--range": (1.0, 3.0, 0.3), "--speed": (2.0, 5.0, 0.2), "--acceleration": (8.0, 9.0, 2.0)}
+    """The narrower range, the smaller speed; one value holds for all joints of one kind, one
+    bandwidth for the robot.
+    """
+    stated = {
+        "--range": (1.0, 3.0, 0.3),
+        "--speed": (2.0, 5.0, 0.2),
+        "--acceleration": (8.0, 9.0, 2.0),
+    }
     stated["--bandwidth-hz"] = (6.0, 5.0, 7.0)
     robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_options(stated))
-    assert [j.si("position") for j in robot.joints] == [pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))]
+    assert [j.si("position") for j in robot.joints] == [
+        pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))
+    ]
     assert [j.si("speed") for j in robot.joints] == pytest.approx([2, 3, 0.2])
     assert [j.si("acceleration") for j in robot.joints] == pytest.approx([8, 9, 2])
     assert robot.bandwidth_hz == 5.0
     pair = read_chain(Path("arm.urdf"), ("turn", "lift"))
-    assert [j.acceleration for j in pair.with_options({"--acceleration": (4.0,)}).joints] == [4.0, 4.0]
+    assert [j.acceleration for j in pair.with_options({"--acceleration": (4.0,)}).joints] == [
+        4.0,
+        4.0,
+    ]
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("--acceleration 1,2", "arm.urdf: --acceleration = 2 values: expected one, or 3 for turn, lift, slide"),
-        ("--speed 1", "arm.urdf: --speed = 1.0: expected 3 values: some joints are in rad, others in m"),
-        ("--range 1,1,0.1", "arm.urdf: joint 'slide': --range = 0.1: expected a range that overlaps the URDF's"),
-        ("--joints turn,elbow", "arm.urdf: --joints = 'elbow': expected one of turn, lift, slide, finger, each once"),
+        (
+            "--acceleration 1,2",
+            "arm.urdf: --acceleration = 2 values: expected one, or 3 for turn, lift, slide",
+        ),
+        (
+            "--speed 1",
+            "arm.urdf: --speed = 1.0: expected 3 values: some joints are in rad, others in m",
+        ),
+        (
+            "--range 1,1,0.1",
+            "arm.urdf: joint 'slide': --range = 0.1: expected a range that overlaps the URDF's",
+        ),
+        (
+            "--joints turn,elbow",
+            "arm.urdf: --joints = 'elbow': expected one of turn, lift, slide, finger, each once",
+        ),
         ("--joints turn,thumb", "arm.urdf: --joints = 'thumb': expected one of turn, lift"),
         ("--joints lift,turn", "order of joints = lift, turn: expected turn, lift"),
     ],
@@ -198,10 +275,14 @@ def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
 
 def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
-    with pytest.raises(RobotIdimError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"):
+    with pytest.raises(
+        RobotIdimError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"
+    ):
         read_robot("robot.toml", bandwidth_hz=5.0)
     error = refused(capsys, "study", "robot.toml")
-    assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
+    assert error.startswith(
+        "robot made up: controller.bandwidth_hz is missing: expected the bandwidth"
+    )
 
 
 def massless(name):
@@ -213,14 +294,19 @@ def turn(rest=LIMIT, kind="revolute", parent="base", name="turn", axis="0 0 1"):
 
 
 RING = link("x") + link("y") + joint("xy", "fixed", "x", "y") + joint("yx", "fixed", "y", "x")
-STIFF = f'<robot name="r">{PARTS["base"]}{PARTS["beam"]}{joint("j", "fixed", "base", "beam")}</robot>'
+STIFF = (
+    f'<robot name="r">{PARTS["base"]}{PARTS["beam"]}{joint("j", "fixed", "base", "beam")}</robot>'
+)
 UNKNOWN = urdf(turn='<joint name="turn" type="fixed"><child link="column"/></joint>')
 XACRO = '<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'
 FLOATING = urdf(mid=joint("swing", "floating", "column", "arm"), lift="")
 TWO_CHAINS = urdf(extra=link("mast") + joint("sway", "revolute", "arm", "mast"))
 BETWEEN = "between the base and joint 'slide': type = "
 AGAIN = "joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another"
-EMPTY = "joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an <inertial>"
+EMPTY = (
+    "joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an "
+    "<inertial>"
+)
 BAD = (
     ("<robot", "is not XML: "),
     ("<sdf/>", "its root = <sdf>: expected <robot>"),
@@ -233,25 +319,52 @@ BAD = (
     ),
     (urdf(extra=RING), "links x, y are in a loop of joints: expected a tree"),
     (urdf(extra=joint("again", "fixed", "base", "tool")), AGAIN),
-    (turn(parent="floor"), "joint 'turn': parent = 'floor': expected one of the links base, column"),
+    (
+        turn(parent="floor"),
+        "joint 'turn': parent = 'floor': expected one of the links base, column",
+    ),
     (UNKNOWN, "joint 'turn': parent is missing: expected one of the links"),
     (urdf(extra=link("base")), "link 9: name = 'base': expected a name not used before"),
     (urdf(extra="<link/>"), "link 9: name is missing: expected a name"),
-    (turn(kind="ball"), "type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar"),
+    (
+        turn(kind="ball"),
+        "type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar",
+    ),
     (FLOATING, f"joint 'swing', {BETWEEN}'floating': expected fixed, revolute"),
     (STIFF, "no joint moves: expected joints of the types revolute, continuous, prismatic"),
     (TWO_CHAINS, "2 chains of 3 joints each, which end at slide, sway: expected --joints"),
-    (turn('<limit lower="1" upper="-1"/>'), "joint 'turn': limit lower = 1.0: expected less than upper = -1"),
-    (turn('<limit lower="low" upper="-1"/>'), "joint 'turn': limit lower = 'low': expected a finite number"),
-    (turn('<limit velocity="-1"/>'), "joint 'turn': limit velocity = -1.0: expected a number from 0"),
-    (turn('<dynamics damping="-0.1"/>'), "joint 'turn': dynamics damping = -0.1: expected a number from 0"),
+    (
+        turn('<limit lower="1" upper="-1"/>'),
+        "joint 'turn': limit lower = 1.0: expected less than upper = -1",
+    ),
+    (
+        turn('<limit lower="low" upper="-1"/>'),
+        "joint 'turn': limit lower = 'low': expected a finite number",
+    ),
+    (
+        turn('<limit velocity="-1"/>'),
+        "joint 'turn': limit velocity = -1.0: expected a number from 0",
+    ),
+    (
+        turn('<dynamics damping="-0.1"/>'),
+        "joint 'turn': dynamics damping = -0.1: expected a number from 0",
+    ),
     (turn(axis="0 0 0"), "joint 'turn': axis = '0 0 0': expected a direction"),
     (turn(name="a/b"), "name of a joint = 'a/b': expected 1 to 64 letters"),
     (urdf(arm=massless("arm")), EMPTY),
     (urdf(arm=link("arm", mass=-1)), "link 'arm': mass = -1.0: expected a number from 0"),
-    (urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))), "link 'arm': principal moments = -0.03"),
-    (urdf(arm=link("arm", inertia=BOX.replace("0.001", "0.1"))), "link 'arm': principal moments = -0.07"),
-    (urdf(arm=link("arm", inertia="")), "link 'arm': inertia ixx is missing: expected a finite number"),
+    (
+        urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))),
+        "link 'arm': principal moments = -0.03",
+    ),
+    (
+        urdf(arm=link("arm", inertia=BOX.replace("0.001", "0.1"))),
+        "link 'arm': principal moments = -0.07",
+    ),
+    (
+        urdf(arm=link("arm", inertia="")),
+        "link 'arm': inertia ixx is missing: expected a finite number",
+    ),
 )
 
 
@@ -265,7 +378,10 @@ def test_a_bad_urdf_ends_in_one_line(here, capsys, text, message):
 
 
 def test_a_file_that_is_not_there_and_one_of_bytes(here, capsys):
-    assert refused(capsys, "init", "none.urdf") == "none.urdf: cannot be read: No such file or directory"
+    assert (
+        refused(capsys, "init", "none.urdf")
+        == "none.urdf: cannot be read: No such file or directory"
+    )
     (here / "arm.urdf").write_bytes(bytes(range(256)))
     assert "arm.urdf: is not XML" in refused(capsys, "init", "arm.urdf")
 
@@ -278,7 +394,12 @@ def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
 
 
 FLAT = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
-LOCKED = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", "y") + link("x") + link("y")
+LOCKED = (
+    joint("flap", "floating", "base", "x")
+    + joint("crank", "planar", "x", "y")
+    + link("x")
+    + link("y")
+)
 
 
 @pytest.mark.parametrize(
@@ -286,10 +407,13 @@ LOCKED = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", 
     [
         (
             {"arm": link("arm", inertia=FLAT)}, [],  # used as they are
-            ["# note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one exceeds the sum of the others"],
+            ["# note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one "
+             "exceeds the sum of the others"],
         ),
         (
-            {"off": LOCKED, "finger": joint("finger", "revolute", "tool", "left", axis="0 0 0")}, NAMES,  # no axis needed
+            # no axis needed
+            {"off": LOCKED, "finger": joint("finger", "revolute", "tool", "left", axis="0 0 0")},
+            NAMES,
             ["#     flap: floating", "#     crank: planar", "#     finger: revolute"],
         ),
         # Two fingers that mimic nothing would be two chains of one length.
@@ -309,10 +433,13 @@ def test_what_is_odd_or_locked_is_noted(here, capsys, changes, options, noted):
 @pytest.mark.parametrize(
     ("given", "motors", "to_fill_in"),
     [
-        ("A --ratio=-101,50,8 --drive-gain 0.1,0.2,3", [("N m/A", -101, 0.1), ("N m/A", 50, 0.2), ("N/A", 8, 3)], ()),
+        ("A --ratio=-101,50,8 --drive-gain 0.1,0.2,3",
+         [("N m/A", -101, 0.1), ("N m/A", 50, 0.2), ("N/A", 8, 3)], ()),
         ("A --ratio 9,9,8", [{"ratio": r, "effort_unit": "A"} for r in (9, 9, 8)], ("drive_gain",)),
-        ("% --ratio 9,9,8 --drive-gain 1,1,2", [("N m/%", 9, 1), ("N m/%", 9, 1), ("N/%", 8, 2)], ()),
-        ("N_m --ratio 9,9,8", [{"ratio": r, "effort_unit": u} for r, u in ((9, "N m"), (9, "N m"), (8, "N"))], ()),
+        ("% --ratio 9,9,8 --drive-gain 1,1,2", [("N m/%", 9, 1), ("N m/%", 9, 1), ("N/%", 8, 2)],
+         ()),
+        ("N_m --ratio 9,9,8", [{"ratio": r, "effort_unit": u} for r,
+                               u in ((9, "N m"), (9, "N m"), (8, "N"))], ()),
         ("N_m", [{"effort_unit": u} for u in ("N m", "N m", "N")], ("ratio",)),
         ("N_m --torque-sensor", [{"effort_unit": u} for u in ("N m", "N m", "N")], ()),
     ],
@@ -326,7 +453,10 @@ def test_the_motors_of_a_unit_have_numbers_by_options_only(here, capsys, given, 
     expected = [x if isinstance(x, dict) else dict(zip(keys, x, strict=True)) for x in motors]
     found = tomllib.loads(text)["motor"]
     assert [{k: v for k, v in motor.items() if k != "name"} for motor in found] == expected
-    marked = {line[2:].split(" = ")[0] for line in text.splitlines() if "FILL IN" in line} & {"ratio", "drive_gain"}
+    marked = {line[2:].split(" = ")[0] for line in text.splitlines() if "FILL IN" in line} & {
+        "ratio",
+        "drive_gain",
+    }
     assert marked == set(to_fill_in)
     robot = load_robot("robot.toml")
     assert [joint.rotor_inertia for joint in robot.joints] == ["torque-sensor" not in given] * 3

@@ -1,4 +1,6 @@
-"""Two recordings of an arm with optional columns, load friction, own offsets and gains to be found, and their fits."""
+"""Two recordings of an arm with optional columns, load friction, own offsets and gains to be
+found, and their fits.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,15 +28,24 @@ CONCERNS = ("load", "own", "gains")
 CARRIED = Payload(1.0, CENTRE["scara"])
 KNOWN = np.array([1.0, 0.05])  # N m, known torques
 LONG_S = 10.0  # two blocks of rows
-STATED = {"decimation": 5, "ramp_rows": 0.5, "torque_lag_s": 0.0}  # else long ones take theirs from their beginnings
+# else long ones take theirs from their beginnings
+STATED = {"decimation": 5, "ramp_rows": 0.5, "torque_lag_s": 0.0}
 
 
 @cache
 def arm(concerns: frozenset[str]) -> Robot:
-    """The SCARA with its efforts in A, with load friction and own offsets if asked for; its law is not described."""
+    """The SCARA with its efforts in A, with load friction and own offsets if asked for;
+    its law is not described.
+    """
     optional = {"own": "offset", "load": "load"}
-    terms = ["viscous", "coulomb", *(term for concern, term in optional.items() if concern in concerns)]
-    more = ("mu1 = 0.3\nmu2 = 0.3\n" if "load" in concerns else "") + ("Off1 = 0.3\n" if "own" in concerns else "")
+    terms = [
+        "viscous",
+        "coulomb",
+        *(term for concern, term in optional.items() if concern in concerns),
+    ]
+    more = ("mu1 = 0.3\nmu2 = 0.3\n" if "load" in concerns else "") + (
+        "Off1 = 0.3\n" if "own" in concerns else ""
+    )
     text = described("scara", [terms, terms], more).files["robot.toml"].decode()
     law = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate")
     text = "\n".join(line for line in text.splitlines() if not line.startswith(law))
@@ -44,17 +55,28 @@ def arm(concerns: frozenset[str]) -> Robot:
 
 
 @cache
-def simulated(concerns: frozenset[str], seed: int, payload: Payload | None, duration_s: float = 4.0) -> Signals:
+def simulated(
+    concerns: frozenset[str], seed: int, payload: Payload | None, duration_s: float = 4.0
+) -> Signals:
     robot = arm(concerns)
     q = random_reference(robot, duration_s=duration_s, sample_rate_hz=RATE_HZ, seed=seed)
     return closed_loop(
-        robot, q, RATE_HZ, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed, payload=payload
+        robot,
+        q,
+        RATE_HZ,
+        noise=Noise(encoder_step=1e-6, effort_percent=2.0),
+        seed=seed,
+        payload=payload,
     )
 
 
-def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int, duration_s: float = 4.0) -> Signals:
+def recorded(
+    concerns: frozenset[str], columns: frozenset[str], seed: int, duration_s: float = 4.0
+) -> Signals:
     """A recording with these columns; the second one carries the payload."""
-    signals = simulated(concerns, seed, CARRIED if "payload" in columns and seed == 2 else None, duration_s)
+    signals = simulated(
+        concerns, seed, CARRIED if "payload" in columns and seed == 2 else None, duration_s
+    )
     t_s = signals.t_s[:, None]
     given = {}
     if "velocity" in columns:
@@ -69,7 +91,9 @@ def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int, durat
     return described_with(signals, WRONG, None) if "gains" in concerns else signals
 
 
-def written(folder: Path, concerns: frozenset[str], columns: frozenset[str], duration_s: float = 4.0) -> list[Path]:
+def written(
+    folder: Path, concerns: frozenset[str], columns: frozenset[str], duration_s: float = 4.0
+) -> list[Path]:
     paths = [folder / f"r{seed}.mcap" for seed in (1, 2)]
     for seed, path in enumerate(paths, 1):
         write_signals(path, recorded(concerns, columns, seed, duration_s), source="test")
@@ -82,7 +106,9 @@ def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: 
 
 
 def as_long(fit: Callable[[], Fit]) -> Fit:
-    """`fit` where rows are QR factors of spans, come block by block, and no more than a beginning of the recordings is held."""
+    """`fit` where rows are QR factors of spans, come block by block, and no more than a beginning
+    of the recordings is held.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
         patch.setattr("identification.regression.problem._SERIES_BLOCK", 20_000)

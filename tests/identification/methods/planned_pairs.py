@@ -1,6 +1,8 @@
-"""Pairs of recordings with and without a payload, by the model of the fit along a planned motion: nothing is simulated.
+"""Pairs of recordings with and without a payload, by the model of the fit along a planned
+motion: nothing is simulated.
 
-Made in a tenth of a second. Their gains are those of `gain_cases`; the position is exact, the current may have white noise.
+Made in a tenth of a second. Their gains are those of `gain_cases`; the position is exact, the
+current may have white noise.
 """
 
 from dataclasses import replace
@@ -17,7 +19,9 @@ RATE_HZ = 1000.0
 SLOWEST_HZ, FASTEST_HZ = 0.2, 1.5  # of the motion
 
 
-def planned_motion(robot: Robot, seed: int, duration_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def planned_motion(
+    robot: Robot, seed: int, duration_s: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """q, dq, ddq (N, n): five sines for each joint, with its derivatives."""
     rng, n = np.random.default_rng([7, seed]), robot.n
     w = 2 * np.pi * rng.uniform(SLOWEST_HZ, FASTEST_HZ, (5, n))
@@ -28,17 +32,28 @@ def planned_motion(robot: Robot, seed: int, duration_s: float) -> tuple[np.ndarr
 
 
 def planned(case: GainCase, payload: Payload | None, seed: int, *, push: float = 0.0) -> Signals:
-    """A recording of the case's robot that carries the payload, stated as it is; `push` is the amplitude of known torques."""
+    """A recording of the case's robot that carries the payload, stated as it is; `push` is the
+    amplitude of known torques.
+    """
     robot = described_robot(case)
     model, rng = InverseModel(robot), np.random.default_rng([8, seed, payload is None])
     q, dq, ddq = planned_motion(robot, seed, case.duration_s)
     chi = described_chi(model)
-    torque = model.regressor(q, dq, ddq) @ (chi if payload is None else add_payload(model, chi, payload))
+    torque = model.regressor(q, dq, ddq) @ (
+        chi if payload is None else add_payload(model, chi, payload)
+    )
     known = push * np.sin(np.arange(1, robot.n + 1) * 9 * np.arange(len(q))[:, None] / RATE_HZ)
     current = np.linalg.solve(robot.R.T, (torque - known).T).T / case.gains
-    current += 0.01 * case.white * np.sqrt(np.mean(current**2, axis=0)) * rng.standard_normal(current.shape)
+    current += (
+        0.01
+        * case.white
+        * np.sqrt(np.mean(current**2, axis=0))
+        * rng.standard_normal(current.shape)
+    )
     name = f"{'free' if payload is None else 'loaded'}_{seed}.mcap"
-    found = signals_from_arrays(q, robot.joint_effort(current), RATE_HZ, robot, known_torque=known if push else None)
+    found = signals_from_arrays(
+        q, robot.joint_effort(current), RATE_HZ, robot, known_torque=known if push else None
+    )
     return replace(found, recording=name, payload=payload, effort_timing="measured")
 
 

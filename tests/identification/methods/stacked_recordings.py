@@ -10,4 +10,6 @@ from identification.regression import Overrides, Problem
 def system_of(*problems: Problem) -> Equations:
     observations = [observation_of(problem, None) for problem in problems]
     sources = tuple(problem.signals for problem in problems)
-    return equations_of(Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems))))
+    return equations_of(
+        Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems)))
+    )

@@ -1,4 +1,6 @@
-"""`fit --consistent`: a physical robot as near to the estimate as it allows; the real TX40, random arms."""
+"""`fit --consistent`: a physical robot as near to the estimate as it allows; the
+real TX40, random arms.
+"""
 
 import dataclasses
 import json
@@ -14,7 +16,12 @@ from physical_cases import lowest, one_link
 from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.errors import BadInputError
-from identification.estimation import consistent_parameters, link_parameters, parameter_certainty, pseudo_inertia
+from identification.estimation import (
+    consistent_parameters,
+    link_parameters,
+    parameter_certainty,
+    pseudo_inertia,
+)
 from identification.methods import fit_document, fit_file, identify_ls, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import Overrides
@@ -27,7 +34,9 @@ def consistent(tx40):
 
 
 def test_the_real_arm_becomes_a_physical_one(consistent):
-    """Every pseudo-inertia and every own rotor inertia and friction positive; the torque error hardly larger."""
+    """Every pseudo-inertia and every own rotor inertia and friction positive; the
+    torque error hardly larger.
+    """
     c, problem = consistent.consistent_set, consistent.problem
     assert c.names == problem.model.names
     physical = physical_parameters(problem.model)
@@ -35,13 +44,20 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     value = dict(zip(c.names, c.chi, strict=True))
     assert value["Ia5"] > value["Ia6"] > 0
     assert value["Fv5"] * value["Fv6"] > value["Fvm6"] ** 2
-    assert min(value["Fc5"] + value["Fc6"], value["Fc5"] + value["Fcm6"], value["Fc6"] + value["Fcm6"]) > 0
-    free, held = (errors[-1].relative_error_percent for errors in (consistent.errors, consistent.consistent_errors))
+    assert (
+        min(value["Fc5"] + value["Fc6"], value["Fc5"] + value["Fcm6"], value["Fc6"] + value["Fcm6"])
+        > 0
+    )
+    free, held = (
+        errors[-1].relative_error_percent
+        for errors in (consistent.errors, consistent.consistent_errors)
+    )
     assert free < held < free + 0.1
     moved = (c.beta - consistent.beta) / consistent.intervals.half
     assert c.largest_move == pytest.approx(np.abs(moved).max())
     assert c.moved_most == problem.base.names[int(np.abs(moved).argmax())]
-    # Nothing is said of link 1 but its part of ZZ1R; friction and offsets come from the recording alone.
+    # Nothing is said of link 1 but its part of ZZ1R; friction and offsets come from
+    # the recording alone.
     from_prior = dict(zip(c.names, c.from_prior, strict=True))
     assert all(from_prior[f"{name}1"] for name in ("XX", "YY", "MX", "MZ", "M"))
     assert not any(from_prior[name] for name in c.names if name[:2] in ("Fv", "Fc", "Of", "Ia"))
@@ -54,19 +70,31 @@ def lines_of(signals, fit) -> list[str]:
 
 
 def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40):
-    """chi² and largest move of the verdict's line are those of `--consistent`; not with another prior, which is said."""
-    c, line, signals = consistent.consistent_set, consistent.trust.line("consistent"), signals_of(tx40)
+    """chi² and largest move of the verdict's line are those of `--consistent`; not with
+    another prior, which is said.
+    """
+    c, line, signals = (
+        consistent.consistent_set,
+        consistent.trust.line("consistent"),
+        signals_of(tx40),
+    )
     assert (line.level, line.value) == ("ok", c.chi_squared)
     assert f"{c.moved_most} moved by {c.largest_move:.2g} half-widths" in line.text
-    other = with_consistent(consistent, dataclasses.replace(consistent.problem.signals.robot, parameters={}))
+    other = with_consistent(
+        consistent, dataclasses.replace(consistent.problem.signals.robot, parameters={})
+    )
     assert other.consistent_set.chi_squared != line.value
-    assert [any("has its own" in x for x in lines_of(signals, fit)) for fit in (consistent, other)] == [False, True]
+    assert [
+        any("has its own" in x for x in lines_of(signals, fit)) for fit in (consistent, other)
+    ] == [False, True]
 
 
 def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40):
     c, signals = consistent.consistent_set, signals_of(tx40)
     moves = np.where(np.arange(len(c.moves)) == 3, 1.7, c.moves)
-    far = dataclasses.replace(consistent, consistent_set=dataclasses.replace(c, deviations=moves * c.reach))
+    far = dataclasses.replace(
+        consistent, consistent_set=dataclasses.replace(c, deviations=moves * c.reach)
+    )
     sections = {s.title: s for s in fit_document(signals, far).sections}
     standard = sections["physically consistent standard parameters"]
     heads = ["parameter", "value", "±95%", "unit", "mostly from"]
@@ -81,7 +109,9 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40)
 
 
 def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
-    """Variances by a Hessian of differences; a parameter that is measured alone, and one that is not measured at all."""
+    """Variances by a Hessian of differences; a parameter that is measured alone, and one that
+    is not measured at all.
+    """
     _, physical = one_link()
     K = np.eye(14)[[0, 9, 10, 11, 12, 13]]
     C = np.diag([1e-6, 100.0, 0.01, 0.01, 0.01, 0.01]) ** 2
@@ -95,9 +125,12 @@ def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
 
     h = 1e-4 * np.maximum(np.abs(found.chi), 0.01) * np.eye(14)[:10]
     signs = [(sign * other, sign, other) for sign in (1, -1) for other in (1, -1)]
-    H = [[sum(s * prior_cost(found.chi + x * a + y * b) for s, x, y in signs) for b in h] for a in h]
+    H = [
+        [sum(s * prior_cost(found.chi + x * a + y * b) for s, x, y in signs) for b in h] for a in h
+    ]
     H = np.array(H) / (4 * np.outer(np.diag(h), np.diag(h)))
-    of_data = (K.T @ np.linalg.solve(C, K))[:10, :10]  # what tells of the link is of no other parameter
+    # what tells of the link is of no other parameter
+    of_data = (K.T @ np.linalg.solve(C, K))[:10, :10]
     expected = np.diag(np.linalg.inv(H + of_data)) / np.diag(np.linalg.inv(H))
     assert not shares[10:].any()
     np.testing.assert_allclose(shares[:10], expected, rtol=1e-3, atol=1e-6)
@@ -130,9 +163,11 @@ CAD = """<robot name="cad"><link name="base"/>
 <inertia ixx="0.01" ixy="0.001" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
 <link name="two"><inertial><origin xyz="0.2 0 -0.05"/><mass value="1.5"/>
 <inertia ixx="0.01" ixy="0" ixz="0.002" iyy="0.03" iyz="0" izz="0.03"/></inertial></link>
-<joint name="a" type="revolute"><parent link="base"/><child link="one"/><origin xyz="0 0 0.1"/><axis xyz="0 0 1"/>
+<joint name="a" type="revolute"><parent link="base"/><child link="one"/>
+<origin xyz="0 0 0.1"/><axis xyz="0 0 1"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-<joint name="b" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>
+<joint name="b" type="revolute"><parent link="one"/><child link="two"/>
+<origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
 
 
@@ -155,18 +190,30 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     longer = CAD.replace('<origin xyz="0.3 0 0"/>', '<origin xyz="0.31 0 0"/>')
     with pytest.raises(BadInputError) as caught:
         expected_links(idm, InverseModel(urdf_prior(robot, longer, "cad.urdf")))
-    assert (caught.value.place, caught.value.key, caught.value.value) == ("prior cad.urdf", "joint", "b")
+    assert (caught.value.place, caught.value.key, caught.value.value) == (
+        "prior cad.urdf",
+        "joint",
+        "b",
+    )
 
 
 def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
-    session, out, prior = REPLAY / "scara" / "session.mcap", tmp_path / "fit.json", tmp_path / "prior.toml"
+    session, out, prior = (
+        REPLAY / "scara" / "session.mcap",
+        tmp_path / "fit.json",
+        tmp_path / "prior.toml",
+    )
     prior.write_text((REPLAY / "scara" / "robot.toml").read_text())
     command = ["fit", str(session), "--consistent", "--prior", str(prior), "--essential"]
     assert main([*command, "--json", str(out)]) == 0
     printed = capsys.readouterr().out
     content = json.loads(out.read_text())
     model = InverseModel(robot_named("scara"))
-    base, c, standard = base_parameters(model).names, content["consistent"], content["standard_parameters"]
+    base, c, standard = (
+        base_parameters(model).names,
+        content["consistent"],
+        content["standard_parameters"],
+    )
     assert [p["name"] for p in standard] == list(model.names)
     assert c["prior"].startswith("prior.toml: ")
     assert f"chi² {c['chi2']:.3g} on 8 parameters" in printed
@@ -188,7 +235,11 @@ def test_the_file_holds_what_an_essential_fit_leaves_out():
     fit = identify_ls(signals_of(path), Overrides(), essential=True)
     full, names = fit.least_squares.full, fit.estimate.names
     sigma = np.sqrt(np.diag(full.covariance))
-    left_out = [LeftOut(name=n, sigma=float(s)) for n, s in zip(full.names, sigma, strict=True) if n not in names]
+    left_out = [
+        LeftOut(name=n, sigma=float(s))
+        for n, s in zip(full.names, sigma, strict=True)
+        if n not in names
+    ]
     assert len(left_out) > 5
     assert fit_file(fit).left_out == left_out
 
@@ -207,15 +258,24 @@ def test_options_that_cannot_be_meant_are_refused(more, words, capsys):
 
 
 def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
-    session, out, free = REPLAY / "scara" / "session.mcap", tmp_path / "fit.json", tmp_path / "free.json"
+    session, out, free = (
+        REPLAY / "scara" / "session.mcap",
+        tmp_path / "fit.json",
+        tmp_path / "free.json",
+    )
     validation = tmp_path / "validation.json"
     assert main(["fit", str(session), "--consistent", "--json", str(out)]) == 0
     content = json.loads(out.read_text())
 
     def judged() -> tuple[float, float]:
-        assert main(["validate", str(out), str(session), "--consistent", "--json", str(validation)]) == 0
+        assert (
+            main(["validate", str(out), str(session), "--consistent", "--json", str(validation)])
+            == 0
+        )
         found = json.loads(validation.read_text())
-        return found["relative_error_percent"], found["consistent_errors"][-1]["relative_error_percent"]
+        return found["relative_error_percent"], found["consistent_errors"][-1][
+            "relative_error_percent"
+        ]
 
     expected = content["relative_error_percent"], content["consistent"]["relative_error_percent"]
     assert judged() == pytest.approx(expected, rel=1e-6)
@@ -225,7 +285,13 @@ def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
     plain, consistent = judged()
     assert consistent > 1.01 * plain
     assert "consistent set: relative torque error: " in capsys.readouterr().out
-    between = ["validate", str(out), str(session), "--max-error-percent", str(0.5 * (plain + consistent))]
+    between = [
+        "validate",
+        str(out),
+        str(session),
+        "--max-error-percent",
+        str(0.5 * (plain + consistent)),
+    ]
     assert main(between) == 0
     assert main([*between, "--consistent"]) == 3
     del content["standard_parameters"], content["consistent"]

@@ -21,7 +21,9 @@ def refused(*_: object) -> None:
 def test_a_recording_too_short_for_the_low_pass_of_the_rule():
     whole = load_signals(REPLAY / "scara" / "session.mcap")
     part = slice(2000, 2400)
-    signals = signals_from_arrays(whole.q[part], whole.effort[part], whole.sample_rate_hz, robot_named("scara"))
+    signals = signals_from_arrays(
+        whole.q[part], whole.effort[part], whole.sample_rate_hz, robot_named("scara")
+    )
     fit = identify_ls(signals, Overrides(cutoff_hz=400.0, decimation=2))
     assert any("include noise" in text for text in fit.warnings)
 
@@ -38,7 +40,10 @@ def test_a_payload_without_a_body(monkeypatch, near):
             recording=label,
             sha256=label,
         )
-        for label, part, load in (("free", slice(6000), None), ("loaded", slice(6000, None), Payload(1.0)))
+        for label, part, load in (
+            ("free", slice(6000), None),
+            ("loaded", slice(6000, None), Payload(1.0)),
+        )
     )
     if not near:
         monkeypatch.setattr("identification.regression.payload.consistent_parameters", refused)

@@ -1,4 +1,6 @@
-"""Friction terms: their columns against formulas, what exact data give back, simulated motion against physics."""
+"""Friction terms: their columns against formulas, what exact data give back, simulated
+motion against physics.
+"""
 
 import dataclasses
 import re
@@ -60,7 +62,11 @@ def arm():
     ],
 )
 def test_a_list_of_terms_that_means_nothing_is_refused(lines, key, expected):
-    text = (REPLAY / "scara" / "robot.toml").read_text().replace('"revolute"\n', f'"revolute"\n{lines}\n', 1)
+    text = (
+        (REPLAY / "scara" / "robot.toml")
+        .read_text()
+        .replace('"revolute"\n', f'"revolute"\n{lines}\n', 1)
+    )
     with pytest.raises(BadInputError) as refused:
         robot_from_files({"robot.toml": text.encode()}, "scara.toml")
     assert refused.value.key == key
@@ -71,7 +77,9 @@ def test_a_list_of_terms_that_means_nothing_is_refused(lines, key, expected):
 
 
 def test_columns_and_units_are_those_of_the_formulas(arm):
-    """A coupled motor has its own root and Stribeck friction, at dq5 + dq6; |v| and load are of joints."""
+    """A coupled motor has its own root and Stribeck friction, at dq5 + dq6; |v|
+    and load are of joints.
+    """
     model, _, _ = model_of(arm)
     q, dq, ddq = np.random.default_rng(0).uniform(-2, 2, (3, 40, 6))
     W = model.regressor(q, dq, ddq)
@@ -84,10 +92,14 @@ def test_columns_and_units_are_those_of_the_formulas(arm):
     speed = np.deg2rad(20.0)
     np.testing.assert_allclose(column("Fa3"), np.outer(np.abs(v), own))
     np.testing.assert_allclose(column("Fr3"), np.outer(np.sqrt(np.abs(v)) * np.sign(v), own))
-    np.testing.assert_allclose(column("Fs3"), np.outer(np.exp(-((v / speed) ** 2)) * np.sign(v), own))
+    np.testing.assert_allclose(
+        column("Fs3"), np.outer(np.exp(-((v / speed) ** 2)) * np.sign(v), own)
+    )
     both = np.array([0, 0, 0, 0, 1.0, 1.0])
     np.testing.assert_allclose(column("Frm6"), np.outer(np.sqrt(np.abs(u)) * np.sign(u), both))
-    np.testing.assert_allclose(column("Fsm6"), np.outer(np.exp(-((u / speed) ** 2)) * np.sign(u), both))
+    np.testing.assert_allclose(
+        column("Fsm6"), np.outer(np.exp(-((u / speed) ** 2)) * np.sign(u), both)
+    )
     assert [units[name] for name in ("Fa3", "Fr3", "Frm6", "Fs3", "mu3")] == [
         "N m s/rad", "N m (s/rad)^½", "N m (s/rad)^½", "N m", ""
     ]  # fmt: skip
@@ -96,7 +108,9 @@ def test_columns_and_units_are_those_of_the_formulas(arm):
 
 
 def test_direct_and_inverse_model_agree_with_every_term(arm):
-    """tau = W beta + mu |tau_rigid| sign(dq), tau_rigid the base columns whose own parameter is a link's, times beta."""
+    """tau = W beta + mu |tau_rigid| sign(dq), tau_rigid the base columns whose own parameter
+    is a link's, times beta.
+    """
     model, base, beta = model_of(arm)
     q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 40, 6))
     W = model.regressor(q, dq, ddq)[:, :, base.columns]
@@ -106,13 +120,19 @@ def test_direct_and_inverse_model_agree_with_every_term(arm):
     expected = W @ beta + mu * np.abs(rigid) * np.sign(dq)
     direct = direct_of(model, base, beta)
     for signs in (None, dq):
-        np.testing.assert_allclose(direct.torque(q, dq, ddq, signs), expected, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(
+            direct.torque(q, dq, ddq, signs), expected, rtol=1e-10, atol=1e-10
+        )
 
 
 def test_slopes_of_the_terms_are_differences_of_their_columns(arm):
-    """Of friction with a sign, those of the rounded column; this is the column itself but near rest."""
+    """Of friction with a sign, those of the rounded column; this is the
+    column itself but near rest.
+    """
     model, _, _ = model_of(arm)
-    dq = np.random.default_rng(2).uniform(0.2, 1.0, (30, 6)) * np.random.default_rng(3).choice([-1.0, 1.0], (30, 1))
+    dq = np.random.default_rng(2).uniform(0.2, 1.0, (30, 6)) * np.random.default_rng(3).choice(
+        [-1.0, 1.0], (30, 1)
+    )
     creep, steps = np.linspace(0.1, 0.3, 6), 1e-5 * np.eye(6)
     kinds = ("coulomb", "asymmetric", "root", "stribeck")
     for term in (s for s in model.sources if isinstance(s, JointTerm) and s.kind in kinds):
@@ -124,7 +144,9 @@ def test_slopes_of_the_terms_are_differences_of_their_columns(arm):
         else:
             assert not slopes.any()
             slopes = np.outer(term.rounded(dq, creep)[1], term.direction)
-            below, above = ([term.rounded(dq + side * d, creep)[0] for d in steps] for side in (-1, 1))
+            below, above = (
+                [term.rounded(dq + side * d, creep)[0] for d in steps] for side in (-1, 1)
+            )
             fast, _ = term.rounded(dq, 1e-6 * creep)
             np.testing.assert_allclose(fast, term.entry(j, dq, dq), rtol=3e-3)
         expected = (np.array(above) - below).T / 2e-5
@@ -145,7 +167,9 @@ def test_exact_motion_gives_every_term_back(arm):
 def test_load_friction_is_the_same_where_a_term_beside_the_links_is_left_out():
     """Root friction follows the links' columns: without it these stay where they are."""
     whole = upright([["load"], ["root", "load"]], "mu1 = 0.3\nmu2 = 0.3\n")
-    more = dataclasses.replace(whole, parameters={k: v for k, v in whole.parameters.items() if k[0] != "F"})
+    more = dataclasses.replace(
+        whole, parameters={k: v for k, v in whole.parameters.items() if k[0] != "F"}
+    )
     less = with_terms(more, (frozenset({"load"}),) * 2)
     x = fourier_reference(less, period_s=3.0, seed=5).at(np.arange(0.0, 3.0, 1 / 250.0))
     known = []
@@ -167,7 +191,11 @@ def push(robot, force: float, v0: float, seconds: float = 0.4, rate_hz: float = 
     zero = np.zeros((round(seconds * rate_hz), 1))
     scale = np.full_like(zero, 0.1)
     done = simulate(
-        direct, free(1, rate_hz), Reference(zero, scale, zero), start=(np.zeros(1), np.array([v0])), bound=1e9
+        direct,
+        free(1, rate_hz),
+        Reference(zero, scale, zero),
+        start=(np.zeros(1), np.array([v0])),
+        bound=1e9,
     )
     return np.arange(len(zero)) / rate_hz, done.q[:, 0], done.dq[:, 0]
 
@@ -183,7 +211,9 @@ def test_root_friction_stops_a_mass_as_its_equation_says():
 
 @pytest.mark.parametrize(("share", "held"), [(1.31, False), (1.29, True), (0.69, False)])
 def test_load_friction_holds_a_weight_within_its_share(share, held):
-    """M (a + g) (1 ± 0.3) = force: up where force > 1.3 M g, down where force < 0.7 M g, held in between."""
+    """M (a + g) (1 ± 0.3) = force: up where force > 1.3 M g, down where force <
+    0.7 M g, held in between.
+    """
     weight = 95.0 * 9.81
     t, _, v = push(axis(["load"], vertical=True, mu=0.3), share * weight, 0.0)
     if held:
@@ -200,15 +230,19 @@ def test_load_friction_holds_a_weight_within_its_share(share, held):
 @pytest.mark.parametrize(
     ("values", "vertical", "motions", "left_out"),
     [
-        ({"Fr": 30.0}, False, [(1.0, (0.1, 0.2))], ["root"]),  # of two speeds Coulomb and viscous friction say all
+        # of two speeds Coulomb and viscous friction say all
+        ({"Fr": 30.0}, False, [(1.0, (0.1, 0.2))], ["root"]),
         ({"Fr": 30.0}, False, [(1.0, (0.05, 0.1, 0.2))], []),
-        ({"mu": 0.2}, True, [(0.1,)], ["load"]),  # of a weight that hardly accelerates it is Coulomb friction
+        # of a weight that hardly accelerates it is Coulomb friction
+        ({"mu": 0.2}, True, [(0.1,)], ["load"]),
         ({"mu": 0.2}, True, [(4.0,)], []),
         ({"Fr": 30.0, "mu": 0.2}, True, [(0.1,), (0.1,)], ["root", "load"]),
         ({"Fr": 30.0, "mu": 0.2}, True, [(4.0,), (4.0, (0.05, 0.15))], []),
     ],
 )
-def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(values, vertical, motions, left_out):
+def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(
+    values, vertical, motions, left_out
+):
     kinds = [{"Fr": "root", "mu": "load"}[name] for name in values]
     robot = axis(["viscous", "coulomb", *kinds], vertical=vertical, Fv=100.0, Fc=20.0, **values)
     made = [two_speeds(robot, *motion) for motion in motions]
@@ -223,15 +257,25 @@ def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(values, vertic
 
 
 @pytest.mark.parametrize(
-    ("values", "told"), [({"Fv": 30.0, "Fc": 5.0, "Fa": 90.0}, True), ({"Fv": -30.0, "Fc": 10.0, "Fr": 80.0}, False)]
+    ("values", "told"),
+    [({"Fv": 30.0, "Fc": 5.0, "Fa": 90.0}, True), ({"Fv": -30.0, "Fc": 10.0, "Fr": 80.0}, False)],
 )
 def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_not(values, told):
-    """|v| beyond viscous friction drives backward; viscous friction below zero beside a larger root does not."""
+    """|v| beyond viscous friction drives backward; viscous friction below zero beside
+    a larger root does not.
+    """
     robot = axis(["viscous", "coulomb", "asymmetric", "root"], **values)
-    fit = with_consistent(identify_ls(moved(robot, 2), Overrides(torque_lag_s="none", edges="smooth")))
+    fit = with_consistent(
+        identify_ls(moved(robot, 2), Overrides(torque_lag_s="none", edges="smooth"))
+    )
     line, made = fit.trust.line("physical"), fit.consistent_set
-    assert (line.level == "do not use") == ("friction would drive joint axis at -" in line.text) == told
-    # What the verdict has nothing against, the consistent set leaves as it is, and the other way round.
+    assert (
+        (line.level == "do not use")
+        == ("friction would drive joint axis at -" in line.text)
+        == told
+    )
+    # What the verdict has nothing against, the consistent set leaves as it is, and
+    # the other way round.
     assert made.chi_squared == fit.trust.line("consistent").value
     assert (np.abs(made.moves).max() > 1) == told
     power = recorded_power([one.problem for one in fit.recordings], made.beta)
@@ -242,8 +286,13 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
 
 
 def test_friction_of_its_own_is_judged_in_its_own_recording():
-    """Viscous friction below zero that Coulomb friction makes up for, once; that of two recordings added up would drive."""
-    x = [fourier_reference(axis(USUAL[:2]), period_s=6.0, seed=seed).at(np.arange(0.0, 6.0, 1e-3)) for seed in (2, 3)]
+    """Viscous friction below zero that Coulomb friction makes up for, once; that of two
+    recordings added up would drive.
+    """
+    x = [
+        fourier_reference(axis(USUAL[:2]), period_s=6.0, seed=seed).at(np.arange(0.0, 6.0, 1e-3))
+        for seed in (2, 3)
+    ]
     fastest = min(np.abs(dq).max() for _, dq, _ in x)
     robot = axis(["viscous", "coulomb", "root"], Fv=-14.0 / fastest, Fc=20.0, Fr=5.0)
     own = msgspec.structs.replace(robot.identification, own=("Fv",))
@@ -272,8 +321,14 @@ bandwidth_hz = 5
 
 
 def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(tmp_path):
-    """Stribeck friction at a speed far beyond the motion is Coulomb friction; tasks in other processes know it too."""
-    text = described("scara", [["viscous", "coulomb", "stribeck"], USUAL[:2]]).files["robot.toml"].decode()
+    """Stribeck friction at a speed far beyond the motion is Coulomb friction; tasks in other
+    processes know it too.
+    """
+    text = (
+        described("scara", [["viscous", "coulomb", "stribeck"], USUAL[:2]])
+        .files["robot.toml"]
+        .decode()
+    )
     text = text.replace("stribeck_speed_deg_s = 20", "stribeck_speed_deg_s = 20000")
     robot = robot_from_files({"robot.toml": text.encode()}, "scara.toml")
     sources = []
@@ -291,8 +346,14 @@ def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(tmp_path)
     ("values", "changed"),
     [
         ({"a": {"friction": ["load"]}}, {'[\n    "root", # a remark\n]': '["load"]'}),
-        ({"a": {"speed": 2.5, "viscous": None}}, {"speed = 3 #": "speed = 2.5 #", "  viscous": "#   viscous"}),
-        ({"a": {"offset": None}, "b": {"unit": "N m", "gain": 2}}, {'"b"\n': '"b"\ngain = 2\nunit = "N m"\n'}),
+        (
+            {"a": {"speed": 2.5, "viscous": None}},
+            {"speed = 3 #": "speed = 2.5 #", "  viscous": "#   viscous"},
+        ),
+        (
+            {"a": {"offset": None}, "b": {"unit": "N m", "gain": 2}},
+            {'"b"\n': '"b"\ngain = 2\nunit = "N m"\n'},
+        ),
         ({"a": {"friction": None}}, None),  # the lines after the first remain
         ({"b": {"bandwidth_hz": 1.0}}, None),  # it is not of the joint
         ({"c": {"speed": 1.0}}, None),
@@ -325,15 +386,22 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
 
 def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
     signals = signals_of(tx40)
-    thin = {x: lowpass(getattr(signals, x), 200.0, signals.sample_rate_hz)[::10] for x in ("q", "effort")}
-    signals = dataclasses.replace(signals, **thin, t_s=signals.t_s[::10], sample_rate_hz=signals.sample_rate_hz / 10)
+    thin = {
+        x: lowpass(getattr(signals, x), 200.0, signals.sample_rate_hz)[::10]
+        for x in ("q", "effort")
+    }
+    signals = dataclasses.replace(
+        signals, **thin, t_s=signals.t_s[::10], sample_rate_hz=signals.sample_rate_hz / 10
+    )
     choice = select_friction(signals, Overrides())
     terms = choice.recommended.terms
     assert "load" in terms[2]
     assert sum("root" in more for more in terms) >= 4
     assert choice.usual.held_out_error_percent > 5.9
     assert choice.recommended.held_out_error_percent < 4.4
-    fit = identify_ls(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides())
+    fit = identify_ls(
+        dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides()
+    )
     assert fit.errors[2].moving_relative_error_percent < 3.2
     mu = fit.estimate.names.index("mu3")
     assert fit.beta[mu] == pytest.approx(0.32, abs=0.01)

@@ -1,4 +1,6 @@
-"""Drive gains and payloads of a fit: exact rows, noise, the scale by other means than a payload, and bad input."""
+"""Drive gains and payloads of a fit: exact rows, noise, the scale by other means than a
+payload, and bad input.
+"""
 
 import json
 import re
@@ -41,7 +43,9 @@ def with_reference(*signals):
 
 
 def exact(observed, case):
-    """The same recordings with the torques of the true parameters along the filtered motion, by the described gains."""
+    """The same recordings with the torques of the true parameters along the filtered motion,
+    by the described gains.
+    """
     found = []
     for problem, replayed in zip(observed.problems, observed.replays, strict=True):
         robot, signals = problem.signals.robot, problem.signals
@@ -53,7 +57,12 @@ def exact(observed, case):
         torque = predicted_torque(motion, problem.model, problem.base, beta)
         effort = (np.linalg.solve(robot.R.T, torque.T).T * robot.gain / case.gains) @ robot.R
         signals = replace(signals, effort=effort)
-        problem = replace(problem, signals=signals, recorded=signals, motion=problem.motion.with_torque_of(signals))
+        problem = replace(
+            problem,
+            signals=signals,
+            recorded=signals,
+            motion=problem.motion.with_torque_of(signals),
+        )
         found.append((problem, rows_of_recording(problem), replayed))
     return equations_of(observed.recordings, observed.overrides, found, observed.order)
 
@@ -85,7 +94,9 @@ def test_a_known_torque_tells_the_scale_without_a_payload(robot, push):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Recordings as files: free, loaded, free2 (the bare arm again), by the SCARA; free_true and loaded_true by true gains."""
+    """Recordings as files: free, loaded, free2 (the bare arm again), by the SCARA; free_true and
+    loaded_true by true gains.
+    """
     path = tmp_path_factory.mktemp("gains")
     free, loaded = planned_pair(WHITE)
     for name, one in (("free", free), ("loaded", loaded), ("free2", planned(WHITE, None, 2))):
@@ -104,7 +115,16 @@ def folder(tmp_path_factory):
 
 
 def run_fit(folder, names, *options):
-    return main(["fit", *(str(folder / f"{name}.mcap") for name in names.split()), "--workers", "1", "--all", *options])
+    return main(
+        [
+            "fit",
+            *(str(folder / f"{name}.mcap") for name in names.split()),
+            "--workers",
+            "1",
+            "--all",
+            *options,
+        ]
+    )
 
 
 STATED = "2@0.05,0.02,0"
@@ -113,11 +133,16 @@ STATED = "2@0.05,0.02,0"
 @pytest.mark.parametrize(
     ("names", "options", "status", "words"),
     [
-        ("free loaded", ["--gains", f"--payload=free={STATED}", "--payload=loaded=none"], 3, "all drive gains are negative"),
-        ("free_true loaded_true", ["--gains", "--payload=loaded_true=1"], 0, "caution: gains: drive gains are 0.49"),
-        ("free free2", ["--gains", f"--payload=free2={STATED}"], 3, "do not use: gains: no drive gain is usable"),
-        ("light_free light_loaded", ["--gains"], 3, "do not use: gains: no drive gain is usable (motor_1 ±"),
-        ("torque_free torque_loaded", ["--gains"], 0, "all are 1 N m per unit: the recorded effort is a torque already"),
+        ("free loaded", ["--gains", f"--payload=free={STATED}", "--payload=loaded=none"], 3,
+         "all drive gains are negative"),
+        ("free_true loaded_true", ["--gains", "--payload=loaded_true=1"], 0,
+         "caution: gains: drive gains are 0.49"),
+        ("free free2", ["--gains", f"--payload=free2={STATED}"], 3,
+         "do not use: gains: no drive gain is usable"),
+        ("light_free light_loaded", ["--gains"], 3,
+         "do not use: gains: no drive gain is usable (motor_1 ±"),
+        ("torque_free torque_loaded", ["--gains"], 0,
+         "all are 1 N m per unit: the recorded effort is a torque already"),
         ("blank_free blank_loaded", ["--gains"], 0, "ok: gains: known to "),
         ("blank_free blank_loaded", [], 3, "do not use: units: "),
     ],
@@ -132,16 +157,26 @@ def test_what_comes_out_of_wrong_pairs(folder, capsys, names, options, status, w
 @pytest.mark.parametrize(
     ("names", "options", "words"),
     [
-        ("free free", ["--gains"], "free.mcap: has the same content as free.mcap: expected each recording once"),
-        ("free loaded", ["--gains", "--payload=loaded=none"], "no recording differs in payload: expected one recording w"),
-        ("loaded", ["--gains"], "loaded.mcap: gains: no recording differs in payload: expected one recording without and "),
-        ("axis_free axis_loaded", ["--gains", "--payload=axis_loaded=2"], "the mass alone does not determine the scale"),
-        ("free loaded", ["--gains", "--payload=loaded=unknown"], "an unknown mass does not determine the scale: weigh it"),
-        ("free loaded", ["--gains", "--method=wls"], "method = 'wls': least squares is biased towards drive gains of 0"),
-        ("free loaded", ["--gains=motor_9"], "robot SCARA: gains = 'motor_9': expected one of motor_1, motor_2"),
-        ("blank_free blank_loaded", ["--gains=motor_1"], "motor motor_2: drive_gain is missing: expected drive_gain, or m"),
-        ("free loaded", ["--gains", "--payload=lodaed=2"], "--payload = 'lodaed=2': expected NAME=KG[@X,Y,Z], NAME=none or"),
-        ("free loaded", ["--gains", "--payload=loaded="], "--payload = 'loaded=': expected NAME=KG[@X,Y,Z]"),
+        ("free free", ["--gains"], "free.mcap: has the same content as free.mcap: expected each "
+                                   "recording once"),
+        ("free loaded", ["--gains", "--payload=loaded=none"],
+         "no recording differs in payload: expected one recording w"),
+        ("loaded", ["--gains"], "loaded.mcap: gains: no recording differs in payload: expected "
+                                "one recording " "without and "),
+        ("axis_free axis_loaded", ["--gains", "--payload=axis_loaded=2"],
+         "the mass alone does not determine the scale"),
+        ("free loaded", ["--gains", "--payload=loaded=unknown"],
+         "an unknown mass does not determine the scale: weigh it"),
+        ("free loaded", ["--gains", "--method=wls"],
+         "method = 'wls': least squares is biased towards drive gains of 0"),
+        ("free loaded", ["--gains=motor_9"], "robot SCARA: gains = 'motor_9': expected one of "
+                                             "motor_1, motor_2"),
+        ("blank_free blank_loaded", ["--gains=motor_1"],
+         "motor motor_2: drive_gain is missing: expected drive_gain, or m"),
+        ("free loaded", ["--gains", "--payload=lodaed=2"],
+         "--payload = 'lodaed=2': expected NAME=KG[@X,Y,Z], NAME=none or"),
+        ("free loaded", ["--gains", "--payload=loaded="],
+         "--payload = 'loaded=': expected NAME=KG[@X,Y,Z]"),
     ],
 )  # fmt: skip
 def test_what_tells_no_scale_is_refused_in_one_line(folder, capsys, names, options, words):
@@ -207,12 +242,18 @@ def test_free_and_loaded_share_the_arm_and_equal_payloads_their_parameters(pair)
 def test_a_lone_loaded_recording_says_whose_parameters_they_are(pair):
     """What is stated of the payload is taken off, the rest stays."""
     loaded = with_gains(pair[1], WHITE.gains, None)
-    for stated, within in ((loaded.payload, slice(0, 6)), (Payload(2.0), slice(0, 9)), (Payload(None), slice(0, 10))):
+    for stated, within in (
+        (loaded.payload, slice(0, 6)),
+        (Payload(2.0), slice(0, 9)),
+        (Payload(None), slice(0, 10)),
+    ):
         fit = identify_ls(replace(loaded, payload=stated), Overrides())
         model, left = fit.problem.model, np.zeros(10)
         left[within] = payload_parameters(model, loaded.payload)[within]
         off = fit.beta - truth_of(fit)
-        assert (np.abs(off - fit.base.K[:, link_columns(model)[-1]] @ left) <= 2 * fit.intervals.half).all()
+        assert (
+            np.abs(off - fit.base.K[:, link_columns(model)[-1]] @ left) <= 2 * fit.intervals.half
+        ).all()
         assert (np.abs(off) > 2 * fit.intervals.half).any()
         assert fit.trust.line("position noise").level == "ok"
         (why,) = [one.why for one in fit.trust.assumed if one.what == "payload"]
@@ -222,7 +263,10 @@ def test_a_lone_loaded_recording_says_whose_parameters_they_are(pair):
 def validated(folder, name, out, *options):
     """Torque error of the fit `out` in percent, and the warnings."""
     found = out.with_suffix(".validated.json")
-    assert main(["validate", str(out), str(folder / f"{name}.mcap"), *options, "--json", str(found)]) == 0
+    assert (
+        main(["validate", str(out), str(folder / f"{name}.mcap"), *options, "--json", str(found)])
+        == 0
+    )
     file = json.loads(found.read_text())
     return file["relative_error_percent"], file["warnings"]
 
@@ -240,7 +284,9 @@ def test_a_payload_that_a_fit_found_is_that_of_its_recording(folder, tmp_path, n
     run_fit(folder, names, *options, "--json", str(out))
     fit = json.loads(out.read_text())
     (of_fit,) = [
-        x["relative_error_percent"] for x in fit.get("recordings", [fit]) if x.get("recording", name).startswith(name)
+        x["relative_error_percent"]
+        for x in fit.get("recordings", [fit])
+        if x.get("recording", name).startswith(name)
     ]
     stated = options if "--payload" in options else []
     error, _ = validated(folder, name, out, *stated)
@@ -250,18 +296,27 @@ def test_a_payload_that_a_fit_found_is_that_of_its_recording(folder, tmp_path, n
         assert validated(folder, name, out, "--payload", other)[0] > 1.5 * of_fit
 
 
-def test_a_payload_is_that_of_the_option_where_the_description_of_the_fit_is_used(folder, tmp_path, capsys):
+def test_a_payload_is_that_of_the_option_where_the_description_of_the_fit_is_used(
+    folder, tmp_path, capsys
+):
     toml, out = tmp_path / "offset.toml", tmp_path / "fit.json"
     text = with_gains(planned(WHITE, None, 0), WHITE.gains, None).robot.files["robot.toml"].decode()
     toml.write_text(text.replace('name = "shoulder"\n', 'name = "shoulder"\noffset = true\n'))
     assert run_fit(folder, "free_true", "--robot", str(toml), "--json", str(out)) == 0
     errors = []
     for payload in ("2@0.05,0.02,0", "none", "2@0.3,0.3,0"):
-        error, warnings = validated(folder, "loaded_true", out, "--payload", f"loaded_true={payload}")
-        assert any("its description does not have the parameters of the fit (Off1)" in text for text in warnings)
+        error, warnings = validated(
+            folder, "loaded_true", out, "--payload", f"loaded_true={payload}"
+        )
+        assert any(
+            "its description does not have the parameters of the fit (Off1)" in text
+            for text in warnings
+        )
         errors.append(error)
     assert errors[0] < errors[1] != errors[2] > errors[0]
-    told = refused(capsys, "validate", out, folder / "loaded_true.mcap", "--payload", "loaded_true=unknown")
+    told = refused(
+        capsys, "validate", out, folder / "loaded_true.mcap", "--payload", "loaded_true=unknown"
+    )
     assert "payload = 'unknown mass, centre of mass not stated': expected its mass" in told
 
 
@@ -278,7 +333,9 @@ def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
     fit = fit_with_gains(replace(free, payload=loaded.payload), replace(loaded, payload=None))
     line = fit.trust.line("fixed point")
     assert (line.level, fit.trust.verdict) == ("caution", "do not use")
-    assert line.text.startswith("drive gains by the measured motion: no robot is simulated with these: ")
+    assert line.text.startswith(
+        "drive gains by the measured motion: no robot is simulated with these: "
+    )
     assert (fit.gains.values < 0).all()
 
 
@@ -286,7 +343,10 @@ def test_consistent_parameters_need_no_described_gain(folder, capsys, tmp_path):
     out = tmp_path / "k.json"
     assert run_fit(folder, "blank_free blank_loaded", "--consistent") == 1
     assert "motor[0].drive_gain is missing" in capsys.readouterr().err
-    assert run_fit(folder, "blank_free blank_loaded", "--gains", "--consistent", "--json", str(out)) == 0
+    assert (
+        run_fit(folder, "blank_free blank_loaded", "--gains", "--consistent", "--json", str(out))
+        == 0
+    )
     found = {one["name"]: one for one in json.loads(out.read_text())["standard_parameters"]}
     assert found["ZZ2"]["value"] == pytest.approx(0.061, abs=0.01)
 
@@ -300,11 +360,16 @@ def test_files_of_a_fit_with_gains(folder, tmp_path):
         assert abs(one["value"] - true) <= one["half_width"]
     (payload,) = found["payloads"]
     assert (payload["recording"], payload["stated"]) == ("blank_loaded.mcap", "2.0@0.05,0.02,0.0")
-    assert sorted(tmp_path.glob("*.rrd")) == [tmp_path / "k_blank_free.rrd", tmp_path / "k_blank_loaded.rrd"]
+    assert sorted(tmp_path.glob("*.rrd")) == [
+        tmp_path / "k_blank_free.rrd",
+        tmp_path / "k_blank_loaded.rrd",
+    ]
     assert main(["export", str(out), "--toml", str(toml)]) == 0
     described = load_robot(toml).motors
     assert [motor.drive_gain for motor in described] == [one["value"] for one in found["gains"]]
-    assert [motor.drive_gain_half_width for motor in described] == [one["half_width"] for one in found["gains"]]
+    assert [motor.drive_gain_half_width for motor in described] == [
+        one["half_width"] for one in found["gains"]
+    ]
 
 
 @pytest.mark.parametrize(
@@ -333,10 +398,14 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
 
 
 def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, monkeypatch):
-    """By the measured motion, with rows that are held, only the beginnings would be fitted; and gains below zero likewise."""
+    """By the measured motion, with rows that are held, only the beginnings would be fitted; and
+    gains below zero likewise.
+    """
     free, loaded = with_reference(*pair)
     exchanged = replace(free, payload=loaded.payload), replace(loaded, payload=None)
     monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
     for signals in (pair, exchanged):
-        with pytest.raises(BadInputError, match="too long to identify gains without a simulated robot"):
+        with pytest.raises(
+            BadInputError, match="too long to identify gains without a simulated robot"
+        ):
             fit_with_gains(*signals)

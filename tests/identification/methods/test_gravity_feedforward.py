@@ -1,4 +1,6 @@
-"""The commonest law of arms: a PD, and gravity at the measured position; simulated by pinocchio alone."""
+"""The commonest law of arms: a PD, and gravity at the measured position;
+simulated by pinocchio alone.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -28,7 +30,9 @@ ROTOR, VISCOUS, COULOMB = (
 
 @cache
 def recorded() -> Signals:
-    """A PD with speed and gravity fed forward, described with all its gains but without its bandwidth."""
+    """A PD with speed and gravity fed forward, described with all its gains but
+    without its bandwidth.
+    """
     model = pin.buildModelFromUrdf(str(UR5))
     model.armature = ROTOR
     data, rng, n = model.createData(), np.random.default_rng(3), model.nv
@@ -51,17 +55,22 @@ def recorded() -> Signals:
         before = seen
         rows.append((seen, tau))
         for _ in range(4):
-            v = v + pin.aba(model, data, q, v, tau - VISCOUS * v - COULOMB * np.tanh(v / 0.005)) / (4 * RATE_HZ)
+            v = v + pin.aba(model, data, q, v, tau - VISCOUS * v - COULOMB * np.tanh(v / 0.005)) / (
+                4 * RATE_HZ
+            )
             q = q + v / (4 * RATE_HZ)
     measured, effort = (np.array(x) for x in zip(*rows, strict=True))
     effort += 0.005 * effort.std(axis=0) * rng.standard_normal(effort.shape)
     controller = Controller(
-        structure="pd_velocity_feedforward", sample_rate_hz=RATE_HZ, position_gain=tuple(kp), velocity_gain=tuple(kd),
-        velocity_estimate="backward_difference", gravity_feedforward=True, bandwidth_hz=BANDWIDTH_HZ,
+        structure="pd_velocity_feedforward", sample_rate_hz=RATE_HZ, position_gain=tuple(kp),
+        velocity_gain=tuple(kd),
+        velocity_estimate="backward_difference", gravity_feedforward=True,
+        bandwidth_hz=BANDWIDTH_HZ,
     )  # fmt: skip
     robot = replace(robot_of_chain(read_chain(UR5)), controller=controller)
     return Signals(
-        t_s=t[:, 0], q=measured, q_ref=q_ref, effort=effort, sample_rate_hz=RATE_HZ, robot=robot, recording="ur5",
+        t_s=t[:, 0], q=measured, q_ref=q_ref, effort=effort, sample_rate_hz=RATE_HZ, robot=robot,
+        recording="ur5",
         effort_timing="command",
     )  # fmt: skip
 
@@ -96,7 +105,9 @@ def test_the_law_adds_gravity_at_the_measured_position():
         control = Control(model, loop, q, still)
         control.take(Reference(q[None] + 0.01, still[None], still[None]))
         torques.append(control.torque(0, q, still))
-    np.testing.assert_allclose(torques[1] - torques[0], model.gravity(q[None])[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        torques[1] - torques[0], model.gravity(q[None])[0], rtol=1e-12, atol=1e-12
+    )
 
 
 def test_computed_torque_has_gravity_by_itself(tmp_path):

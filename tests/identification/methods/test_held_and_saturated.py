@@ -1,4 +1,6 @@
-"""Instrumental variables where a joint is held, where a drive is saturated, and where the reference is of another recording."""
+"""Instrumental variables where a joint is held, where a drive is saturated, and where the reference
+is of another recording.
+"""
 
 import dataclasses
 from functools import cache
@@ -8,7 +10,14 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 from independent_robots import plant
-from independent_simulator import Imperfections, Reference, Runs, described_controller, references, simulate
+from independent_simulator import (
+    Imperfections,
+    Reference,
+    Runs,
+    described_controller,
+    references,
+    simulate,
+)
 
 from acquisition.robot import Joint, Robot
 from identification.data import Signals
@@ -22,7 +31,9 @@ CELL = Imperfections(encoder_noise=2e-5, encoder_step=1e-5, torque_noise_percent
 
 @cache
 def simulated(saturation: tuple[float, float] | None) -> Runs:
-    """6 s of the SCARA, friction close to dry, three times: as it is, and with one of its joints held by its reference."""
+    """6 s of the SCARA, friction close to dry, three times: as it is, and with one of its joints
+    held by its reference.
+    """
     body = plant(REPLAY / "scara" / "robot.toml", smooth=0.0005)
     path = references(body, range(6, 7), duration_s=6.0, rate_hz=1000.0)
     q, dq, ddq = (np.repeat(x, 1 if saturation else 3, axis=0) for x in (path.q, path.dq, path.ddq))
@@ -35,7 +46,9 @@ def simulated(saturation: tuple[float, float] | None) -> Runs:
     return simulate(body, controller, Reference(q=q, dq=dq, ddq=ddq), CELL)
 
 
-def recorded(limits: tuple[float, float] | None = None, *, held: int = -1, saturates: bool = False) -> Signals:
+def recorded(
+    limits: tuple[float, float] | None = None, *, held: int = -1, saturates: bool = False
+) -> Signals:
     """A run whose drives are described with limits in N m."""
     return simulated(limits if saturates else None).signals(scara(limits), 1 + held)
 
@@ -56,9 +69,13 @@ def refusal(signals: Signals) -> str:
 
 @pytest.mark.parametrize("held", [0, 1])
 def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
-    """The heavy shoulder hardly moves: its friction, which is not dry at 1 mrad/s, is not looked at. The elbow is pushed."""
+    """The heavy shoulder hardly moves: its friction, which is not dry at 1 mrad/s, is not looked
+    at. The elbow is pushed.
+    """
     signals = recorded(held=held)
-    fit = identify_iv(dataclasses.replace(signals, effort_timing="command"), Overrides(), Iteration())
+    fit = identify_iv(
+        dataclasses.replace(signals, effort_timing="command"), Overrides(), Iteration()
+    )
     assert fit.status == "converged"
     idm = InverseModel(signals.robot)
     off = np.abs(fit.beta - described_parameters(idm, base_parameters(idm))) / fit.intervals.half
@@ -67,9 +84,14 @@ def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
     errors = [joint.position_error_percent for joint in fit.iv.direct]
     assert errors[held] is None
     assert errors[1 - held] < 1.0
-    # The shoulder creeps, where friction is no longer dry: nobody is to take its values for those of motion.
-    cautions = [line.text for line in fit.trust.lines if line.test == "motion" and line.level == "caution"]
-    assert [text.split(":")[0] for text in cautions] == (["joint shoulder does not move"] if held == 0 else [])
+    # The shoulder creeps, where friction is no longer dry: nobody is to take its values
+    # for those of motion.
+    cautions = [
+        line.text for line in fit.trust.lines if line.test == "motion" and line.level == "caution"
+    ]
+    assert [text.split(":")[0] for text in cautions] == (
+        ["joint shoulder does not move"] if held == 0 else []
+    )
 
 
 def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
@@ -77,8 +99,11 @@ def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
     signals = recorded(limits, saturates=True)
     fit = identify_iv(signals, Overrides(), Iteration())
     share = 100 * (np.abs(signals.effort[:, 0]) > 0.995 * limits[0]).mean()
-    assert fit.iv.saturated_percent == pytest.approx(share, abs=5)  # those between first and last motion count
-    assert f"motor_1 (38 N m) in {fit.iv.saturated_percent:.1f} % of the samples" in " ".join(fit.warnings)
+    # those between first and last motion count
+    assert fit.iv.saturated_percent == pytest.approx(share, abs=5)
+    assert f"motor_1 (38 N m) in {fit.iv.saturated_percent:.1f} % of the samples" in " ".join(
+        fit.warnings
+    )
     # A limit that is not stated is found, but the simulated drives would not have it.
     unknown = refusal(dataclasses.replace(signals, robot=scara()))
     assert "drive of motor_1 saturates at 38" in unknown
@@ -96,7 +121,8 @@ NEVER_REACHED = (1000.0, 1000.0)  # saturation is no excuse
         (-1, lambda r: r * [1.0, np.pi / 180], NEVER_REACHED),  # one joint in other units
         (-1, lambda r: r * [1.0, 180 / np.pi], NEVER_REACHED),
         (1, lambda r: r[::-1], None),
-        (-1, lambda r: recorded(held=1).q_ref, None),  # the reference of the elbow stands, and it moves
+        # the reference of the elbow stands, and it moves
+        (-1, lambda r: recorded(held=1).q_ref, None),
     ],
 )
 def test_a_foreign_reference_is_refused(held, changed, limits):
@@ -117,5 +143,9 @@ def test_travel_is_compared_among_joints_of_a_type():
     first = robot_named("scara").joints[0]
     slide = Joint(name="slide", type="prismatic")
     joints = [first, slide, first, slide]
-    np.testing.assert_array_equal(largest_of_type(np.array([1.0, 0.2, 0.0, 0.3]), joints), [1.0, 0.3, 1.0, 0.3])
-    np.testing.assert_array_equal(largest_of_type(np.array([1.0, 0.0, 2.0, 0.0]), joints), [2.0, 2.0, 2.0, 2.0])
+    np.testing.assert_array_equal(
+        largest_of_type(np.array([1.0, 0.2, 0.0, 0.3]), joints), [1.0, 0.3, 1.0, 0.3]
+    )
+    np.testing.assert_array_equal(
+        largest_of_type(np.array([1.0, 0.0, 2.0, 0.0]), joints), [2.0, 2.0, 2.0, 2.0]
+    )

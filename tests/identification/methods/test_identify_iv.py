@@ -1,4 +1,6 @@
-"""Instrumental variables: on the real recordings, on simulated robots with known parameters, and where things go wrong."""
+"""Instrumental variables: on the real recordings, on simulated robots with known parameters, and
+where things go wrong.
+"""
 
 import dataclasses
 import json
@@ -17,7 +19,13 @@ from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import BadInputError, RobotIdimError
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters, described_parameters, direct_model, why_not_positive
+from identification.model import (
+    InverseModel,
+    base_parameters,
+    described_parameters,
+    direct_model,
+    why_not_positive,
+)
 from identification.regression import Overrides
 from identification.simulation import recorded_loop
 from identification.study import Noise, closed_loop, random_reference
@@ -31,10 +39,16 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 
 def test_emps_converges_from_anywhere_to_the_same_answer(emps):
-    light = Iteration(start="given", values=lambda base: np.array([1.0 * (name == "M1") for name in base.names]))
+    light = Iteration(
+        start="given", values=lambda base: np.array([1.0 * (name == "M1") for name in base.names])
+    )
     fits = [identify_iv(signals_of(emps), Overrides(), light), iv_of(emps)]
     for fit in fits:
-        assert (fit.status, fit.iv.reference, fit.iv.controller) == ("converged", "recorded", "described")
+        assert (fit.status, fit.iv.reference, fit.iv.controller) == (
+            "converged",
+            "recorded",
+            "described",
+        )
         assert len(fit.iv.passes) <= 4
         np.testing.assert_allclose(fit.beta, fits[0].beta, rtol=5e-4)
     half = fits[0].intervals.high - fits[0].beta
@@ -46,16 +60,23 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     fit, ls = iv_of(tx40), ls_of(tx40)
     assert (fit.status, len(fit.beta)) == ("converged", 60)
     assert len(fit.iv.passes) <= 4
-    assert (fit.iv.reference, fit.iv.controller, fit.iv.start) == ("surrogate", "surrogate", "regular")
+    assert (fit.iv.reference, fit.iv.controller, fit.iv.start) == (
+        "surrogate",
+        "surrogate",
+        "regular",
+    )
     assert any("not strictly exogenous" in text for text in fit.warnings)
-    inertial = [i for i, name in enumerate(fit.base.names) if not name.startswith(("Fv", "Fc", "Off"))]
+    inertial = [
+        i for i, name in enumerate(fit.base.names) if not name.startswith(("Fv", "Fc", "Off"))
+    ]
     assert (np.abs(fit.beta - ls.beta)[inertial] < 1.5 * ls.intervals.half[inertial]).all()
     assert fit.iv.tests.first_stage_F > 10
 
 
 def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the_reference(tx40):
     fit = identify_iv(signals_of(tx40), Overrides(), Iteration(gain_update=False))
-    # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference does the method go on.
+    # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference
+    # does the method go on.
     first = fit.iv.passes[0]
     assert first.z.kind == "reference"
     assert "the simulated robot leaves its reference at joint 6" in first.z.reason
@@ -86,7 +107,10 @@ def simulated(noise: Noise) -> tuple[Signals, np.ndarray]:
 def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     """The wrong filter is none."""
     signals, true = simulated(Noise(position=1e-4, effort_percent=2.0))
-    ls, iv = identify_ls(signals, Overrides(cutoff_hz=0, low_speed_percent=0.0)), identify_iv(signals, RAW, Iteration())
+    ls, iv = (
+        identify_ls(signals, Overrides(cutoff_hz=0, low_speed_percent=0.0)),
+        identify_iv(signals, RAW, Iteration()),
+    )
     assert iv.status == "converged"
     assert error_percent(ls.beta, true) > 2
     assert error_percent(iv.beta, true) < 0.5
@@ -96,9 +120,12 @@ def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
 
 
 def test_recordings_of_few_samples_are_fitted():
-    """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered are shorter than borders."""
+    """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered
+    are shorter than borders.
+    """
     signals, true = simulated(Noise(position=1e-6, effort_percent=1.0))
-    thinned = {name: getattr(signals, name)[::25] for name in SERIES}  # the controller still runs at the full rate
+    # the controller still runs at the full rate
+    thinned = {name: getattr(signals, name)[::25] for name in SERIES}
     slow = dataclasses.replace(signals, sample_rate_hz=40.0, **thinned)
     short = dataclasses.replace(signals, **{k: getattr(signals, k)[3000:4250] for k in SERIES})
     for few, overrides, most in ((slow, Overrides(), 5), (short, RAW, 10)):
@@ -114,9 +141,13 @@ def test_recordings_of_few_samples_are_fitted():
 
 def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_called_converged():
     signals, right = signals_of(SCARA), iv_of(SCARA)
-    inertia = direct_model(right.problem.model, right.base.standard_parameters(right.beta)).inertia(signals.q[::500])
+    inertia = direct_model(right.problem.model, right.base.standard_parameters(right.beta)).inertia(
+        signals.q[::500]
+    )
     assert why_not_positive(inertia) is None
-    fit = identify_iv(dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration())
+    fit = identify_iv(
+        dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration()
+    )
     assert fit.status == "not_confirmed"
     assert "inertia matrix is not positive" in fit.iv.reason
     assert all(p.z.kind != "simulated" or p.z.reason is None for p in fit.iv.passes)
@@ -129,13 +160,22 @@ def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_
     assert (fit.iv.passes[0].z.gains >= 1 / J - 1e-9).all()
 
 
-@pytest.mark.parametrize(("most", "tolerance", "settled"), [(1, 1.0, None), (2, 1e-9, False), (2, 30.0, True)])
+@pytest.mark.parametrize(
+    ("most", "tolerance", "settled"), [(1, 1.0, None), (2, 1e-9, False), (2, 30.0, True)]
+)
 def test_too_few_passes_are_called_what_they_are(most, tolerance, settled):
-    """One pass on the parameters hardly change; held to a tolerance that nothing meets, they do not settle either."""
-    fit = identify_iv(signals_of(SCARA), Overrides(), Iteration(max_iterations=most, tolerance_percent=tolerance))
+    """One pass on the parameters hardly change; held to a tolerance that nothing meets,
+    they do not settle either.
+    """
+    fit = identify_iv(
+        signals_of(SCARA), Overrides(), Iteration(max_iterations=most, tolerance_percent=tolerance)
+    )
     assert (fit.iv.reason is None) == (settled is True)
     if settled is None:
-        assert (fit.status, fit.iv.reason) == ("max_iterations", "after 1 passes only the start is known")
+        assert (fit.status, fit.iv.reason) == (
+            "max_iterations",
+            "after 1 passes only the start is known",
+        )
     else:
         assert fit.iv.passes[-1].residual_settled == settled
 
@@ -169,13 +209,24 @@ def test_command_line(capsys, tmp_path):
     assert "passes from start: regular" in capsys.readouterr().out
     fit = json.loads(out.read_text())
     assert (fit["status"], fit["reference"], fit["method"]) == ("converged", "recorded", "iv")
-    keys = {"residual_norm", "largest_change_sigma", "gains", "tracking_error_percent", "condition_number_ztw"}
+    keys = {
+        "residual_norm",
+        "largest_change_sigma",
+        "gains",
+        "tracking_error_percent",
+        "condition_number_ztw",
+    }
     assert all(keys <= set(p) for p in fit["iterations"])
     # From its own result the method is settled in the pass after the start.
-    assert main(["fit", str(SCARA), "--method", "iv", "--start", str(out), "--json", str(again)]) == 0
+    assert (
+        main(["fit", str(SCARA), "--method", "iv", "--start", str(out), "--json", str(again)]) == 0
+    )
     assert len(json.loads(again.read_text())["iterations"]) <= 2
     other.write_text(out.read_text().replace("ZZ1R", "XX9"))
-    for start, words in ((other, "parameters = 'XX9': expected those of"), ("nowhere.json", "cannot be read")):
+    for start, words in (
+        (other, "parameters = 'XX9': expected those of"),
+        ("nowhere.json", "cannot be read"),
+    ):
         assert words in refused(capsys, "fit", SCARA, "--method", "iv", "--start", start)
 
 
@@ -188,7 +239,9 @@ def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
     assert (summaries["iv"]["runs"], summaries["iv"]["coverage_percent"]) == (0, None)
     assert (tmp_path / "s.html").stat().st_size > 1000
     told = refused(capsys, "study", robot, "--runs", "2", "--rate-hz", "500")
-    assert "no run can be fitted: robot SCARA: controller.sample_rate_hz = 1000: expected 500" in told
+    assert (
+        "no run can be fitted: robot SCARA: controller.sample_rate_hz = 1000: expected 500" in told
+    )
 
 
 def test_a_robot_whose_law_nobody_tells_is_simulated_with_a_surrogate(monkeypatch):
@@ -197,5 +250,9 @@ def test_a_robot_whose_law_nobody_tells_is_simulated_with_a_surrogate(monkeypatc
     law = dict.fromkeys(("structure", "position_gain", "velocity_gain", "sample_rate_hz"))
     bare = dataclasses.replace(robot, controller=msgspec.structs.replace(robot.controller, **law))
     fit = identify_iv(load_signals(SCARA, bare), Overrides(), Iteration())
-    assert (fit.status, fit.iv.controller, fit.iv.reference) == ("converged", "surrogate", "recorded")
+    assert (fit.status, fit.iv.controller, fit.iv.reference) == (
+        "converged",
+        "surrogate",
+        "recorded",
+    )
     assert any("simulated with a 5 Hz PD" in text for text in fit.warnings)

@@ -15,8 +15,12 @@ from identification.model import InverseModel, base_parameters, described_parame
 from identification.regression import Motion, Overrides, decimation_rule, make_settings
 
 
-def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
-    """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
+def exact_motion(
+    model: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int
+) -> Motion:
+    """Motion along a random exciting reference, with the torques of the inverse dynamic model;
+    no controller, no noise.
+    """
     t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
     q, dq, ddq = fourier_reference(model.robot, period_s=duration_s, seed=seed).at(t_s)
     tau = model.regressor(q, dq, ddq) @ described_chi(model)
@@ -25,13 +29,21 @@ def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: floa
 
 @pytest.mark.parametrize(
     ("name", "count", "solve"),
-    [("scara", 8, ordinary_least_squares), ("scara", 8, weighted_least_squares), ("tx40", 60, weighted_least_squares)],
+    [
+        ("scara", 8, ordinary_least_squares),
+        ("scara", 8, weighted_least_squares),
+        ("tx40", 60, weighted_least_squares),
+    ],
 )
 def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=50.0, seed=4)
-    W = dynamics.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns].transpose(1, 0, 2).reshape(-1, base.b)
+    W = (
+        dynamics.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns]
+        .transpose(1, 0, 2)
+        .reshape(-1, base.b)
+    )
     joint_of_row = np.repeat(np.arange(motion.q.shape[1]), len(motion.q))
     estimate = solve(System.whole(W, motion.tau.T.reshape(-1), joint_of_row, base.names))
     true = described_parameters(dynamics, base)
@@ -53,8 +65,12 @@ def test_parameters_that_cannot_be_told_apart_are_named():
     rng = np.random.default_rng(2)
     W = rng.normal(size=(200, 4))
     W[:, 2] = 2 * W[:, 0]
-    problem = System.whole(W, rng.normal(size=200), np.zeros(200, dtype=int), ("ZZ1R", "Ia1", "Fv1", "Fc1"))
-    with pytest.raises(NoFitError, match=r"rank 3 for 4 parameters; not distinguishable: ZZ1R, Fv1$"):
+    problem = System.whole(
+        W, rng.normal(size=200), np.zeros(200, dtype=int), ("ZZ1R", "Ia1", "Fv1", "Fc1")
+    )
+    with pytest.raises(
+        NoFitError, match=r"rank 3 for 4 parameters; not distinguishable: ZZ1R, Fv1$"
+    ):
         ordinary_least_squares(problem)
 
 
@@ -76,7 +92,8 @@ def test_signals_that_are_not_finite_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "bandwidth_hz", "n_d"), [(1000, 20, 10), (5000, 10, 100), (1000, 10, 20), (100, 40, 1), (3400, 20, 33)]
+    ("rate_hz", "bandwidth_hz", "n_d"),
+    [(1000, 20, 10), (5000, 10, 100), (1000, 10, 20), (100, 40, 1), (3400, 20, 33)],
 )
 def test_decimation_follows_the_rule(rate_hz, bandwidth_hz, n_d):
     assert decimation_rule(rate_hz, bandwidth_hz) == n_d
@@ -119,4 +136,8 @@ def test_the_default_span_is_that_of_motion_and_a_tracking_phase_goes_before_it(
     everything = make_settings(padded, Overrides(span="all"))
     assert (everything.start, everything.stop) == (100, len(padded.q) - 100)
     tracked = make_settings(dataclasses.replace(padded, track=(3000, 9000)), Overrides())
-    assert (tracked.start, tracked.stop, tracked.span) == (3000, 9000, "the recording's tracking phase")
+    assert (tracked.start, tracked.stop, tracked.span) == (
+        3000,
+        9000,
+        "the recording's tracking phase",
+    )

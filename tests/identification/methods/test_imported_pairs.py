@@ -1,4 +1,6 @@
-"""Tables of made-up data whose torques are early, imported: the fit of one finds the lag, and another is validated with it."""
+"""Tables of made-up data whose torques are early, imported: the fit of one finds the lag, and
+another is validated with it.
+"""
 
 import json
 from pathlib import Path
@@ -18,7 +20,9 @@ TOML = REPLAY / "emps" / "robot.toml"
 LATE_S = -0.8e-3  # torques are recorded that early, and no table says so
 COLUMNS = {"position": ("q", "m"), "reference": ("r", "m"), "effort": ("v", "V")}
 EMPS_MAP = '[time]\ncolumn = "t"\n'
-EMPS_MAP += "".join(f'[{key}]\ncolumns = ["{name}"]\nunit = "{unit}"\n' for key, (name, unit) in COLUMNS.items())
+EMPS_MAP += "".join(
+    f'[{key}]\ncolumns = ["{name}"]\nunit = "{unit}"\n' for key, (name, unit) in COLUMNS.items()
+)
 
 
 def imported(table: np.ndarray, file: Path) -> None:
@@ -36,7 +40,9 @@ def early(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "map.toml").write_text(EMPS_MAP)
     for seed, name in enumerate(("standard", "pulses"), 1):
         q_ref = random_reference(robot, duration_s=6.0, sample_rate_hz=RATE_HZ, seed=seed)
-        done = closed_loop(robot, q_ref, RATE_HZ, noise=Noise(encoder_step=1e-6, effort_percent=1.0), seed=seed)
+        done = closed_loop(
+            robot, q_ref, RATE_HZ, noise=Noise(encoder_step=1e-6, effort_percent=1.0), seed=seed
+        )
         volts = robot.motor_effort(shifted(done.effort[None], 1e3 * LATE_S)[0])
         table = np.hstack([done.t_s[:, None], done.q, q_ref, volts])
         imported(table, folder / f"{name}.csv")
@@ -46,7 +52,12 @@ def early(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def validated(folder: Path, recording: Path, *options: str) -> dict:
     out = folder / "validated.json"
-    assert identify(["validate", str(folder / "fit.json"), str(recording), *options, "--json", str(out)]) == 0
+    assert (
+        identify(
+            ["validate", str(folder / "fit.json"), str(recording), *options, "--json", str(out)]
+        )
+        == 0
+    )
     return json.loads(out.read_text())
 
 
@@ -55,7 +66,8 @@ def test_the_lag_of_a_fit_is_that_of_another_table(early):
     assert lag["value_s"] == pytest.approx(LATE_S, abs=1e-4)
     other = early / "pulses.mcap"
     found, stated, none = (
-        validated(early, other, *x) for x in ([], ["--torque-lag-s", str(lag["value_s"])], ["--torque-lag-s=none"])
+        validated(early, other, *x)
+        for x in ([], ["--torque-lag-s", str(lag["value_s"])], ["--torque-lag-s=none"])
     )
     assert found["joints"] == stated["joints"]
     assert found["torque_lag_s"] == lag["value_s"]

@@ -1,8 +1,10 @@
-"""Instrumental variables get through on arms: noise fed back through a loop unknown to the description, cuts of a real record.
+"""Instrumental variables get through on arms: noise fed back through a loop unknown to the
+description, cuts of a real record.
 
 Descriptions here have no `[parameters]`: the nearest consistent links know nothing of the truth.
 
-`pytest tests/identification/methods/test_iv_on_arms.py -s --benchmark-enable` runs the whole samples, some four minutes.
+`pytest tests/identification/methods/test_iv_on_arms.py -s --benchmark-enable` runs the whole
+samples, some four minutes.
 """
 
 import dataclasses
@@ -14,7 +16,15 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 from independent_robots import Plant, plant
-from independent_simulator import Controller, Imperfections, Runs, description, designed_pd, references, simulate
+from independent_simulator import (
+    Controller,
+    Imperfections,
+    Runs,
+    description,
+    designed_pd,
+    references,
+    simulate,
+)
 
 from acquisition.robot import Robot
 from identification.data import Signals
@@ -39,15 +49,24 @@ def pi_loop(body: Plant, bandwidth_hz: float) -> Controller:
     """P of the position around PI of the speed: another law than the surrogate's."""
     w = 2 * np.pi * bandwidth_hz
     gains = {"position_gain": np.full(body.n, w / 1.6), "integral_gain": np.full(body.n, w / 2)}
-    return dataclasses.replace(designed_pd(body, bandwidth_hz, 1000.0), structure="cascade_p_pi", **gains)
+    return dataclasses.replace(
+        designed_pd(body, bandwidth_hz, 1000.0), structure="cascade_p_pi", **gains
+    )
 
 
 def half_widths_off(fit: Fit) -> float:
-    """How far the worst essential parameter is from the truth of the described robot, in half-widths of its interval."""
+    """How far the worst essential parameter is from the truth of the described robot, in
+    half-widths of its interval.
+    """
     dynamics = InverseModel(description(REPLAY / "tx40" / "robot.toml"))
-    off = np.abs(fit.beta - described_parameters(dynamics, base_parameters(dynamics))) / fit.intervals.half
+    off = (
+        np.abs(fit.beta - described_parameters(dynamics, base_parameters(dynamics)))
+        / fit.intervals.half
+    )
     essential = set(fit.least_squares.essential.estimate.names)
-    return float(max(x for x, name in zip(off, fit.estimate.names, strict=True) if name in essential))
+    return float(
+        max(x for x, name in zip(off, fit.estimate.names, strict=True) if name in essential)
+    )
 
 
 def fits(runs: Runs, robot: Robot) -> Iterator[Fit]:
@@ -56,27 +75,38 @@ def fits(runs: Runs, robot: Robot) -> Iterator[Fit]:
 
 
 def test_a_loop_unknown_to_the_description_and_noise_in_it(whole):
-    """TX40, recorded reference, 50 µrad of noise in a PI loop, a disturbance of 5 %: settles, within five half-widths."""
+    """TX40, recorded reference, 50 µrad of noise in a PI loop, a disturbance of 5 %: settles,
+    within five half-widths.
+    """
     body, count = plant(REPLAY / "tx40" / "robot.toml", smooth=0.005), 40 if whole else 1
-    cell = Imperfections(encoder_noise=5e-5, encoder_step=1e-5, torque_noise_percent=3.0, disturbance_percent=5.0)
+    cell = Imperfections(
+        encoder_noise=5e-5, encoder_step=1e-5, torque_noise_percent=3.0, disturbance_percent=5.0
+    )
     reference = references(body, range(count), duration_s=8.0 if whole else 6.0, rate_hz=1000.0)
     runs = simulate(body, pi_loop(body, 10.0), reference, cell)
     found = list(fits(runs, description(REPLAY / "tx40" / "robot.toml")))
     settled = [half_widths_off(fit) for fit in found if fit.status in SETTLED]
-    print(Counter(fit.status for fit in found), f"worst essential parameter {max(settled):.2f} half-widths off")
+    print(
+        Counter(fit.status for fit in found),
+        f"worst essential parameter {max(settled):.2f} half-widths off",
+    )
     assert len(settled) >= 0.95 * count
     assert max(settled) < 5
     assert {(fit.iv.reference, fit.iv.controller) for fit in found} == {("recorded", "found")}
 
 
 def from_sample(signals: Signals, first: int) -> Signals:
-    return dataclasses.replace(signals, t_s=signals.t_s[first:], q=signals.q[first:], effort=signals.effort[first:])
+    return dataclasses.replace(
+        signals, t_s=signals.t_s[first:], q=signals.q[first:], effort=signals.effort[first:]
+    )
 
 
 def test_a_real_record_settles_wherever_it_is_cut(tx40, whole):
-    """Its start moved through 20 positions by 0 to 5 % of the whole, and of its half, and without `[parameters]`.
+    """Its start moved through 20 positions by 0 to 5 % of the whole, and of its half, and
+    without `[parameters]`.
 
-    Simulated with the estimate itself, cuts 14 and 15 of the half have no fixed point: a wrist of no inertia does not track.
+    Simulated with the estimate itself, cuts 14 and 15 of the half have no fixed point: a wrist of
+    no inertia does not track.
     """
     signals = signals_of(tx40)
     plain = dataclasses.replace(signals, robot=without_parameters(signals.robot))
@@ -88,10 +118,15 @@ def test_a_real_record_settles_wherever_it_is_cut(tx40, whole):
     ):
         starts = (first + int(0.05 * (N - first) * k / (POSITIONS - 1)) for k in cuts)
         found = [identify_iv(from_sample(s, start), Overrides(), Iteration()) for start in starts]
-        print(Counter(fit.status for fit in found), [round(fit.iv.tests.first_stage_F, 1) for fit in found])
+        print(
+            Counter(fit.status for fit in found),
+            [round(fit.iv.tests.first_stage_F, 1) for fit in found],
+        )
         assert all(fit.status in SETTLED for fit in found)
         assert len({fit.trust.verdict for fit in found}) == 1
-        moves = [(np.abs(fit.beta - found[0].beta) / found[0].intervals.half).max() for fit in found]
+        moves = [
+            (np.abs(fit.beta - found[0].beta) / found[0].intervals.half).max() for fit in found
+        ]
         assert max(moves) < 1
 
 

@@ -1,6 +1,8 @@
-"""A known torque and a known feed-forward: with them the truth is inside the intervals, without them the fit says caution.
+"""A known torque and a known feed-forward: with them the truth is inside the intervals, without
+them the fit says caution.
 
-EMPS-like records of the independent simulator: pulses are added to the controller's output, and a spring acts on the axis.
+EMPS-like records of the independent simulator: pulses are added to the controller's output, and a
+spring acts on the axis.
 """
 
 from dataclasses import dataclass, replace
@@ -55,7 +57,8 @@ def records() -> tuple[Signals, ...]:
     robot = replace(robot, identification=type(robot.identification)())
     spring = -STIFFNESS * (runs.q_true - AT_REST)
     return tuple(
-        replace(runs.signals(robot, s), known_torque=spring[s].copy(), feedforward=pulses[s].copy()) for s in range(2)
+        replace(runs.signals(robot, s), known_torque=spring[s].copy(), feedforward=pulses[s].copy())
+        for s in range(2)
     )
 
 
@@ -105,7 +108,10 @@ def test_without_the_pulses_the_fit_says_caution():
     found = fit.trust.line("control law")
     assert found.level == "caution"
     assert found.value < 0.97
-    assert fit.iv.passes[-1].z.tracking_percent > 10 * fitted(records()[0], "iv").iv.passes[-1].z.tracking_percent
+    assert (
+        fit.iv.passes[-1].z.tracking_percent
+        > 10 * fitted(records()[0], "iv").iv.passes[-1].z.tracking_percent
+    )
 
 
 def test_a_validation_counts_the_known_torque():
@@ -117,9 +123,19 @@ def test_a_validation_counts_the_known_torque():
 
 def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
     """A table with all columns, through both command lines, gives the fit of the arrays."""
-    signals, path = records()[0], {name: str(tmp_path / name) for name in ("a.csv", "map.toml", "b.csv", "log.mcap")}
+    signals, path = (
+        records()[0],
+        {name: str(tmp_path / name) for name in ("a.csv", "map.toml", "b.csv", "log.mcap")},
+    )
     speed, toml = np.gradient(signals.q, 1e-3, axis=0), tmp_path / "robot.toml"
-    columns = [signals.q, signals.q_ref, signals.effort / 35.15065188, speed, signals.known_torque, signals.feedforward]
+    columns = [
+        signals.q,
+        signals.q_ref,
+        signals.effort / 35.15065188,
+        speed,
+        signals.known_torque,
+        signals.feedforward,
+    ]
     units = {
         "position": "m",
         "reference": "m",
@@ -129,12 +145,19 @@ def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
         "feedforward": "V",
     }
     head = ",".join(units)
-    np.savetxt(path["a.csv"], np.hstack(columns), delimiter=",", header=head, comments="", fmt="%.15g")
+    np.savetxt(
+        path["a.csv"], np.hstack(columns), delimiter=",", header=head, comments="", fmt="%.15g"
+    )
     tables = (f'[{key}]\ncolumns = ["{key}"]\nunit = "{unit}"\n' for key, unit in units.items())
     (tmp_path / "map.toml").write_text("sample_rate_hz = 1000\n" + "".join(tables))
     toml.write_text((REPLAY / "emps" / "robot.toml").read_text().partition("[identification]")[0])
     log = path["log.mcap"]
-    assert acquire(["import", path["a.csv"], "--robot", str(toml), "--map", path["map.toml"], "-o", log]) == 0
+    assert (
+        acquire(
+            ["import", path["a.csv"], "--robot", str(toml), "--map", path["map.toml"], "-o", log]
+        )
+        == 0
+    )
     assert "effort in N, with reference, with velocity, with known" in capsys.readouterr().out
     read = load_signals(log)
     for name in ("q", "q_ref", "effort", "known_torque", "feedforward"):
@@ -143,31 +166,49 @@ def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
     assert identify(["fit", log, "--all"]) == 0
     out = capsys.readouterr().out
     rms = np.sqrt(np.mean(signals.known_torque**2)), np.sqrt(np.mean(signals.feedforward**2))
-    assert f"known torque, added to that of the drives and to the simulated robot: rms axis {rms[0]:.3g} N\n" in out
-    assert f"feed-forward, added to the output of the simulated controller: rms axis {rms[1]:.3g} V\n" in out
+    assert (
+        "known torque, added to that of the drives and to the simulated robot: rms axis "
+        f"{rms[0]:.3g} N\n" in out
+    )
+    assert (
+        f"feed-forward, added to the output of the simulated controller: rms axis {rms[1]:.3g} V\n"
+        in out
+    )
     same = identify_ls(replace(signals, effort_timing="unknown"), Overrides())
     assert identify_ls(read, Overrides()).beta == pytest.approx(same.beta, rel=1e-9)
     assert acquire(["export", log, "-o", path["b.csv"]]) == 0
     head, row, *_ = (tmp_path / "b.csv").read_text().splitlines()
-    own = "axis_position_m,axis_effort_N,axis_reference_m,axis_velocity_m_s,axis_known_torque_N,axis_feedforward_V"
+    own = (
+        "axis_position_m,axis_effort_N,axis_reference_m,axis_velocity_m_s,axis_known_torque_N,"
+        "axis_feedforward_V"
+    )
     assert head == f"time_s,{own}"
     assert float(row.split(",")[5]) == pytest.approx(signals.known_torque[0, 0], rel=1e-12)
 
 
 def test_another_description_of_the_robot(tmp_path):
-    """Twice the ratio halves speeds; torques on the joint stay; without a gain torques cannot be added to volts."""
+    """Twice the ratio halves speeds; torques on the joint stay; without a gain torques
+    cannot be added to volts.
+    """
     signals = replace(records()[0], velocity=records()[0].q)
     write_signals(tmp_path / "a.mcap", signals, source="")
     text = (REPLAY / "emps" / "robot.toml").read_text()
-    (tmp_path / "twice.toml").write_text(text.replace('name = "motor"', 'name = "motor"\nratio = 2'))
+    (tmp_path / "twice.toml").write_text(
+        text.replace('name = "motor"', 'name = "motor"\nratio = 2')
+    )
     assert np.array_equal(load_signals(tmp_path / "a.mcap").feedforward, signals.feedforward)
     read = load_signals(tmp_path / "a.mcap", load_robot(tmp_path / "twice.toml"))
     assert read.velocity == pytest.approx(signals.velocity / 2, rel=1e-12)
     assert np.array_equal(read.known_torque, signals.known_torque)
     assert np.array_equal(read.feedforward, signals.feedforward)
-    volts = text.replace("drive_gain = 35.15065188\n", "").replace('drive_gain_unit = "N/V"', 'effort_unit = "V"')
+    volts = text.replace("drive_gain = 35.15065188\n", "").replace(
+        'drive_gain_unit = "N/V"', 'effort_unit = "V"'
+    )
     (tmp_path / "volts.toml").write_text(volts)
-    with pytest.raises(BadInputError, match="known_torque: cannot be added to efforts in V: expected the drive gains"):
+    with pytest.raises(
+        BadInputError,
+        match="known_torque: cannot be added to efforts in V: expected the drive gains",
+    ):
         load_signals(tmp_path / "a.mcap", load_robot(tmp_path / "volts.toml"))
 
 
@@ -189,21 +230,41 @@ def test_columns_that_cannot_be(tmp_path, capsys, key, column, unit, message):
     own = '[position]\ncolumns = ["q"]\nunit = "m"\n[effort]\ncolumns = ["u"]\nunit = "V"\n'
     added = f'[{key}]\ncolumns = ["{column}"]\nunit = {unit}\n'
     (tmp_path / "map.toml").write_text(f"sample_rate_hz = 1000\n{own}{added}")
-    arguments = ["--robot", str(REPLAY / "emps" / "robot.toml"), "--map", str(tmp_path / "map.toml")]
-    assert acquire(["import", str(tmp_path / "a.csv"), *arguments, "-o", str(tmp_path / "out.mcap")]) == 1
+    arguments = [
+        "--robot",
+        str(REPLAY / "emps" / "robot.toml"),
+        "--map",
+        str(tmp_path / "map.toml"),
+    ]
+    assert (
+        acquire(["import", str(tmp_path / "a.csv"), *arguments, "-o", str(tmp_path / "out.mcap")])
+        == 1
+    )
     assert f"{key}{message}" in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()
 
 
 def test_speeds_of_joints_that_stand_are_not_judged():
-    """The elbow creeps by 0.4 mrad in text of four digits, or stands in noise; one that moves by 60 digits is judged."""
+    """The elbow creeps by 0.4 mrad in text of four digits, or stands in noise; one that moves
+    by 60 digits is judged.
+    """
     rng, t = np.random.default_rng(0), np.arange(4000) / 400
     fast, scara = 0.4 * np.sin(2 * t), robot_named("scara")
-    for elbow in (np.round(2e-4 * (1 - np.cos(0.6 * t)), 4), 1e-5 * rng.standard_normal(4000), 0 * t):
-        q, v = np.stack([fast, elbow], axis=1), np.stack([0.8 * np.cos(2 * t), 1e-4 + 0 * t], axis=1)
+    for elbow in (
+        np.round(2e-4 * (1 - np.cos(0.6 * t)), 4),
+        1e-5 * rng.standard_normal(4000),
+        0 * t,
+    ):
+        q, v = (
+            np.stack([fast, elbow], axis=1),
+            np.stack([0.8 * np.cos(2 * t), 1e-4 + 0 * t], axis=1),
+        )
         assert check_recorded_velocities(scara, q, v, 400.0, "log") == ()
     slow = np.round(3e-3 * np.sin(0.6 * t), 4)
-    q, v = np.stack([fast, slow], axis=1), np.stack([0.8 * np.cos(2 * t), -1.8e-3 * np.cos(0.6 * t)], axis=1)
+    q, v = (
+        np.stack([fast, slow], axis=1),
+        np.stack([0.8 * np.cos(2 * t), -1.8e-3 * np.cos(0.6 * t)], axis=1),
+    )
     with pytest.raises(BadInputError, match="velocity of joint elbow"):
         check_recorded_velocities(scara, q, v, 400.0, "log")
 
@@ -211,33 +272,49 @@ def test_speeds_of_joints_that_stand_are_not_judged():
 def test_rates_of_torques_are_those_of_the_drives():
     """No drive records the spring: its rate is not in the column of a lag."""
     signals = records()[0]
-    with_spring, plain = make_problem(signals, Overrides()), make_problem(without("known_torque"), Overrides())
+    with_spring, plain = (
+        make_problem(signals, Overrides()),
+        make_problem(without("known_torque"), Overrides()),
+    )
     beta, settings = fitted(signals, "wls").beta, with_spring.settings
     spring = 1e3 * np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
     w = weights_at(with_spring, np.arange(settings.start, settings.stop) / signals.sample_rate_hz)
     rates = []
     for problem in (plain, with_spring):
         peak = np.ones(problem.signals.robot.n)
-        terms = Candidates(problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False)
+        terms = Candidates(
+            problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False
+        )
         rates.append(terms.columns(problem, *measured_motion(problem))[:, -1, 5:-5])
     apart = rates[0] - rates[1]
-    assert apart == pytest.approx(settings.decimator.filtered(w * spring.T)[:, 5:-5], abs=1e-6 * np.abs(spring).max())
+    assert apart == pytest.approx(
+        settings.decimator.filtered(w * spring.T)[:, 5:-5], abs=1e-6 * np.abs(spring).max()
+    )
 
 
 def test_a_spring_has_to_take_more_than_other_terms():
     def found(kind, taken_percent, least_percent=2.0):
-        numbers = {"value": 1.0, "t": 6.0, "taken_percent": taken_percent, "together_percent": 5.0, "moves": 0.0}
+        numbers = {
+            "value": 1.0,
+            "t": 6.0,
+            "taken_percent": taken_percent,
+            "together_percent": 5.0,
+            "moves": 0.0,
+        }
         column = {"where": "", "unit": "", "advice": ""}
         return MissingTerm(kind=kind, **column, **numbers, least_percent=least_percent).found
 
     assert found("offset", 5.0)
     assert not found(SPRING, 5.0, 10.0)
     assert found(SPRING, 11.0, 10.0)
-    for name, least in (("emps", 10.0), ("scara", 10.0), ("tx40", 2.0)):  # without links that weigh, and with
+    # without links that weigh, and with
+    for name, least in (("emps", 10.0), ("scara", 10.0), ("tx40", 2.0)):
         problem = make_problem(load_signals(REPLAY / name / "session.mcap"), Overrides())
         peak = np.ones(problem.signals.robot.n)
         beta = described_parameters(problem.model, problem.base)
-        terms = Candidates(problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False).terms
+        terms = Candidates(
+            problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False
+        ).terms
         assert {term.least_percent for term in terms if term.kind == SPRING} == {least}
 
 
@@ -251,7 +328,9 @@ def flat_arm() -> Signals:
 
 
 def test_a_gain_is_that_of_the_drive_and_not_of_the_known_torque():
-    """A drive whose torque is recorded 10 % too large, beside a known torque that is larger than its own."""
+    """A drive whose torque is recorded 10 % too large, beside a known torque that
+    is larger than its own.
+    """
     signals = flat_arm()
     known = np.stack([0 * signals.t_s, 20 * np.sin(4 * signals.t_s)], axis=1)
     wrong = replace(signals, effort=(signals.effort - known) * [1.0, 1.1], known_torque=known)
@@ -266,21 +345,30 @@ def test_torques_without_the_weight_of_the_robot_are_told():
     dynamics = InverseModel(signals.robot)
     weight = dynamics.regressor(signals.q, 0 * signals.q, 0 * signals.q) @ described_chi(dynamics)
     plain, found = (
-        identify_ls(replace(signals, effort=signals.effort - x), Overrides(torque_lag_s="none")).trust.line("physical")
+        identify_ls(
+            replace(signals, effort=signals.effort - x), Overrides(torque_lag_s="none")
+        ).trust.line("physical")
         for x in (0, weight)
     )
     assert (plain.level, found.level) == ("ok", "caution")
     assert "the torques fit a model without gravity better: " in found.text
-    left, against = (float(part.split()[-1]) for part in found.text.split("better: ")[1].split(" %")[:2])
+    left, against = (
+        float(part.split()[-1]) for part in found.text.split("better: ")[1].split(" %")[:2]
+    )
     assert left < 0.6 * against
 
 
 def test_a_robot_of_vertical_axes_has_no_weight_to_miss():
     signals = flat_arm()
     assert "gravity" not in identify_ls(signals, Overrides()).trust.line("physical").text
-    upright = replace(signals.robot, gravity=np.array([0.0, -9.81, 0.0]))  # a description that lays it on its side
+    # a description that lays it on its side
+    upright = replace(signals.robot, gravity=np.array([0.0, -9.81, 0.0]))
     laid = replace(signals, robot=upright)
     own = msgspec.structs.replace(upright.identification, own=["Fv"])
-    twice = [replace(laid, robot=replace(upright, identification=own), recording=x, sha256=x) for x in ("a", "b")]
+    twice = [
+        replace(laid, robot=replace(upright, identification=own), recording=x, sha256=x)
+        for x in ("a", "b")
+    ]
     both = identify_ls(Recordings(sources=tuple(twice)), Overrides()).trust.line("physical").text
-    assert "without gravity better" in both  # rows of both recordings, whose friction has columns of its own
+    # rows of both recordings, whose friction has columns of its own
+    assert "without gravity better" in both

@@ -1,4 +1,6 @@
-"""What is stated of a payload is known within limits: gains of an arm by MuJoCo hold, or the verdict names the cause."""
+"""What is stated of a payload is known within limits: gains of an arm by MuJoCo hold, or the
+verdict names the cause.
+"""
 
 from dataclasses import replace
 
@@ -10,7 +12,14 @@ from planned_pairs import planned_pair
 
 import identification
 from identification.data import Recordings
-from identification.estimation import Spans, System, combined, intervals_of, one_thread, weighted_least_squares
+from identification.estimation import (
+    Spans,
+    System,
+    combined,
+    intervals_of,
+    one_thread,
+    weighted_least_squares,
+)
 from identification.regression import Overrides
 
 SCATTERED = np.exp([0.16, -0.14, 0.2, -0.05, 0.12, -0.18])  # of a catalogue: 15 %
@@ -22,9 +31,16 @@ SCARA = GainCase(robot="scara", white=5.0)
     [((0.003, 0, 0), 2.0, None), ((0, 0, 0.06), 2.0, "centre of mass"), ((0, 0, 0), 1.0, "gains")],
 )
 def test_what_is_stated_wrongly_of_a_payload_is_told(off_m, mass_kg, told):
-    """Taken as exact, 3 mm would move the last gain by 2.8 half-widths. The gains of the catalogue scatter by 15 %."""
-    fit = one_thread(fit_with_gains)(*mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, off_m=off_m, mass_kg=mass_kg))
-    assert [line.test for line in fit.trust.lines if line.level == "caution"] == ([told] if told else [])
+    """Taken as exact, 3 mm would move the last gain by 2.8 half-widths.
+
+    The gains of the catalogue scatter by 15 %.
+    """
+    fit = one_thread(fit_with_gains)(
+        *mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, off_m=off_m, mass_kg=mass_kg)
+    )
+    assert [line.test for line in fit.trust.lines if line.level == "caution"] == (
+        [told] if told else []
+    )
     assert fit.trust.verdict == ("caution" if told else "trust")
     if told == "gains":
         assert "check the payload's mass" in fit.trust.line("gains").text
@@ -47,9 +63,13 @@ def test_a_stated_value_is_combined_by_variances():
     both = combined(system, free, {"b": (2.01, 0.02)})
     information, sd = np.linalg.inv(found.covariance), 0.02 / found.reach
     stated = np.diag([0.0, sd**-2, 0.0])
-    expected = np.linalg.solve(information + stated, information @ free.beta + stated @ [0.0, 2.01, 0.0])
+    expected = np.linalg.solve(
+        information + stated, information @ free.beta + stated @ [0.0, 2.01, 0.0]
+    )
     np.testing.assert_allclose(both.beta, expected, rtol=1e-9)
-    np.testing.assert_allclose(both.stated[1], sd * np.linalg.inv(information + stated)[1, 1] / sd**2, rtol=1e-9)
+    np.testing.assert_allclose(
+        both.stated[1], sd * np.linalg.inv(information + stated)[1, 1] / sd**2, rtol=1e-9
+    )
     assert (intervals_of(system, both).sigma <= found.sigma).all()
     assert combined(system, free, {"b": (2.5, 0.02)}) is free  # the rows contradict it
 
@@ -57,11 +77,14 @@ def test_a_stated_value_is_combined_by_variances():
 def test_a_narrow_statement_is_an_exact_one():
     free, loaded = planned_pair(SCARA)
     exact, narrow, wide = (
-        fit_with_gains(free, replace(loaded, payload=replace(loaded.payload, center_half_width_m=x))).gains
+        fit_with_gains(
+            free, replace(loaded, payload=replace(loaded.payload, center_half_width_m=x))
+        ).gains
         for x in (0.0, 1e-6, 0.005)
     )
     np.testing.assert_allclose(narrow.values, exact.values, rtol=1e-4)
-    np.testing.assert_allclose(narrow.half, exact.half, rtol=0.1)  # the cosines see other columns removed
+    # the cosines see other columns removed
+    np.testing.assert_allclose(narrow.half, exact.half, rtol=0.1)
     assert (wide.half > exact.half).all()
 
 
@@ -76,7 +99,9 @@ def test_one_motor_of_the_wrong_sign_is_named():
 
 
 def test_friction_terms_of_a_pair_are_chosen_by_parts_of_both():
-    found = identification.select_friction(Recordings(sources=planned_pair(SCARA)), Overrides(gains=("all",)))
+    found = identification.select_friction(
+        Recordings(sources=planned_pair(SCARA)), Overrides(gains=("all",))
+    )
     assert found.held_out == tuple(f"fifth {k}" for k in range(1, 6))
     assert found.recommended is found.usual
     assert (np.abs(found.robot.gain / SCARA.gains - 1) < 0.05).all()

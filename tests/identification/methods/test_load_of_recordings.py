@@ -11,7 +11,13 @@ from friction_models import axis, described, model_of, moved, simulated
 import identification.methods.settled as settled
 from identification.data import Recordings
 from identification.methods import Iteration, identify, identify_iv, identify_ls, with_consistent
-from identification.regression import Overrides, make_problem, row_blocks, rows_of_recording, torque_of_recording
+from identification.regression import (
+    Overrides,
+    make_problem,
+    row_blocks,
+    rows_of_recording,
+    torque_of_recording,
+)
 from identification.study import Noise, closed_loop, random_reference
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
@@ -22,14 +28,20 @@ VALUES = "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n"
 
 @cache
 def scara(own: str = ""):
-    """The SCARA with load friction of both joints, and 3 recordings of it; offsets are shared or of each."""
+    """The SCARA with load friction of both joints, and 3 recordings of it; offsets
+    are shared or of each.
+    """
     offsets = "Off1 = 0.3\n" if own else ""
     terms = [[*more[:2], "offset", *more[2:]] if own else more for more in TERMS]
     robot = described("scara", terms, VALUES + offsets)
     # The simulated mean has no lag; stated, sums by hand need not look for one.
-    robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0))
+    robot = dataclasses.replace(
+        robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0)
+    )
     if own:
-        robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=(own,)))
+        robot = dataclasses.replace(
+            robot, identification=msgspec.structs.replace(robot.identification, own=(own,))
+        )
     return robot, simulated(robot, 3, 4, 5)
 
 
@@ -66,7 +78,11 @@ def halves(signals) -> Recordings:
     N = len(signals.q)
     parts = []
     for name, part in (("a.mcap", slice(0, N // 2)), ("b.mcap", slice(N // 2, N))):
-        arrays = {key: x[part] for key in ("q", "q_ref", "effort") if (x := getattr(signals, key)) is not None}
+        arrays = {
+            key: x[part]
+            for key in ("q", "q_ref", "effort")
+            if (x := getattr(signals, key)) is not None
+        }
         t_s = signals.t_s[part] - signals.t_s[part][0]
         named = {"recording": name, "sha256": name.encode().hex()}
         parts.append(dataclasses.replace(signals, t_s=t_s, track=None, **named, **arrays))
@@ -100,10 +116,16 @@ def test_long_recordings_give_the_same(monkeypatch, blocks):
         monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 500)
     found, tolerance = identify_ls(given, DENSE), 1e-6 if blocks else 1e-9
     assert bool(len(found.problem.signals.q)) == blocks
-    assert (np.abs(found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half).max() < tolerance
+    assert (
+        np.abs(found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half
+    ).max() < tolerance
     for one, other in zip(found.recordings, wanted.recordings, strict=True):
-        assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=1e-6 if blocks else 1e-9)
-        assert one.errors[-1].relative_error_percent == pytest.approx(other.errors[-1].relative_error_percent, rel=1e-4)
+        assert one.held_out.error_percent == pytest.approx(
+            other.held_out.error_percent, rel=1e-6 if blocks else 1e-9
+        )
+        assert one.errors[-1].relative_error_percent == pytest.approx(
+            other.errors[-1].relative_error_percent, rel=1e-4
+        )
     assert found.trust.line("physical").level == "ok"
 
 
@@ -114,7 +136,9 @@ def test_the_whole_may_leave_out_what_the_beginning_of_a_long_recording_has(monk
     def without_mu2(equations, x, solve):
         if not equations.reduced:
             return made(equations, x, solve)
-        return equations.without({"mu2": "left out"}), x[[name != "mu2" for name in equations.names]]
+        return equations.without({"mu2": "left out"}), x[
+            [name != "mu2" for name in equations.names]
+        ]
 
     monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
     monkeypatch.setattr(settled, "leave_out_load", without_mu2)
@@ -125,7 +149,9 @@ def test_the_whole_may_leave_out_what_the_beginning_of_a_long_recording_has(monk
 
 
 def test_held_out_is_predicted_by_the_fit_of_the_others():
-    """Its load friction is linearised about the fit of all: nearly the error of a fit that knows the others alone."""
+    """Its load friction is linearised about the fit of all: nearly the error of a fit that
+    knows the others alone.
+    """
     sources, fit = scara()[1].sources, fit_of("wls")
     others = identify_ls(Recordings(sources=sources[1:]), Overrides())
     problem, held_out = (
@@ -143,7 +169,9 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
 
 
 def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
-    """Coulomb friction of 20 N against 0.3 of the weight: in the recording of a fast motion, whose load is the largest."""
+    """Coulomb friction of 20 N against 0.3 of the weight: in the recording of a fast motion,
+    whose load is the largest.
+    """
     robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=10.0, Fc=20.0, mu=-0.3)
     fit = identify_ls(moved(robot, 2, 3), Overrides(torque_lag_s="none", edges="smooth"))
     line = fit.trust.line("physical")

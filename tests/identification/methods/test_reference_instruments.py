@@ -1,4 +1,5 @@
-"""Instruments along the motion that the recorded reference predicts, where no simulated robot confirms others.
+"""Instruments along the motion that the recorded reference predicts, where no simulated
+robot confirms others.
 
 Here no simulated robot is ever confirmed: a tracking error of 0 % is asked of it.
 """
@@ -44,8 +45,16 @@ def unconfirmed(monkeypatch):
 def axis_runs() -> Runs:
     """The EMPS with 20 µm of noise fed back through its loop, twice."""
     body = plant(REPLAY / "emps" / "robot.toml")
-    cell, controller = Imperfections(torque_noise_percent=2.0, encoder_noise=20e-6), described_controller(body)
-    return simulate(body, controller, references(body, range(2), duration_s=10.0, rate_hz=controller.rate_hz), cell)
+    cell, controller = (
+        Imperfections(torque_noise_percent=2.0, encoder_noise=20e-6),
+        described_controller(body),
+    )
+    return simulate(
+        body,
+        controller,
+        references(body, range(2), duration_s=10.0, rate_hz=controller.rate_hz),
+        cell,
+    )
 
 
 def axis_signals(*, law: bool = False) -> list[Signals]:
@@ -89,22 +98,32 @@ def test_the_reason_is_told_and_no_law_is_assumed(fits):
     assert (line.level, alone in line.text) == ("ok", True)
     assert "control law" not in [one.what for one in fit.trust.assumed]
     file = fit_file(fit)
-    assert (file.status, file.reason, file.iterations[-1].instruments) == ("converged", fit.iv.reason, "reference")
+    assert (file.status, file.reason, file.iterations[-1].instruments) == (
+        "converged",
+        fit.iv.reason,
+        "reference",
+    )
     assert file.pass_returned == len(file.iterations)
     assert np.isfinite(fit.data.lags[0].value_s)
 
 
 @pytest.mark.parametrize("reference", [True, False])
-def test_without_a_reference_or_with_a_law_that_is_not_followed_nothing_is_confirmed(unconfirmed, reference):
+def test_without_a_reference_or_with_a_law_that_is_not_followed_nothing_is_confirmed(
+    unconfirmed, reference
+):
     signals = axis_signals(law=reference)[0]
-    fit = identify(signals if reference else dataclasses.replace(signals, q_ref=None), HELD, method="iv")
+    fit = identify(
+        signals if reference else dataclasses.replace(signals, q_ref=None), HELD, method="iv"
+    )
     assert (fit.status, stands_alone(fit)) == ("not_confirmed", False)
     assert fit.trust.line("fixed point").level == "caution"
 
 
 def test_a_lag_of_the_torque_is_found_with_them(unconfirmed, fits):
     signals = axis_signals()[0]
-    found = identify(dataclasses.replace(signals, effort=np.roll(signals.effort, 3, axis=0)), Overrides())
+    found = identify(
+        dataclasses.replace(signals, effort=np.roll(signals.effort, 3, axis=0)), Overrides()
+    )
     assert stands_alone(found)
     (lag,) = found.data.lags
     assert abs(lag.value_s - 0.0025) < lag.half_width_s < 0.0015
@@ -126,7 +145,10 @@ def test_an_error_made_of_the_terms_is_predicted_whole(monkeypatch, most):
     problem = make_problem(dataclasses.replace(signals, q=q), Overrides(method="iv"))
     span = slice(problem.settings.start, problem.settings.stop)
     at = span.start, span.stop, problem.settings.cutoff_hz
-    predicted, true = predicted_motion(problem).between(*at), FilteredMotion(problem.signals).between(*at)
+    predicted, true = (
+        predicted_motion(problem).between(*at),
+        FilteredMotion(problem.signals).between(*at),
+    )
     for x, y in ((predicted.q, true.q), (predicted.dq, true.dq), (predicted.ddq, true.ddq)):
         assert (np.abs(x - y).max(axis=0) < 1e-3 * np.std(y, axis=0)).all()
 
@@ -134,7 +156,9 @@ def test_an_error_made_of_the_terms_is_predicted_whole(monkeypatch, most):
 @pytest.mark.parametrize(("concerns", "long"), [("load own gains", False), ("load gains", True)])
 def test_they_serve_all_recordings(unconfirmed, concerns, long, tmp_path):
     concerns = frozenset(concerns.split())
-    paths = crossings.written(tmp_path, concerns, frozenset(crossings.COLUMNS), 10.0 if long else 4.0)
+    paths = crossings.written(
+        tmp_path, concerns, frozenset(crossings.COLUMNS), 10.0 if long else 4.0
+    )
 
     def fitted(work: Work) -> Fit:
         return crossings.fitted(paths, concerns, work, **(crossings.STATED if long else {}))

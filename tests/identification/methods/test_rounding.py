@@ -1,4 +1,6 @@
-"""An estimate does not depend on the last bit of the samples: no weight of a joint rests on columns that are rounding."""
+"""An estimate does not depend on the last bit of the samples: no weight of a joint rests on
+columns that are rounding.
+"""
 
 from dataclasses import replace
 
@@ -17,6 +19,8 @@ def test_samples_moved_by_one_unit_in_their_last_place_move_no_estimate(name, me
     signals = signals_of(path)
     series = ((key, getattr(signals, key)) for key in ("q", "q_ref", "effort"))
     moved = {key: x + rng.integers(-1, 2, x.shape) * np.spacing(np.abs(x)) for key, x in series}
-    first, second = (identify(one, Overrides(), method=method) for one in (signals, replace(signals, **moved)))
+    first, second = (
+        identify(one, Overrides(), method=method) for one in (signals, replace(signals, **moved))
+    )
     # 1e-8 where links are computed at a stride: rounding of accelerations folds.
     assert (np.abs(first.beta - second.beta) < 3e-8 * first.estimate.sigma).all()

@@ -1,4 +1,6 @@
-"""Several recordings in one fit: against their rows stacked by hand, in any order, on any workers, held out, refused."""
+"""Several recordings in one fit: against their rows stacked by hand, in any order, on any
+workers, held out, refused.
+"""
 
 import json
 from dataclasses import replace
@@ -25,7 +27,13 @@ from identification.methods import (
     with_consistent,
 )
 from identification.model import InverseModel, base_parameters, described_parameters
-from identification.regression import Overrides, make_problem, make_unknowns, rows_of_recording, torque_of_recording
+from identification.regression import (
+    Overrides,
+    make_problem,
+    make_unknowns,
+    rows_of_recording,
+    torque_of_recording,
+)
 from identification.report import ParameterSet, differences, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
@@ -38,11 +46,15 @@ def recorded(seed: int, rate_hz: float = 1000.0) -> Signals:
     """Five seconds of the SCARA, four with the seed 3: lengths differ."""
     robot = robot_named("scara")
     # The simulated mean has no lag; stated, sums by hand need not look for one.
-    robot = replace(robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0))
+    robot = replace(
+        robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0)
+    )
     if rate_hz != 1000.0:
         law = msgspec.structs.replace(robot.controller, sample_rate_hz=rate_hz)
         robot = replace(robot, controller=law)
-    q_ref = random_reference(robot, duration_s=4.0 if seed == 3 else 5.0, sample_rate_hz=rate_hz, seed=seed)
+    q_ref = random_reference(
+        robot, duration_s=4.0 if seed == 3 else 5.0, sample_rate_hz=rate_hz, seed=seed
+    )
     signals = closed_loop(robot, q_ref, rate_hz, noise=CELL, seed=seed)
     return replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}")
 
@@ -67,7 +79,8 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     problems = [make_problem(recorded(k), ramps) for k in (1, 2, 3)]
     systems = [rows_of_recording(problem).system for problem in problems]
     W, Y, joint = (
-        np.concatenate([getattr(s, name)[s.used > 0] for s in systems]) for name in ("W", "Y", "joint_of_row")
+        np.concatenate([getattr(s, name)[s.used > 0] for s in systems])
+        for name in ("W", "Y", "joint_of_row")
     )
     s = np.ones(2)
     for j in range(2):
@@ -81,7 +94,10 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     for one, problem in zip(fit.recordings, problems, strict=True):
         s = problem.settings
         motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
-        full = problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns] @ fit.estimate.beta
+        full = (
+            problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns]
+            @ fit.estimate.beta
+        )
         tau, rho = (s.decimator.filtered(x.T) for x in (motion.tau, motion.tau - full))
         assert one.errors[-1].relative_error_percent == pytest.approx(
             100 * np.linalg.norm(rho) / np.linalg.norm(tau), rel=1e-9
@@ -98,7 +114,10 @@ def test_the_truth_is_inside_and_the_verdict_is_trust():
 
 def test_held_out_is_predicted_by_the_fit_of_the_others():
     fit, others = fitted(), identify_ls(several(recorded(1), recorded(2)), Overrides())
-    last, problem = fit.recordings[2], make_problem(recorded(3), Overrides(ramp_rows=fit.settings.ramp_rows))
+    last, problem = (
+        fit.recordings[2],
+        make_problem(recorded(3), Overrides(ramp_rows=fit.settings.ramp_rows)),
+    )
     counts = rows_of_recording(problem).counts
     tau, predicted, _ = torque_of_recording(problem, others.estimate.beta)
     error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
@@ -110,7 +129,10 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
 
 def test_a_recording_that_the_others_do_not_predict_is_doubted():
     other = recorded(2)
-    fit = identify_ls(several(recorded(1), replace(other, effort=1.3 * other.effort, sha256="e" * 64)), Overrides())
+    fit = identify_ls(
+        several(recorded(1), replace(other, effort=1.3 * other.effort, sha256="e" * 64)),
+        Overrides(),
+    )
     line = fit.trust.line("held-out blocks")
     assert line.level == "caution"
     assert line.value > 1.5 * np.mean([figure.expected for figure in line.figures])
@@ -165,21 +187,32 @@ def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
     assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
     line = fit.trust.line("held-out blocks")
     assert (line.level, line.value) == ("cannot tell", None)
-    stored = fit_files(tmp_path, "halves", *(tmp_path / one.recording for one in halves), "--workers", "1")
-    for one, names in zip(stored["recordings"], ({"ZZ1R", "Fv1", "Fc1"}, {"Fv2", "Fc2"}), strict=True):
+    stored = fit_files(
+        tmp_path, "halves", *(tmp_path / one.recording for one in halves), "--workers", "1"
+    )
+    for one, names in zip(
+        stored["recordings"], ({"ZZ1R", "Fv1", "Fc1"}, {"Fv2", "Fc2"}), strict=True
+    ):
         assert one["held_out_error_percent"] is None
         assert names <= set(one["undetermined"])
-    assert "r4.mcap cannot be predicted by the others: " in capsys.readouterr().out.replace("\n", " ")
+    assert "r4.mcap cannot be predicted by the others: " in capsys.readouterr().out.replace(
+        "\n", " "
+    )
 
 
 def test_the_lowest_rate_of_rows_and_cutoff_is_common():
     slow, fast = recorded(6, rate_hz=500.0), recorded(1)
-    wide = replace(fast.robot, controller=msgspec.structs.replace(fast.robot.controller, bandwidth_hz=12.0))
+    wide = replace(
+        fast.robot, controller=msgspec.structs.replace(fast.robot.controller, bandwidth_hz=12.0)
+    )
     fit = identify_ls(several(replace(fast, robot=wide), slow), Overrides())
     settings = [one.problem.settings for one in fit.recordings]
     bandwidth_hz = slow.robot.controller.bandwidth_hz
     assert {s.cutoff_hz for s in settings} == {5 * bandwidth_hz}
-    rates = {one.problem.signals.sample_rate_hz / s.decimation for one, s in zip(fit.recordings, settings, strict=True)}
+    rates = {
+        one.problem.signals.sample_rate_hz / s.decimation
+        for one, s in zip(fit.recordings, settings, strict=True)
+    }
     assert rates == {500.0 / make_problem(slow, Overrides()).settings.decimation}
 
 
@@ -187,7 +220,10 @@ def test_several_recordings_are_validated(tmp_path, capsys):
     files, out = [tmp_path / f"r{seed}.mcap" for seed in (2, 3)], tmp_path / "v.json"
     for seed, path in zip((2, 3), files, strict=True):
         write_signals(path, recorded(seed), source="test")
-    assert main(["validate", str(REPLAY / "scara" / "fit.json"), *map(str, files), "--json", str(out)]) == 0
+    assert (
+        main(["validate", str(REPLAY / "scara" / "fit.json"), *map(str, files), "--json", str(out)])
+        == 0
+    )
     found = json.loads(out.read_text())
     assert [one["recording"] for one in found["recordings"]] == ["r2.mcap", "r3.mcap"]
     errors = [one["relative_error_percent"] for one in found["recordings"]]
@@ -197,7 +233,9 @@ def test_several_recordings_are_validated(tmp_path, capsys):
 
 
 def with_part(one: Signals, part: str, at: int, **values) -> Signals:
-    """The recording with other values of a joint or motor of its description, of the description or of its own."""
+    """The recording with other values of a joint or motor of its description, of the
+    description or of its own.
+    """
     if part == "recording":
         return replace(one, **values)
     if part != "robot":
@@ -215,14 +253,22 @@ STRIBECK = {"friction": ("viscous", "stribeck"), "stribeck_speed_deg_s": 10.0}
     [
         ("joints", 0, {}, {"name": "hip"}, "joint hip: name"),
         ("joints", 1, {}, {"dh": robot_named("scara").joints[0].dh}, "joint elbow: dh"),
-        ("joints", 1, {}, {"coulomb": False}, "joint elbow: friction"),  # described with both, by the keys
+        # described with both, by the keys
+        ("joints", 1, {}, {"coulomb": False}, "joint elbow: friction"),
         ("joints", 1, {}, {"friction": ("viscous", "root", "coulomb")}, "joint elbow: friction"),
         ("joints", 1, {}, {"friction": "asymmetric"}, "joint elbow: friction"),
-        ("joints", 1, STRIBECK, STRIBECK | {"stribeck_speed_deg_s": 9.0}, "joint elbow: stribeck_speed_deg_s"),
+        (
+            "joints",
+            1,
+            STRIBECK,
+            STRIBECK | {"stribeck_speed_deg_s": 9.0},
+            "joint elbow: stribeck_speed_deg_s",
+        ),
         ("motors", 0, {}, {"effort_unit": "N"}, "motor motor_1: effort_unit"),
         ("robot", 0, {}, {"gravity": np.array([0.0, 0.0, 9.81])}, "gravity_m_s2"),
         ("recording", 0, {}, {"sha256": f"{1:064x}"}, ""),
-        ("joints", 1, {}, {"friction": USUAL}, None),  # a list in any order, and the keys that mean the same
+        # a list in any order, and the keys that mean the same
+        ("joints", 1, {}, {"friction": USUAL}, None),
         ("joints", 1, {}, {"friction": USUAL[::-1]}, None),
     ],
 )
@@ -241,8 +287,12 @@ def not_stated(one):
     return replace(one, robot=replace(one.robot, identification=stated), effort_timing="unknown")
 
 
-def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)) -> list[Signals]:
-    """The recordings with a torque offset of the shoulder each, described with offsets, `own` as asked."""
+def with_offsets(
+    kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)
+) -> list[Signals]:
+    """The recordings with a torque offset of the shoulder each, described with
+    offsets, `own` as asked.
+    """
     found = []
     for seed, value in zip((1, 2, 3), offsets, strict=True):
         one = recorded(seed)
@@ -269,17 +319,32 @@ def test_offsets_of_their_own():
     assert found.errors[-1].relative_error_percent < 0.8 * shared.errors[-1].relative_error_percent
     # A recording's own offset is fitted to it when it is held out; a shared one is not.
     for one, other in zip(found.recordings, shared.recordings, strict=True):
-        assert one.held_out.error_percent < 1.05 * one.held_out.trained_percent < other.held_out.error_percent
+        assert (
+            one.held_out.error_percent
+            < 1.05 * one.held_out.trained_percent
+            < other.held_out.error_percent
+        )
     assert shared.own is None
     assert alike.own.p_effective > 0.01
 
 
 def test_a_file_of_own_parameters_is_exported(tmp_path):
-    text = robot_named("scara").files["robot.toml"].decode().replace("[[joint]]\n", "[[joint]]\noffset = true\n")
+    text = (
+        robot_named("scara")
+        .files["robot.toml"]
+        .decode()
+        .replace("[[joint]]\n", "[[joint]]\noffset = true\n")
+    )
     file, fits = tmp_path / "fit.json", []
     for own in ('["Off"]', "[]"):
-        robot = robot_from_files({"robot.toml": f"{text}\n[identification]\nown = {own}\n".encode()}, "robot.toml")
-        fits.append(identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides()))
+        robot = robot_from_files(
+            {"robot.toml": f"{text}\n[identification]\nown = {own}\n".encode()}, "robot.toml"
+        )
+        fits.append(
+            identify_ls(
+                several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides()
+            )
+        )
     fit, shared = fits
 
     def stored(fit):
@@ -294,11 +359,15 @@ def test_a_file_of_own_parameters_is_exported(tmp_path):
     beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
     assert beside == {name: name.split("@")[0] for name in names}
     made = with_consistent(fit)
-    np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent_set.chi)
+    np.testing.assert_array_equal(
+        model_of_fit(stored(made), "fit.json")[0].chi, made.consistent_set.chi
+    )
 
 
 def test_own_parameters_by_hand():
-    """F of the sums of squares of two systems, one with a column of the offset for each recording, one with a single one."""
+    """F of the sums of squares of two systems, one with a column of the offset for each recording,
+    one with a single one.
+    """
     recordings = with_offsets(("Off",))
     fit = identify_ls(several(*recordings), Overrides())
     given = Overrides(ramp_rows=fit.settings.ramp_rows)
@@ -310,7 +379,10 @@ def test_own_parameters_by_hand():
             is_own = np.array([own and name.startswith("Off") for name in s.names])
             apart = np.kron(np.arange(3) == k, s.W[:, is_own])
             blocks.append(
-                (np.c_[s.W[:, ~is_own], apart, s.Y] * fit.estimate.weights[s.joint_of_row][:, None])[s.used > 0]
+                (
+                    np.c_[s.W[:, ~is_own], apart, s.Y]
+                    * fit.estimate.weights[s.joint_of_row][:, None]
+                )[s.used > 0]
             )
         A = np.concatenate(blocks)
         left[own] = np.sum((A[:, -1] - A[:, :-1] @ np.linalg.lstsq(A[:, :-1], A[:, -1])[0]) ** 2)
@@ -321,17 +393,23 @@ def test_own_parameters_by_hand():
 
 
 def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused():
-    robot = replace(recorded(1).robot, identification=with_offsets(("Off",))[0].robot.identification)
+    robot = replace(
+        recorded(1).robot, identification=with_offsets(("Off",))[0].robot.identification
+    )
     with pytest.raises(BadInputError) as told:
         identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2))), Overrides())
     assert (told.value.key, told.value.value) == ("identification.own", "Off")
     # A vertical slide with a motor: M (ddq + g) + Ia ddq + Off has three columns of rank two.
     slide = """
 name = "lift"
-joint = [{ name = "z", type = "prismatic", offset = true, dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 } }]
 motor = [{ name = "m", effort_unit = "N" }]
 controller = { bandwidth_hz = 5.0 }
 identification = { own = ["Off"] }
+[[joint]]
+name = "z"
+type = "prismatic"
+offset = true
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
 """
     lift = robot_from_files({"robot.toml": slide.encode()}, "lift")
     t = np.arange(5000) / 1000
@@ -339,22 +417,32 @@ identification = { own = ["Off"] }
     problems = [make_problem(signals_from_arrays(q, 50 + q, 1000.0, lift), Overrides())] * 2
     with pytest.raises(BadInputError) as told:
         make_unknowns(problems)
-    assert (told.value.place, told.value.key, told.value.value) == ("robot lift", "identification.own", "Off")
+    assert (told.value.place, told.value.key, told.value.value) == (
+        "robot lift",
+        "identification.own",
+        "Off",
+    )
 
 
 def test_lags_are_in_samples_of_the_first_recording():
     """Both torques 4 ms late: four samples at 1 kHz, whatever the other's rate."""
     slow, fast = recorded(6, rate_hz=500.0), recorded(1)
-    late = [replace(one, effort=np.roll(one.effort, k, axis=0)) for one, k in ((fast, 4), (slow, 2))]
+    late = [
+        replace(one, effort=np.roll(one.effort, k, axis=0)) for one, k in ((fast, 4), (slow, 2))
+    ]
     fit = identify_iv(several(*map(not_stated, late)), Overrides(), Iteration())
-    assert [lag.recordings for lag in fit.lags] == [("r1.mcap",), ("r6.mcap",)], "of two rates, each has its own"
+    assert [lag.recordings for lag in fit.lags] == [("r1.mcap",), ("r6.mcap",)], (
+        "of two rates, each has its own"
+    )
     np.testing.assert_allclose([1e3 * lag.value_s for lag in fit.lags], 4.0, atol=0.25)
     assert fit.trust.line("lag").value == pytest.approx(4.0, abs=0.25)
 
 
 def test_the_replay_is_that_of_the_worst_recording():
     loud = replace(recorded(2), effort=1.2 * recorded(2).effort)
-    line = identify_ls(several(recorded(1), loud, recorded(3)), Overrides()).trust.line("control law")
+    line = identify_ls(several(recorded(1), loud, recorded(3)), Overrides()).trust.line(
+        "control law"
+    )
     assert (line.level, line.text.partition(":")[0]) == ("caution", "r2.mcap")
     assert line.value == pytest.approx(1.2, abs=0.02)
 

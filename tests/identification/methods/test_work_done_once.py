@@ -1,4 +1,6 @@
-"""A fit builds the model, solves least squares and filters the recording once, with all its files."""
+"""A fit builds the model, solves least squares and filters the recording
+once, with all its files.
+"""
 
 import pytest
 from conftest import REPLAY
@@ -13,9 +15,11 @@ from identification.model import InverseModel
 @pytest.mark.parametrize(
     ("options", "filters", "solutions"),
     [
-        # Two solutions choose the ramps of the weights, with instruments along the motion that the reference predicts.
+        # Two solutions choose the ramps of the weights, with instruments along the motion that
+        # the reference predicts.
         ([], 2, 3),
-        # The span of motion, the weights and the controller's inertias go by the rule's low-pass, least squares with it.
+        # The span of motion, the weights and the controller's inertias go by the rule's low-pass,
+        # least squares with it.
         (["--cutoff-hz", "none"], 2, 4),
         (["--cutoff-hz", "40"], 3, 4),
     ],
@@ -33,7 +37,9 @@ def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solut
     monkeypatch.setattr(InverseModel, "__init__", counted("model", InverseModel.__init__))
     monkeypatch.setattr(motion, "lowpass", counted("filter", motion.lowpass))
     for room in (settled, observation):  # that chooses the ramps, and that names the solver
-        monkeypatch.setattr(room, "weighted_least_squares", counted("least squares", room.weighted_least_squares))
+        monkeypatch.setattr(
+            room, "weighted_least_squares", counted("least squares", room.weighted_least_squares)
+        )
     files = ["--json", str(tmp_path / "fit.json"), "--rrd", str(tmp_path / "fit.rrd")]
     recording = REPLAY / "scara" / "session.mcap"
     assert main(["fit", str(recording), "--method", "iv", *files, *options]) == 0

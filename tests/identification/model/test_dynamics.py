@@ -1,4 +1,6 @@
-"""The model against physics: pinocchio's Newton-Euler, closed forms, power, and the field's base parameters."""
+"""The model against physics: pinocchio's Newton-Euler, closed forms, power, and the
+field's base parameters.
+"""
 
 import numpy as np
 import pinocchio as pin
@@ -19,21 +21,27 @@ def states(n: int, count: int = 50) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def tilted_arm() -> Robot:
-    """Two turning joints and a slide, none of whose axes is that of a frame, under gravity that is tilted too."""
+    """Two turning joints and a slide, none of whose axes is that of a frame, under
+    gravity that is tilted too.
+    """
     tilted = urdf(lift=joint("lift", "revolute", "column", "arm", LIMIT, axis="0.3 0.9 -0.2"))
     return robot_of_arm(tilted, "gravity_m_s2 = [1.0, -2.0, -9.5]\n")
 
 
 @pytest.mark.parametrize("robot", ["tx40", "emps", "arm"])
 def test_regressor_is_that_of_pinocchio_also_across_the_borders_of_blocks(robot):
-    """The arm has tilted axes, a slide and gravity that is tilted too; 4099 samples are two blocks and three."""
+    """The arm has tilted axes, a slide and gravity that is tilted too; 4099 samples
+    are two blocks and three.
+    """
     dynamics = InverseModel(tilted_arm() if robot == "arm" else robot_named(robot))
     n, links = dynamics.robot.n, np.flatnonzero(dynamics.of_links)
     q, dq, ddq = states(n, 4099)
     W = dynamics.regressor(q, dq, ddq)
     data, order = dynamics.model.createData(), FROM_PINOCCHIO
     for k in (0, 1, 2047, 2048, 4095, 4096, 4098):
-        expected = pin.computeJointTorqueRegressor(dynamics.model, data, q[k], dq[k], ddq[k]).reshape(n, n, 10)
+        expected = pin.computeJointTorqueRegressor(
+            dynamics.model, data, q[k], dq[k], ddq[k]
+        ).reshape(n, n, 10)
         got = W[k][:, links].reshape(n, n, 10)
         assert np.abs(got - expected[..., order]).max() < 1e-13 * np.abs(expected).max()
 
@@ -46,7 +54,9 @@ def test_scara_is_the_closed_form_of_the_paper():
     q, dq, ddq = states(2)
     (v1, v2), (a1, a2), L = dq.T, ddq.T, 0.5
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
-    ZZ1R, Fv1, Fc1, ZZ2, MX2, MY2, Fv2, Fc2 = beta = np.array([3.45, 0.04, 0.82, 0.061, 0.246, 0.014, 0.013, 0.137])
+    ZZ1R, Fv1, Fc1, ZZ2, MX2, MY2, Fv2, Fc2 = beta = np.array(
+        [3.45, 0.04, 0.82, 0.061, 0.246, 0.014, 0.013, 0.137]
+    )
     tau1 = ZZ1R * a1 + ZZ2 * (a1 + a2) + Fv1 * v1 + Fc1 * np.sign(v1)
     tau1 += L * MX2 * ((2 * a1 + a2) * c2 - v2 * (2 * v1 + v2) * s2)
     tau1 -= L * MY2 * ((2 * a1 + a2) * s2 + v2 * (2 * v1 + v2) * c2)
@@ -60,7 +70,9 @@ def test_emps_has_four_parameters_and_five_with_friction_by_direction():
     base = base_parameters(InverseModel(robot_named("emps")))
     assert base.names == ("M1", "Fv1", "Fc1", "Off1")
     assert base.units == ("kg", "N s/m", "N", "N")
-    asymmetric = base_parameters(InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml")))
+    asymmetric = base_parameters(
+        InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
+    )
     assert asymmetric.names == ("M1", "Fvp1", "Fcp1", "Fvn1", "Fcn1")
 
 
@@ -68,7 +80,8 @@ def test_tx40_has_the_sixty_parameters_of_the_paper():
     base = base_parameters(InverseModel(robot_named("tx40")))
     assert base.b == 60
     expressions = dict(zip(base.names, base.expressions, strict=True))
-    # Regrouping relations of Khalil2002 for these axes, written out by hand: M6 acts 0.225 m off axis 2.
+    # Regrouping relations of Khalil2002 for these axes, written out by hand: M6
+    # acts 0.225 m off axis 2.
     assert expressions["ZZ2R"] == "ZZ2 + Ia2 + 0.050625 (M3 + M4 + M5 + M6)"
     assert expressions["MX2R"] == "MX2 + 0.225 (M3 + M4 + M5 + M6)"
     assert expressions["MY5R"] == "MY5 - MZ6"
@@ -87,7 +100,9 @@ def test_coupled_wrist_acts_as_the_authors_write_it():
         return W[:, :, dynamics.names.index(name)]
 
     zero, sign = np.zeros(len(q)), np.sign(dq[:, 4] + dq[:, 5])
-    np.testing.assert_allclose(column("Ia6")[:, 4:], np.c_[ddq[:, 5], ddq[:, 4] + ddq[:, 5]], atol=1e-12)
+    np.testing.assert_allclose(
+        column("Ia6")[:, 4:], np.c_[ddq[:, 5], ddq[:, 4] + ddq[:, 5]], atol=1e-12
+    )
     np.testing.assert_allclose(column("Fvm6")[:, 4:], np.c_[dq[:, 5], dq[:, 4]], atol=1e-12)
     np.testing.assert_allclose(column("Fcm6")[:, 4:], np.c_[sign, sign], atol=1e-12)
     np.testing.assert_allclose(column("Ia5")[:, 4:], np.c_[ddq[:, 4], zero], atol=1e-12)
@@ -114,9 +129,13 @@ effort_unit = "N m"
     return robot_from_files({"robot.toml": text.encode()}, "two.toml")
 
 
-@pytest.mark.parametrize("matrix", [[[50, 0], [30, 40]], [[50, 0], [0, -40]], [[20, 20], [20, -20]]])
+@pytest.mark.parametrize(
+    "matrix", [[[50, 0], [30, 40]], [[50, 0], [0, -40]], [[20, 20], [20, -20]]]
+)
 def test_rotor_torques_do_the_work_of_the_rotors_kinetic_energy(matrix):
-    """Power of the rotor columns = d/dt of sum 1/2 J (motor speed)²; for a differential both motors turn both joints."""
+    """Power of the rotor columns = d/dt of sum 1/2 J (motor speed)²; for a differential both
+    motors turn both joints.
+    """
     dynamics = InverseModel(robot_with_matrix(matrix))
     R = np.array(matrix, dtype=float)
     J = np.array([3e-5, 7e-5])
@@ -128,13 +147,18 @@ def test_rotor_torques_do_the_work_of_the_rotors_kinetic_energy(matrix):
     chi = np.array([Ia.get(name, 0.0) for name in dynamics.names])
     tau = dynamics.regressor(q, dq, ddq) @ chi
     np.testing.assert_allclose(tau, ddq @ M, atol=1e-12)
-    np.testing.assert_allclose((tau * dq).sum(axis=1), np.einsum("ti,ij,tj->t", dq, M, ddq), atol=1e-11)
+    np.testing.assert_allclose(
+        (tau * dq).sum(axis=1), np.einsum("ti,ij,tj->t", dq, M, ddq), atol=1e-11
+    )
 
 
 def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
     text = 'name = "two"\nurdf = "two.urdf"\n[controller]\nbandwidth_hz = 5\n'
     for name in names:
-        text += f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "{name}"\neffort_unit = "N m"\n'
+        text += (
+            f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = '
+            f'"{name}"\neffort_unit = "N m"\n'
+        )
     return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf.encode()}, "two.toml")
 
 

@@ -1,4 +1,6 @@
-"""A position loop whose bandwidth nobody states: filters and simulated loop follow from where the motion ends."""
+"""A position loop whose bandwidth nobody states: filters and simulated loop follow from
+where the motion ends.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -27,12 +29,17 @@ NOT_STATED = "controller.bandwidth_hz is not stated: "
 
 @cache
 def recorded(seed: int) -> Signals:
-    """A UR5 whose drives feed speed forward: it follows its reference a moment late; torque noise of 2 to 4 %."""
+    """A UR5 whose drives feed speed forward: it follows its reference a moment late;
+    torque noise of 2 to 4 %.
+    """
     path = packaged_urdf("ur5_robot.urdf")
     robot, model = robot_of_chain(read_chain(path)), pin.buildModelFromUrdf(str(path))
     model.armature, data, rng, n = ROTOR, model.createData(), np.random.default_rng(seed), robot.n
     omega, phase = 2 * np.pi * rng.uniform(0.1, 1.0, (5, n)), rng.uniform(0, 6.28, (5, n))
-    size, t = 3 * rng.uniform(0.1, 0.2, (5, n)) / omega, np.arange(round(DURATION_S * RATE_HZ) + 1)[:, None] / RATE_HZ
+    size, t = (
+        3 * rng.uniform(0.1, 0.2, (5, n)) / omega,
+        np.arange(round(DURATION_S * RATE_HZ) + 1)[:, None] / RATE_HZ,
+    )
     middle = np.clip(-1.2, model.lowerPositionLimit, model.upperPositionLimit) * (np.arange(n) % 2)
 
     def motion(t: np.ndarray) -> np.ndarray:
@@ -46,19 +53,29 @@ def recorded(seed: int) -> Signals:
     tau = np.array([pin.rnea(model, data, *x) for x in zip(q, v, a, strict=True)])
     tau += VISCOUS * v + COULOMB * np.tanh(v / 0.005)
     tau += rng.uniform(0.02, 0.04, n) * tau.std(axis=0) * rng.standard_normal(tau.shape)
-    joints = tuple(msgspec.structs.replace(joint, position_deg=None, speed_deg_s=None) for joint in robot.joints)
+    joints = tuple(
+        msgspec.structs.replace(joint, position_deg=None, speed_deg_s=None)
+        for joint in robot.joints
+    )
     return Signals(
-        t_s=t[:, 0], q=q + 50e-6 * rng.standard_normal(q.shape), q_ref=motion(t + AHEAD_S), effort=tau,
-        sample_rate_hz=RATE_HZ, robot=replace(robot, joints=joints), recording=f"ur5 {seed}", sha256=str(seed),
+        t_s=t[:, 0], q=q + 50e-6 * rng.standard_normal(q.shape), q_ref=motion(t + AHEAD_S),
+        effort=tau,
+        sample_rate_hz=RATE_HZ, robot=replace(robot, joints=joints), recording=f"ur5 {seed}",
+        sha256=str(seed),
     )  # fmt: skip
 
 
 def truth(signals: Signals) -> dict[str, float]:
     dynamics = InverseModel(signals.robot)
-    base, chi = base_parameters(dynamics), dict(zip(dynamics.names, known_parameters(dynamics), strict=True))
+    base, chi = (
+        base_parameters(dynamics),
+        dict(zip(dynamics.names, known_parameters(dynamics), strict=True)),
+    )
     for j in range(signals.robot.n):
         chi |= {f"Ia{j + 1}": ROTOR[j], f"Fv{j + 1}": VISCOUS[j], f"Fc{j + 1}": COULOMB[j]}
-    return dict(zip(base.names, base.K @ np.array([chi[name] for name in dynamics.names]), strict=True))
+    return dict(
+        zip(base.names, base.K @ np.array([chi[name] for name in dynamics.names]), strict=True)
+    )
 
 
 @pytest.fixture
@@ -86,7 +103,8 @@ def test_filters_and_loop_are_told_and_no_warning_contradicts_them(ur5):
     assert loop_hz == pytest.approx(2 * cutoff_hz)
     assert problem.settings.decimation == pytest.approx(0.4 * RATE_HZ / cutoff_hz, rel=0.1)
     assert problem.settings.warnings == (
-        f"{NOT_STATED}low-pass at {cutoff_hz:.3g} Hz, a PD of {loop_hz:.3g} Hz simulated if no loop is described; "
+        f"{NOT_STATED}low-pass at {cutoff_hz:.3g} Hz, a PD of {loop_hz:.3g} Hz simulated if no "
+        "loop is described; "
         f"{ur5.recording} has only noise above {cutoff_hz:.3g} Hz",
     )
     (page,) = draw_recording(ur5, Overrides()).document.sections[:1]
@@ -94,7 +112,8 @@ def test_filters_and_loop_are_told_and_no_warning_contradicts_them(ur5):
 
 
 @pytest.mark.parametrize(
-    ("given_hz", "told"), [(2.0, "low-pass at 2 Hz"), (20.0, "low-pass at 20 Hz"), (0.0, "no low-pass")]
+    ("given_hz", "told"),
+    [(2.0, "low-pass at 2 Hz"), (20.0, "low-pass at 20 Hz"), (0.0, "no low-pass")],
 )
 def test_a_stated_cutoff_stays_and_moves_no_loop(ur5, given_hz, told):
     free, given = (make_problem(ur5, Overrides(cutoff_hz=x)) for x in (None, given_hz))

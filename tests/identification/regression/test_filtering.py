@@ -5,8 +5,20 @@ import pytest
 from scipy import interpolate, signal
 
 from identification.errors import BadInputError, NoFitError
-from identification.regression import Decimation, Motion, forward_backward_3db_hz, sampled_at, smooth
-from identification.regression.filtering import decimate, decimation_passes, decimation_reach, lowpass, lowpass_reach
+from identification.regression import (
+    Decimation,
+    Motion,
+    forward_backward_3db_hz,
+    sampled_at,
+    smooth,
+)
+from identification.regression.filtering import (
+    decimate,
+    decimation_passes,
+    decimation_reach,
+    lowpass,
+    lowpass_reach,
+)
 from identification.regression.motion import later, motion_between
 
 FS = 1000.0
@@ -33,7 +45,9 @@ def test_derivatives_of_sines_for_every_joint():
     np.testing.assert_allclose(motion.ddq, -(w**2) * np.sin(t * w), atol=5e-4 * w.max() ** 2)
 
 
-@pytest.mark.parametrize(("factor", "passes"), [(1, ()), (13, (13,)), (20, (4, 5)), (17, (17,)), (1000, (10, 10, 10))])
+@pytest.mark.parametrize(
+    ("factor", "passes"), [(1, ()), (13, (13,)), (20, (4, 5)), (17, (17,)), (1000, (10, 10, 10))]
+)
 def test_large_decimations_go_in_passes(factor, passes):
     assert sorted(decimation_passes(factor)) == list(passes)
 
@@ -46,14 +60,19 @@ def test_a_part_of_a_motion_is_the_part_of_the_whole():
     part = motion_between(q, tau, cutoff_hz=20.0, sample_rate_hz=FS, start=2500, stop=3100)
     for name in ("q", "dq", "ddq", "tau"):
         expected = getattr(whole, name)[2500:3100]
-        np.testing.assert_allclose(getattr(part, name), expected, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            getattr(part, name), expected, atol=1e-9 * np.abs(expected).max()
+        )
 
 
 def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
     with pytest.raises(BadInputError) as told:
         lowpass(np.zeros((100, 1)), 600.0, FS)
     assert (told.value.key, told.value.value) == ("cut-off", 600.0)
-    for filtered in (lambda: lowpass(np.zeros((12, 1)), 20.0, FS), lambda: decimate(np.zeros(24), 10)):
+    for filtered in (
+        lambda: lowpass(np.zeros((12, 1)), 20.0, FS),
+        lambda: decimate(np.zeros(24), 10),
+    ):
         with pytest.raises(NoFitError):
             filtered()
 
@@ -65,17 +84,24 @@ def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, fa
     near = 6 * factor
     found = decimate(x, factor)
     # The value of the line at the end sample.
-    first, last = (np.polyfit(np.arange(near), y.T, 1)[1][:, None] for y in (x[:, :near], x[:, : -near - 1 : -1]))
+    first, last = (
+        np.polyfit(np.arange(near), y.T, 1)[1][:, None]
+        for y in (x[:, :near], x[:, : -near - 1 : -1])
+    )
     extended = np.concatenate([2 * first - x[:, :0:-1], x, 2 * last - x[:, -2::-1]], axis=1)
     sos = signal.cheby1(8, 0.05, 0.8 / factor, output="sos")
     expected = signal.sosfiltfilt(sos, extended, axis=-1)[:, samples - 1 : 2 * samples - 1]
-    np.testing.assert_allclose(found, expected[:, (samples - 1) % factor :: factor], atol=1e-10 * np.abs(x).max())
+    np.testing.assert_allclose(
+        found, expected[:, (samples - 1) % factor :: factor], atol=1e-10 * np.abs(x).max()
+    )
 
 
 @pytest.mark.parametrize("cutoff_hz", [10.0, 400.0])
 def test_the_low_pass_is_the_recursive_filter_run_forward_and_backward(cutoff_hz):
     x = np.random.default_rng(0).standard_normal((9000, 3)).cumsum(axis=0)
-    expected = signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=FS, output="sos"), x, axis=0, padlen=12)
+    expected = signal.sosfiltfilt(
+        signal.butter(4, cutoff_hz, fs=FS, output="sos"), x, axis=0, padlen=12
+    )
     np.testing.assert_allclose(lowpass(x, cutoff_hz, FS), expected, atol=1e-11 * np.abs(x).max())
 
 
@@ -84,7 +110,9 @@ def test_decimation_with_edges_of_matlab_is_filtfilt(samples, factor):
     x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
     expected = signal.sosfiltfilt(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"), x, padlen=24)
     found = decimate(x, factor, smooth_ends=False)
-    np.testing.assert_allclose(found, expected[:, (samples - 1) % factor :: factor], atol=1e-11 * np.abs(x).max())
+    np.testing.assert_allclose(
+        found, expected[:, (samples - 1) % factor :: factor], atol=1e-11 * np.abs(x).max()
+    )
 
 
 def test_the_reach_of_a_filter_is_that_of_its_slowest_pole():
@@ -103,7 +131,8 @@ def test_every_tenth_sample_of_what_a_low_pass_leaves_decimates_as_all_samples_d
     assert stride == 10
     at, end = (samples - 1) % stride, decimation.end_samples
     strided = decimation.filtered_strided(x[:, at::stride], x[:, : at + end + 1], x[:, -end - 1 :])
-    np.testing.assert_allclose(strided, decimation.filtered(x), atol=1e-6 * np.abs(x).max())  # the ends too
+    # the ends too
+    np.testing.assert_allclose(strided, decimation.filtered(x), atol=1e-6 * np.abs(x).max())
 
 
 def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept():

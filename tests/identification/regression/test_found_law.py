@@ -1,4 +1,6 @@
-"""The control law from a recording: controllers written here, step by step, of a motor that follows as it pleases."""
+"""The control law from a recording: controllers written here, step by step, of a motor that
+follows as it pleases.
+"""
 
 from dataclasses import replace
 
@@ -20,16 +22,23 @@ TRUE = {"kp": 3000.0, "kd": 150.0, "ki": 20_000.0}
 
 def smooth(rng: np.random.Generator, t: np.ndarray, top_hz: float, count: int = 12) -> np.ndarray:
     f, phase = rng.uniform(0.3, top_hz, count), rng.uniform(0, 2 * np.pi, count)
-    return 0.1 * np.sum(rng.uniform(0.3, 1.0, count) * np.sin(2 * np.pi * np.outer(t, f) + phase) / f, axis=1)
+    return 0.1 * np.sum(
+        rng.uniform(0.3, 1.0, count) * np.sin(2 * np.pi * np.outer(t, f) + phase) / f, axis=1
+    )
 
 
 def recorded(structure: str, seed: int = 0, *, delay: float = 0.0, noise: float = 0.002) -> Signals:
-    """Both motors of a SCARA under a law of this structure; the controller has the reference `delay` samples later."""
+    """Both motors of a SCARA under a law of this structure; the controller has the reference
+    `delay` samples later.
+    """
     rng, robot, T = np.random.default_rng(seed), robot_named("scara"), 1 / RATE_HZ
     t = np.arange(round(12 * RATE_HZ)) * T
     q_ref, q, effort = (np.zeros((len(t), 2)) for _ in range(3))
     for j in range(2):
-        path, errors = np.random.default_rng(10 * seed + j), np.random.default_rng(500 + 10 * seed + j)
+        path, errors = (
+            np.random.default_rng(10 * seed + j),
+            np.random.default_rng(500 + 10 * seed + j),
+        )
         r = smooth(path, t, 3.0)
         given = smooth(np.random.default_rng(10 * seed + j), t - delay * T, 3.0)
         position = given - 0.02 * smooth(errors, t, 6.0) + 2e-6 * rng.standard_normal(len(t))
@@ -52,7 +61,8 @@ def recorded(structure: str, seed: int = 0, *, delay: float = 0.0, noise: float 
     motors = np.linalg.inv(R)
     joint = robot.joint_effort(effort)
     return Signals(
-        t_s=t, q=q @ motors.T, q_ref=q_ref @ motors.T, effort=joint, sample_rate_hz=RATE_HZ, robot=robot, recording="made",
+        t_s=t, q=q @ motors.T, q_ref=q_ref @ motors.T, effort=joint, sample_rate_hz=RATE_HZ,
+        robot=robot, recording="made",
         effort_timing="command",
     )  # fmt: skip
 
@@ -69,12 +79,17 @@ def gains_of(structure: str) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("structure", "delay"), [*((x, 0.75) for x in STRUCTURES), *(("pd", x) for x in (-1.0, 3.0)), ("cascade_p_pi", 0.0)]
+    ("structure", "delay"),
+    [*((x, 0.75) for x in STRUCTURES), *(("pd", x) for x in (-1.0, 3.0)), ("cascade_p_pi", 0.0)],
 )
 def test_structure_gains_and_delay_are_told(structure, delay):
     law = told(recorded(structure, delay=delay))
     assert law.reason is None
-    assert law.structure == structure.replace("cascade_p_p", "pd") if structure != "cascade_p_pi" else structure
+    assert (
+        law.structure == structure.replace("cascade_p_p", "pd")
+        if structure != "cascade_p_pi"
+        else structure
+    )
     # q of this one is in its integral, and in its error
     within = 0.1 if structure != "cascade_p_pi" else law.delay_half_s.max() * RATE_HZ
     assert law.delay_s * RATE_HZ == pytest.approx(delay, abs=within)
@@ -97,7 +112,9 @@ def test_intervals_hold():
 def test_a_law_that_is_none_of_them_is_not_told():
     signals = recorded("pd")
     acceleration = np.gradient(np.gradient(signals.q_ref, 1 / RATE_HZ, axis=0), 1 / RATE_HZ, axis=0)
-    law = told(replace(signals, effort=signals.effort + 30.0 * acceleration * (1 + np.cos(signals.q_ref))))
+    law = told(
+        replace(signals, effort=signals.effort + 30.0 * acceleration * (1 + np.cos(signals.q_ref)))
+    )
     assert law.reason is not None
     assert "linear law" in law.reason
 
@@ -106,9 +123,12 @@ def test_saturated_samples_are_left_out():
     signals = recorded("pd")
     limit = 0.6 * np.abs(signals.robot.motor_effort(signals.effort)).max(axis=0)
     motors = tuple(
-        msgspec.structs.replace(m, saturation=x) for m, x in zip(signals.robot.motors, limit.tolist(), strict=True)
+        msgspec.structs.replace(m, saturation=x)
+        for m, x in zip(signals.robot.motors, limit.tolist(), strict=True)
     )
-    clipped = signals.robot.joint_effort(np.clip(signals.robot.motor_effort(signals.effort), -limit, limit))
+    clipped = signals.robot.joint_effort(
+        np.clip(signals.robot.motor_effort(signals.effort), -limit, limit)
+    )
     named = told(replace(signals, effort=clipped, robot=replace(signals.robot, motors=motors)))
     assert named.gains[0] == pytest.approx(TRUE["kp"], rel=0.02)
     assert told(replace(signals, effort=clipped)).residual_percent.max() > 5.0, "they matter"
@@ -126,7 +146,9 @@ def test_the_law_of_the_real_axis_is_the_published_one(emps):
 
 @pytest.mark.parametrize("times", [np.nan, -1.0])
 def test_a_law_without_positive_gains_is_none(times, monkeypatch):
-    """What the simulated robot, the file and [controller] would have: refused before any of them."""
+    """What the simulated robot, the file and [controller] would have:
+    refused before any of them.
+    """
 
     def without(*given):
         gains, *others = values(*given)

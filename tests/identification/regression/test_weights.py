@@ -1,4 +1,6 @@
-"""Samples that stand weigh nothing: the weights by their formula, what they leave out exactly, and how ramps are chosen."""
+"""Samples that stand weigh nothing: the weights by their formula, what they leave out exactly,
+and how ramps are chosen.
+"""
 
 import dataclasses
 
@@ -34,11 +36,16 @@ def scara(**changes):
 
 
 def by_formula(moves: np.ndarray, L: int) -> np.ndarray:
-    """Moving samples eroded by L, convolved with a Hann window of 2 L + 1 samples of sum 1, zero where it stood."""
+    """Moving samples eroded by L, convolved with a Hann window of 2 L + 1 samples of sum
+    1, zero where it stood.
+    """
     window = np.sin(np.pi * np.arange(1, 2 * L + 2) / (2 * L + 2)) ** 2
     found, N = np.zeros(len(moves)), len(moves)
     for k in np.flatnonzero(moves):
-        near = [all(moves[max(0, i - L) : i + L + 1]) for i in np.clip(np.arange(k - L, k + L + 1), 0, N - 1)]
+        near = [
+            all(moves[max(0, i - L) : i + L + 1])
+            for i in np.clip(np.arange(k - L, k + L + 1), 0, N - 1)
+        ]
         found[k] = np.dot(near, window) / window.sum()
     return found
 
@@ -58,12 +65,16 @@ def test_weights_are_those_of_the_formula_in_any_block():
 
 
 def test_a_joint_stands_within_half_a_period_of_the_cutoff_of_a_slow_sample():
-    """A joint that follows a known speed: zero where it is below 4 % of its peak within 20 ms, at 1 kHz and 25 Hz."""
+    """A joint that follows a known speed: zero where it is below 4 % of its peak within 20
+    ms, at 1 kHz and 25 Hz.
+    """
     t = SCARA.t_s
     q = np.stack([np.sin(2 * np.pi * t), 0.5 * np.sin(np.pi * t)], axis=1)  # far below the cut-off
     problem = scara(q=q)
     s = problem.settings
-    speed = np.abs(np.stack([2 * np.pi * np.cos(2 * np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)], axis=1))
+    speed = np.abs(
+        np.stack([2 * np.pi * np.cos(2 * np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)], axis=1)
+    )
     slow = speed < 0.04 * speed.max(axis=0)
     near = np.array([slow[max(0, k - 20) : k + 21].any(axis=0) for k in range(len(t))])
     found = ~sample_weights(problem).moves[s.start : s.stop]
@@ -77,9 +88,12 @@ def test_coupled_joints_stand_where_a_direction_that_acts_on_them_does(monkeypat
     q = np.stack([np.sin(2 * np.pi * 0.5 * t), -np.sin(2 * np.pi * 0.5 * t)], axis=1)
     problem = scara(q=q)
     assert sample_weights(problem).moves.mean() > 0.8
-    monkeypatch.setattr(problem.model, "coulomb_directions", np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+    monkeypatch.setattr(
+        problem.model, "coulomb_directions", np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    )
     problem.motion.weights.clear()
-    # The sum of both speeds is rounding alone: its peak is no speed, and what is below 4 deviations of noise stands.
+    # The sum of both speeds is rounding alone: its peak is no speed, and what is below 4
+    # deviations of noise stands.
     q = q + np.c_[0 * t, 1e-3 * np.sin(2 * np.pi * 0.1 * t)]
     problem = dataclasses.replace(problem, motion=FilteredMotion(dataclasses.replace(SCARA, q=q)))
     both = sample_weights(problem).moves
@@ -87,24 +101,33 @@ def test_coupled_joints_stand_where_a_direction_that_acts_on_them_does(monkeypat
 
 
 def test_rows_and_columns_have_the_same_weights():
-    """Y = F[w tau] and W beta = F[w W beta] by hand, and the weight of a row F[w] over the filter's gain."""
+    """Y = F[w tau] and W beta = F[w W beta] by hand, and the weight of a row F[w]
+    over the filter's gain.
+    """
     problem = scara()
     s, plain = problem.settings, rows_of_recording(problem)
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     w, F = weights_at(problem, motion.t_s), s.decimator.filtered
     np.testing.assert_allclose(plain.system.Y, F(w * motion.tau.T).reshape(-1), atol=1e-9)
     beta = np.arange(1.0, 9.0)
-    full = problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns] @ beta
+    full = (
+        problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns] @ beta
+    )
     expected = F(w * full.T).reshape(-1)
     np.testing.assert_allclose(plain.system.W @ beta, expected, atol=2e-5 * np.abs(expected).max())
     share = F(w) / F(np.ones_like(w))
     counts = share > 0.1
     np.testing.assert_allclose(plain.share.T, np.where(counts, share, 0.0), atol=1e-3)
-    assert plain.system.rows == pytest.approx((np.where(counts, share, 0.0) ** 2).sum(axis=1), rel=1e-3)
+    assert plain.system.rows == pytest.approx(
+        (np.where(counts, share, 0.0) ** 2).sum(axis=1), rel=1e-3
+    )
 
 
 def test_a_threshold_of_zero_is_the_method_without_weights():
-    """Decimated torque and regressor as they are: the digits that are published. The number is that of the method."""
+    """Decimated torque and regressor as they are: the digits that are published.
+
+    The number is that of the method.
+    """
     problem = make_problem(SCARA, Overrides(low_speed_percent=0.0, torque_lag_s="none"))
     plain, s = rows_of_recording(problem), problem.settings
     assert (plain.share == 1.0).all()
@@ -113,7 +136,9 @@ def test_a_threshold_of_zero_is_the_method_without_weights():
     found = weights_at(problem, np.arange(s.start, s.stop) / SCARA.sample_rate_hz)
     np.testing.assert_array_equal(found, np.ones((2, s.stop - s.start)))
     given = Overrides(low_speed_percent=LowSpeed(ls=0.0, iv=10.0))
-    by_method = [make_settings(SCARA, dataclasses.replace(given, method=method)) for method in ("wls", "iv")]
+    by_method = [
+        make_settings(SCARA, dataclasses.replace(given, method=method)) for method in ("wls", "iv")
+    ]
     assert [one.low_speed_percent for one in by_method] == [0.0, 10.0]
 
 
@@ -129,9 +154,13 @@ def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is
 
 
 def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_they_move():
-    """The elbow of two reverses too often for any ramp: torque and regressor of its rows as they are, and it is said."""
+    """The elbow of two reverses too often for any ramp: torque and regressor of its rows as
+    they are, and it is said.
+    """
     t = SCARA.t_s
-    problem = scara(q=np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 10 * t)], axis=1))
+    problem = scara(
+        q=np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 10 * t)], axis=1)
+    )
     weights, plain, s = sample_weights(problem), rows_of_recording(problem), problem.settings
     assert weights.ramps == (2.0, ROWS)
     at = s.start + s.decimator.instants(s.stop - s.start)
@@ -142,17 +171,27 @@ def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_
 
 
 def short_moves(seed: int):
-    """The SCARA, whose joints move one after the other for less than half a second, as a recording of 12 s."""
+    """The SCARA, whose joints move one after the other for less than half a second,
+    as a recording of 12 s.
+    """
     robot, rng, s = SCARA.robot, np.random.default_rng(seed), np.linspace(0, 1, 400)[:, None]
     q, now = [], np.zeros(2)
     for k in range(18):
         after = np.where(np.arange(2) == k % 2, rng.uniform(-0.6, 0.6), now)
-        q += [now + (10 * s**3 - 15 * s**4 + 6 * s**5) * (after - now), np.repeat(after[None], 260, axis=0)]
+        q += [
+            now + (10 * s**3 - 15 * s**4 + 6 * s**5) * (after - now),
+            np.repeat(after[None], 260, axis=0),
+        ]
         now = after
-    signals = closed_loop(robot, np.concatenate(q), 1000.0, noise=Noise(effort_percent=2.0), seed=seed)
+    signals = closed_loop(
+        robot, np.concatenate(q), 1000.0, noise=Noise(effort_percent=2.0), seed=seed
+    )
     slow = msgspec.structs.replace(robot.controller, bandwidth_hz=2.5)  # half of what it is
     return dataclasses.replace(
-        signals, robot=dataclasses.replace(robot, controller=slow), recording=f"s{seed}.mcap", sha256=f"{seed:064x}"
+        signals,
+        robot=dataclasses.replace(robot, controller=slow),
+        recording=f"s{seed}.mcap",
+        sha256=f"{seed:064x}",
     )
 
 
@@ -160,7 +199,10 @@ def test_recordings_of_short_moves_are_fitted():
     """No ramps suit their moves: chosen for both together, and told with joint and bandwidth."""
     fit = identify_ls(Recordings(sources=(short_moves(1), short_moves(2))), Overrides())
     for name in ("shoulder", "elbow"):
-        text = f"joint {name}: its moves are short for a bandwidth of 2.5 Hz: no weights, but rows in which it moves"
+        text = (
+            f"joint {name}: its moves are short for a bandwidth of 2.5 Hz: no weights, but "
+            "rows in which it moves"
+        )
         assert text in fit.warnings
     true = described_parameters(InverseModel(SCARA.robot), fit.base)
     assert (np.abs(fit.beta - true) < 2.0 * fit.intervals.half).all()

@@ -26,12 +26,16 @@ def fits(tmp_path_factory):
 
 def keys(value, place="") -> set[str]:
     if isinstance(value, dict):
-        return {p for key, x in value.items() for p in (f"{place}.{key}", *keys(x, f"{place}.{key}"))}
+        return {
+            p for key, x in value.items() for p in (f"{place}.{key}", *keys(x, f"{place}.{key}"))
+        }
     return {p for x in value for p in keys(x, f"{place}[]")} if isinstance(value, list) else set()
 
 
 def lasting_keys(earlier) -> set[str]:
-    """Those of a file of an earlier version but its report, which is printed, a replaced deviation, and a test that went."""
+    """Those of a file of an earlier version but its report, which is printed, a replaced
+    deviation, and a test that went.
+    """
     went = (".report", ".parameters[].sigma_hac", ".instrument_tests.dwh_")
     return {key for key in keys(earlier) if not key.startswith(went)}
 
@@ -42,7 +46,15 @@ def test_a_fit_keeps_the_keys_of_earlier_versions(fits):
     assert earlier["method"] == now["method"] == "iv"
     assert lasting_keys(earlier) <= keys(now)
     without = json.loads(fits["wls"].read_text())
-    only_iv = {"reason", "pass_returned", "start", "reference", "controller", "iterations", "instrument_tests"}
+    only_iv = {
+        "reason",
+        "pass_returned",
+        "start",
+        "reference",
+        "controller",
+        "iterations",
+        "instrument_tests",
+    }
     only_iv |= {"contrast_half_widths", "rows_used_percent", "saturated_percent", "direct_model"}
     assert set(now) - set(without) == only_iv
 
@@ -50,15 +62,23 @@ def test_a_fit_keeps_the_keys_of_earlier_versions(fits):
 def test_a_fit_is_read_back_as_it_was_written(fits):
     fit = iv_of(SCARA)
     written, made = read_fit(fits["iv"]), fit_file(fit)
-    columns = {"value": fit.beta, "sigma": fit.estimate.sigma, "low": fit.intervals.low, "high": fit.intervals.high}
+    columns = {
+        "value": fit.beta,
+        "sigma": fit.estimate.sigma,
+        "low": fit.intervals.low,
+        "high": fit.intervals.high,
+    }
     for key, expected in columns.items():
         assert [getattr(p, key) for p in written.parameters] == list(expected)
     assert written.covariance.names == [p.name for p in written.parameters]
     np.testing.assert_array_equal(written.covariance.values, fit.intervals.covariance)
-    np.testing.assert_allclose(np.sqrt(np.diag(written.covariance.values)), fit.intervals.sigma, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(written.covariance.values)), fit.intervals.sigma, rtol=1e-12
+    )
     assert [p.half for p in written.parameters] == pytest.approx(list(fit.intervals.half), rel=1e-9)
     for name in made.__struct_fields__:
-        if name not in ("essential", "instrument_tests", "trust", "iterations"):  # numbers of these may be null
+        # numbers of these may be null
+        if name not in ("essential", "instrument_tests", "trust", "iterations"):
             assert getattr(made, name) == getattr(written, name), name
 
 
@@ -80,5 +100,7 @@ def test_every_file_has_a_format_and_its_keys(fits, tmp_path):
         assert "report" not in content
         if "differences" in content:
             assert (content["a"], content["b"]) == ("iv", "wls")
-            for d, x, y in zip(content["differences"], iv_of(SCARA).beta, ls_of(SCARA).beta, strict=True):
+            for d, x, y in zip(
+                content["differences"], iv_of(SCARA).beta, ls_of(SCARA).beta, strict=True
+            ):
                 assert (d["a"]["value"], d["b"]["value"], d["off"]) == (x, y, x - y)

@@ -1,11 +1,21 @@
-"""One report, its renderers: the same numbers in a terminal and in Markdown; files by their ending."""
+"""One report, its renderers: the same numbers in a terminal and in Markdown;
+files by their ending.
+"""
 
 import math
 import re
 
 import pytest
 
-from identification.report import Document, Number, Section, Table, columns, print_whole, to_markdown
+from identification.report import (
+    Document,
+    Number,
+    Section,
+    Table,
+    columns,
+    print_whole,
+    to_markdown,
+)
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)
 FORMS = (".4f", "+.2g", ".1f")
@@ -31,13 +41,19 @@ REPORT = Document(
 
 def markdown_cells(text: str) -> list[list[str]]:
     """The cells of Markdown's tables, read by the rule that a backslash takes a bar's meaning."""
-    rows = [line for line in text.splitlines() if line.startswith("|") and not line.startswith("|-")]
+    rows = [
+        line for line in text.splitlines() if line.startswith("|") and not line.startswith("|-")
+    ]
     cells = [re.split(r"(?<!(?<!\\)\\)\|", row)[1:-1] for row in rows]
     return [[re.sub(r"\\(.)", r"\1", cell.strip()) for cell in row] for row in cells]
 
 
 def terminal_cells(text: str) -> list[list[str]]:
-    return [[cell.strip() for cell in line.split("│")[1:-1]] for line in text.splitlines() if line.startswith("│")]
+    return [
+        [cell.strip() for cell in line.split("│")[1:-1]]
+        for line in text.splitlines()
+        if line.startswith("│")
+    ]
 
 
 def test_the_three_renderers_give_the_same_cells(capsys):
@@ -45,7 +61,9 @@ def test_the_three_renderers_give_the_same_cells(capsys):
     terminal, markdown = capsys.readouterr().out, to_markdown(REPORT)
     _, *rows = markdown_cells(markdown)
     assert (
-        rows == terminal_cells(terminal) == [["a|b\\", "1.2346", "-0.00012", "98765.4"], ["none", "-", "-", "> 1000"]]
+        rows
+        == terminal_cells(terminal)
+        == [["a|b\\", "1.2346", "-0.00012", "98765.4"], ["none", "-", "-", "> 1000"]]
     )
     for text in (terminal, markdown):
         assert text.index("a robot: fit") < text.index("status: solved") < text.index("parameters")

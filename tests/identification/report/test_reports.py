@@ -1,4 +1,6 @@
-"""What the reports of a fit and of a validation say: the verdict first, by the rows that move, then what is essential."""
+"""What the reports of a fit and of a validation say: the verdict first, by the rows that move,
+then what is essential.
+"""
 
 import re
 from dataclasses import replace
@@ -8,7 +10,13 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
-from identification.methods import Validated, fit_document, fit_file, recording_document, validation_document
+from identification.methods import (
+    Validated,
+    fit_document,
+    fit_file,
+    recording_document,
+    validation_document,
+)
 from identification.report import Section
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -27,11 +35,15 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
     every = fit.errors[-1].relative_error_percent
     assert f"{moving:.3g}" != f"{every:.3g}", "here standing rows make a difference"
     held, names = fit.trust.line("held-out blocks").value, fit.estimate.names
-    a, b = (100 * fit.intervals.half[k] / abs(fit.beta[k]) for k in map(names.index, ("ZZ1R", "ZZ2")))
+    a, b = (
+        100 * fit.intervals.half[k] / abs(fit.beta[k]) for k in map(names.index, ("ZZ1R", "ZZ2"))
+    )
     assert a < b
     assert document.title == (
-        f"SCARA: IV (as requested), converged, trust; {moving:.3g} % torque error of moving rows, {held:.2g} % held out; "
-        f"2 of 8 parameters determined, half of them to ±{(a + b) / 2:.2g} %, the worst (ZZ2) to ±{b:.2g} %"
+        f"SCARA: IV (as requested), converged, trust; {moving:.3g} % torque error of moving rows, "
+        f"{held:.2g} % held out; "
+        f"2 of 8 parameters determined, half of them to ±{(a + b) / 2:.2g} %, the worst (ZZ2) to "
+        f"±{b:.2g} %"
     )
     verdict = document.sections[0]
     assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, rotors"
@@ -45,14 +57,18 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
 @pytest.mark.parametrize("wide", [(), ("Fv1", "Fc2"), None])
 @pytest.mark.parametrize("kept", [("ZZ1R", "Fv1", "Fc2", "ZZ2"), None])
 def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
-    """Of the `kept` by the F test those with an interval narrower than the value; of `wide`, None for all, it is wider."""
+    """Of the `kept` by the F test those with an interval narrower than the value; of `wide`,
+    None for all, it is wider.
+    """
     fit = iv_of(SCARA)
     names = fit.estimate.names
     kept, wide = names if kept is None else kept, names if wide is None else wide
     by = np.where(np.isin(names, wide), 1.5 * np.abs(fit.beta), fit.intervals.half)
     intervals = replace(fit.intervals, low=fit.beta - by, high=fit.beta + by)
     fit = replace(with_essential(fit, kept), intervals=intervals)
-    fit = replace(fit, least_squares=replace(fit.least_squares, essential=replace(fit.essential, F=1.0)))
+    fit = replace(
+        fit, least_squares=replace(fit.least_squares, essential=replace(fit.essential, F=1.0))
+    )
     expected = {name for name in kept if name not in wide}
     document, file = fit_document(signals_of(SCARA), fit), fit_file(fit)
     assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected
@@ -63,7 +79,9 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
     if percents:
         worst = max(percents, key=percents.get)
         median = np.median(list(percents.values()))
-        text += f", half of them to ±{median:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
+        text += (
+            f", half of them to ±{median:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
+        )
     assert document.title.endswith(text)
     line = document.sections[0].lines[3]
     assert line.startswith(f"{len(expected)} of 8 parameters determined (by least squares)")
@@ -83,7 +101,11 @@ def test_the_table_has_the_essential_parameters_or_all(everything):
     for name, row in rows.items():
         k = fit.estimate.names.index(name)
         half = fit.intervals.half[k]
-        assert [cell.value for cell in row[1:4]] == [fit.beta[k], half, pytest.approx(100 * half / abs(fit.beta[k]))]
+        assert [cell.value for cell in row[1:4]] == [
+            fit.beta[k],
+            half,
+            pytest.approx(100 * half / abs(fit.beta[k])),
+        ]
         if everything:
             assert row[5].value == fit.estimate.sigma[k]
             assert row[6] == ("yes" if name in essential else "")
@@ -97,19 +119,27 @@ def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_
     fit = ls_of(SCARA)
     finding, *others = fit.trust.lines
     lines = (replace(finding, level="caution"), replace(others[0], level="not made"), *others[1:])
-    fit = replace(fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6)))
-    verdict, trust, parameters, errors, *rest = (s for s in fit_document(signals_of(SCARA), fit).short.sections)
+    fit = replace(
+        fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6))
+    )
+    verdict, trust, parameters, errors, *rest = (
+        s for s in fit_document(signals_of(SCARA), fit).short.sections
+    )
     assert verdict.warnings == fit.warnings[:4]
     assert verdict.lines[-1] == "2 more warnings (--all)"
     assert not any(line.startswith("status") for line in verdict.lines), "the title has it"
     assert trust.lines[0].startswith(f"caution: {finding.test}: ")
-    assert trust.lines[1].startswith(f"{[line.level for line in lines].count('ok')} of {len(lines)} checks passed; ")
+    assert trust.lines[1].startswith(
+        f"{[line.level for line in lines].count('ok')} of {len(lines)} checks passed; "
+    )
     not_made = [line.test for line in lines if line.level == "not made"]
     assert f"{len(not_made)} not possible: {', '.join(not_made)}" in trust.lines[1]
     assert len(trust.lines) == 2
     torque = dict(zip(fit.estimate.names, np.abs(fit.data.W * fit.beta).max(axis=0), strict=True))
     essential = {name: torque[name] for name in fit.essential_names}
-    assert {row[0] for row in parameters.table.rows} == set(sorted(essential, key=lambda x: -essential[x])[:10])
+    assert {row[0] for row in parameters.table.rows} == set(
+        sorted(essential, key=lambda x: -essential[x])[:10]
+    )
     assert errors.lines[0].startswith("torque error of moving rows by joint: shoulder ")
     assert rest == [Section()] * len(rest), "all else needs --all"
 

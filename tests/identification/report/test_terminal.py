@@ -1,4 +1,6 @@
-"""What a command prints into a pipe without `--all`: at most a screen; names, paths and errors are whole."""
+"""What a command prints into a pipe without `--all`: at most a screen; names,
+paths and errors are whole.
+"""
 
 from dataclasses import replace
 
@@ -25,7 +27,11 @@ WIDE = Document(
             lines=("word " * 60, f"/a/{LONG}/log.mcap in a sentence of some words"),
             warnings=tuple(f"{'a' * k} {MANY}" for k in range(5)),
         ),
-        Section(title="hidden", lines=("only with --all",), short=Section(lines=("3 of 3 checks passed (--all)",))),
+        Section(
+            title="hidden",
+            lines=("only with --all",),
+            short=Section(lines=("3 of 3 checks passed (--all)",)),
+        ),
         Section(table=Table(columns=columns("name"), rows=((LONG,),))),
     ),
 )
@@ -36,10 +42,15 @@ def test_lines_of_a_short_report_are_broken_between_words_and_no_name_is_cut(cap
     out = capsys.readouterr().out
     lines = out.splitlines()
     assert out.count(LONG) == 4
-    assert max(len(line.strip()) for line in lines if LONG not in line and "─" not in line) <= MAX_WIDTH
+    assert (
+        max(len(line.strip()) for line in lines if LONG not in line and "─" not in line)
+        <= MAX_WIDTH
+    )
     assert f"open the plots: rerun /a b/{LONG} {LONG}" in lines, "a command is one line"
     assert out.count("word") == 60 + 12 + 1
-    assert not any(line.strip().startswith("%") for line in lines), "a number and its unit stay together"
+    assert not any(line.strip().startswith("%") for line in lines), (
+        "a number and its unit stay together"
+    )
     assert "only with --all" not in out
     assert "3 of 3 checks passed (--all)" in lines
     assert not set("┃│") & set(out)
@@ -54,7 +65,9 @@ def test_with_all_lines_are_whole_and_nothing_is_hidden(capsys):
 
 def test_a_short_table_counts_its_hidden_rows():
     rows = tuple((f"p{k}",) for k in range(21))
-    section = Section(table=Table(columns=columns("name"), rows=rows), lines=("a line",), warnings=("a warning",))
+    section = Section(
+        table=Table(columns=columns("name"), rows=rows), lines=("a line",), warnings=("a warning",)
+    )
     short = section.with_short_table([5, 2]).short
     assert short.table.rows == (("p2",), ("p5",))
     assert short.lines == ("a line", "19 rows hidden (--all)")
@@ -67,7 +80,9 @@ def test_a_comparison_in_short_has_the_largest_differences_and_its_warnings():
     a, b = (ParameterSet.of_file(read_fit(REPLAY / "tx40" / "fit.json"), label) for label in "ab")
     moved = dict(b.parameters)
     for name in ("Fv1", "Ia6"):
-        moved[name] = msgspec.structs.replace(moved[name], value=moved[name].value + 5 * moved[name].sigma)
+        moved[name] = msgspec.structs.replace(
+            moved[name], value=moved[name].value + 5 * moved[name].sigma
+        )
     document = comparison_document(a, replace(b, parameters=moved), ("a warning",)).short
     (section,) = document.sections
     assert (document.title, section.title) == ("a and b", ""), "its title once"

@@ -1,4 +1,6 @@
-"""Each control law against its sampled loop written out by hand, with the exact matrix exponential of the plant."""
+"""Each control law against its sampled loop written out by hand, with the exact matrix
+exponential of the plant.
+"""
 
 import re
 from dataclasses import replace
@@ -34,10 +36,13 @@ def axis(structure: str, estimate: str, saturation: float):
     limit = f"saturation = {saturation}\n" if np.isfinite(saturation) else ""
     text = (
         'name = "axis"\n[[joint]]\nname = "x"\ntype = "prismatic"\n'
-        "dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
-        f'[[motor]]\nname = "m"\ndrive_gain = {GAIN}\ndrive_gain_unit = "N/A"\nratio = {RATIO}\n{limit}'
+        "dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb "
+        "= false\n"
+        f'[[motor]]\nname = "m"\ndrive_gain = {GAIN}\ndrive_gain_unit = "N/A"\nratio = '
+        f"{RATIO}\n{limit}"
         f'[controller]\nbandwidth_hz = 5\nstructure = "{structure}"\nsample_rate_hz = {1 / T}\n'
-        f'position_gain = [{kp}]\nvelocity_gain = [{kd}]\n{integral}velocity_estimate = "{estimate}"\n'
+        f"position_gain = [{kp}]\nvelocity_gain = [{kd}]\n{integral}velocity_estimate = "
+        f'"{estimate}"\n'
         f"[parameters]\nM1 = {MASS}\nFv1 = {VISCOUS}\n"
     )
     return robot_from_files({"robot.toml": text.encode()}, "axis.toml")
@@ -46,8 +51,11 @@ def axis(structure: str, estimate: str, saturation: float):
 REST = (np.zeros(1), np.zeros(1))
 
 
-def by_hand(structure: str, estimate: str, path: np.ndarray, saturation: float, ahead=None, force=None):
-    """Position and motor effort of the sampled loop along the reference path: position, speed, acceleration (3, TICKS).
+def by_hand(
+    structure: str, estimate: str, path: np.ndarray, saturation: float, ahead=None, force=None
+):
+    """Position and motor effort of the sampled loop along the reference path: position, speed,
+    acceleration (3, TICKS).
 
     `ahead` (TICKS,) is added to the motor's effort, `force` (TICKS,) to that on the mass.
     """
@@ -57,9 +65,15 @@ def by_hand(structure: str, estimate: str, path: np.ndarray, saturation: float, 
     q = v = before = earlier = integral = 0.0
     positions, efforts = [], []
     if structure in ("cascade_p_pi", "pid"):  # it has held the mass at rest before
-        integral = -(ahead[0] + force[0] / (RATIO * GAIN)) / (ki * kd if structure == "cascade_p_pi" else ki)
+        integral = -(ahead[0] + force[0] / (RATIO * GAIN)) / (
+            ki * kd if structure == "cascade_p_pi" else ki
+        )
     for (r, dr, ddr), fed, push in zip(path.T, ahead, force, strict=True):
-        dq = {"exact": v, "backward_difference": (q - before) / T, "two_sample_mean": (q - earlier) / (2 * T)}[estimate]
+        dq = {
+            "exact": v,
+            "backward_difference": (q - before) / T,
+            "two_sample_mean": (q - earlier) / (2 * T),
+        }[estimate]
         before, earlier = q, before
         e, de, speed = RATIO * (r - q), RATIO * (dr - dq), RATIO * dq
         kept = integral
@@ -87,25 +101,33 @@ def by_hand(structure: str, estimate: str, path: np.ndarray, saturation: float, 
 
 
 def path_of(kind: str) -> np.ndarray:
-    """A step of 10 mm, or a sine with its derivatives; the first instant is at rest at zero in both."""
+    """A step of 10 mm, or a sine with its derivatives; the first instant is
+    at rest at zero in both.
+    """
     t, w = T * np.arange(TICKS), 2 * np.pi * 3
     if kind == "step":
         return np.stack([np.where(t > 0, 0.01, 0.0), 0 * t, 0 * t])
     return 0.01 * np.stack([1 - np.cos(w * t), w * np.sin(w * t), w**2 * np.cos(w * t)])
 
 
-@pytest.mark.parametrize(("kind", "saturation"), [("step", np.inf), ("step", 3.0), ("sine", np.inf), ("sine", 1e6)])
+@pytest.mark.parametrize(
+    ("kind", "saturation"), [("step", np.inf), ("step", 3.0), ("sine", np.inf), ("sine", 1e6)]
+)
 @pytest.mark.parametrize("estimate", ESTIMATES)
 @pytest.mark.parametrize("structure", LAWS)
 def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     robot = axis(structure, estimate, saturation)
     (*_, model), path = modelled(robot), path_of(kind)
-    done = simulate(model, recorded_loop(robot), Reference(*path[..., None]), start=REST, substeps=4)
+    done = simulate(
+        model, recorded_loop(robot), Reference(*path[..., None]), start=REST, substeps=4
+    )
     q, effort = by_hand(structure, estimate, path, saturation)
     assert (np.abs(effort) > 0.999 * saturation).any() == (saturation == 3.0)
     assert np.abs(q).max() > 5e-3
     np.testing.assert_allclose(done.q[::4, 0], q, atol=2e-7)
-    np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
+    np.testing.assert_allclose(
+        done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max()
+    )
 
 
 @pytest.mark.parametrize("saturation", [np.inf, 3.0])
@@ -116,20 +138,28 @@ def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturat
     k = np.arange(TICKS)
     ahead, force = 1.5 + 2.0 * ((k > 100) & (k < 160)), 8.0 - 20.0 * (k > 250)
     known = {"feedforward": ahead[:, None], "known_torque": force[:, None]}
-    done = simulate(model, recorded_loop(robot), Reference(*path[..., None], **known), start=REST, substeps=4)
+    done = simulate(
+        model, recorded_loop(robot), Reference(*path[..., None], **known), start=REST, substeps=4
+    )
     q, effort = by_hand(structure, "exact", path, saturation, ahead, force)
     np.testing.assert_allclose(done.q[::4, 0], q, atol=5e-7)
-    np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
+    np.testing.assert_allclose(
+        done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max()
+    )
 
 
 @pytest.mark.parametrize("structure", LAWS)
 def test_the_gain_update_leaves_the_motion_as_it_was(structure):
-    """Twice the mass and friction under twice the gains and twice the limit: the same motion, saturated or not."""
+    """Twice the mass and friction under twice the gains and twice the limit: the same
+    motion, saturated or not.
+    """
     robot = axis(structure, "backward_difference", 3.0)
     dynamics, base, _ = modelled(robot)
     moved = []
     for factor in (1.0, 2.0):
-        model = direct_model(dynamics, base.standard_parameters(factor * described_parameters(dynamics, base)))
+        model = direct_model(
+            dynamics, base.standard_parameters(factor * described_parameters(dynamics, base))
+        )
         loop = recorded_loop(robot).scaled(np.array([factor]))
         moved.append(simulate(model, loop, path_of("step")[0][:, None].copy()))
     assert np.abs(moved[0].tau).max() == pytest.approx(3.0 * GAIN * RATIO)
@@ -146,12 +176,17 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
     Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
     model = direct_model(dynamics, chi)
     zero, speed = np.zeros((1, 1)), np.full((1, 1), way * 0.2)
-    for torque in (model.torque(zero, speed, zero), dynamics.regressor(zero, speed, zero)[0, 0] @ chi):
+    for torque in (
+        model.torque(zero, speed, zero),
+        dynamics.regressor(zero, speed, zero)[0, 0] @ chi,
+    ):
         assert torque == pytest.approx(way * (Fv * 0.2 + Fc))
     start = (np.zeros(1), np.array([way * 0.5]))
     done = simulate(model, free(1, 1 / T), np.zeros((TICKS, 1)), start=start, substeps=4)
     t = T / 4 * np.arange(4 * TICKS)
-    np.testing.assert_allclose(way * done.dq[:, 0], (0.5 + Fc / Fv) * np.exp(-Fv / 95 * t) - Fc / Fv, atol=1e-4)
+    np.testing.assert_allclose(
+        way * done.dq[:, 0], (0.5 + Fc / Fv) * np.exp(-Fv / 95 * t) - Fc / Fv, atol=1e-4
+    )
 
 
 def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
@@ -161,8 +196,10 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
         np.array([{"ZZ1": 3.0, "ZZ2": 0.1}.get(name, 0.0) for name in dynamics.names]),
     )
     loop = ControlLaw(
-        period_s=T, R=R, G=np.array([10.0, 5.0]), Kp=np.array([7.0, 11.0]), Kd=np.zeros(2), Ki=np.zeros(2),
-        position_share=np.ones(2), feedforward=0.0, saturation=np.full(2, np.inf), velocity_estimate="exact",
+        period_s=T, R=R, G=np.array([10.0, 5.0]), Kp=np.array([7.0, 11.0]), Kd=np.zeros(2),
+        Ki=np.zeros(2),
+        position_share=np.ones(2), feedforward=0.0, saturation=np.full(2, np.inf),
+        velocity_estimate="exact",
         computed_torque=False,
     )  # fmt: skip
     m1, m2 = 10.0 * 7.0 * 2.0 * 0.01, 5.0 * 11.0 * (3.0 * 0.01 - 4.0 * 0.02)
@@ -170,7 +207,8 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
         law = replace(loop, velocity_estimate=estimate)
         done = simulate(model, law, np.tile(e, (2, 1)), start=(np.zeros(2), np.zeros(2)))
         np.testing.assert_allclose(done.tau[0], [2.0 * m1 + 3.0 * m2, -4.0 * m2], rtol=1e-12)
-    # The joints' inertias that make these gains oscillators of 5 Hz: w² J = Rᵀ G Kp R on the diagonal.
+    # The joints' inertias that make these gains oscillators of 5 Hz: w² J = Rᵀ G
+    # Kp R on the diagonal.
     w2 = (2 * np.pi * 5.0) ** 2
     np.testing.assert_allclose(loop.inertias(5.0), np.array([4 * 70.0 + 9 * 55.0, 16 * 55.0]) / w2)
     np.testing.assert_array_equal(replace(loop, computed_torque=True).inertias(5.0), 1.0)
@@ -180,7 +218,9 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
 def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
     robot = axis("pd_velocity_feedforward", estimate, np.inf)
     dynamics = InverseModel(robot)
-    model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
+    model = direct_model(
+        dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names])
+    )
     path, speed = 0.1 + 0.2 * T * np.arange(20)[:, None], np.full((20, 1), 0.2)
     done = simulate(model, recorded_loop(robot), Reference(path, speed, 0 * speed))
     np.testing.assert_allclose(done.tau, 0.0, atol=1e-9)
@@ -189,7 +229,9 @@ def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
 
 @pytest.mark.parametrize(("limit", "effort"), [(np.inf, 0.4), (0.3, 0.3)])
 def test_an_integral_starts_within_the_limit(limit, effort):
-    """8 N to hold at 20 N/A take 0.4 A; of a limit of 0.3 A no more than that is in the integral."""
+    """8 N to hold at 20 N/A take 0.4 A; of a limit of 0.3 A no more than
+    that is in the integral.
+    """
     robot = axis("pid", "exact", limit)
     (*_, model), loop, zero = modelled(robot), recorded_loop(robot), np.zeros((2, 1))
     control = Control(replace(model, offset=np.array([8.0])), loop, zero[0], zero[0])
@@ -198,9 +240,13 @@ def test_an_integral_starts_within_the_limit(limit, effort):
     assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
 
 
-@pytest.mark.parametrize(("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)])
+@pytest.mark.parametrize(
+    ("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)]
+)
 def test_friction_by_direction_holds_by_direction(force, moves):
-    """15 N hold against a push in the positive direction, 25 N against one in the negative direction."""
+    """15 N hold against a push in the positive direction, 25 N against one in
+    the negative direction.
+    """
     dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
     values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
@@ -213,11 +259,17 @@ def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
     """SCARA, elbow straight and folded: ZZ1R + ZZ2 ± 2 L MX2 at the shoulder, ZZ2 at the elbow."""
     *_, model = modelled(load_robot(REPLAY / "scara" / "robot.toml"))
     poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
-    np.testing.assert_allclose(inertias(model.inertia(poses)), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)
+    np.testing.assert_allclose(
+        inertias(model.inertia(poses)), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12
+    )
 
 
 def test_a_controller_described_in_part_names_what_is_missing():
     text = axis("pid", "exact", np.inf).files["robot.toml"].decode()
-    robot = robot_from_files({"robot.toml": re.sub("(velocity|integral)_gain = .*", "", text).encode()}, "axis.toml")
-    with pytest.raises(BadInputError, match="velocity_gain, integral_gain is missing: expected all of structure"):
+    robot = robot_from_files(
+        {"robot.toml": re.sub("(velocity|integral)_gain = .*", "", text).encode()}, "axis.toml"
+    )
+    with pytest.raises(
+        BadInputError, match="velocity_gain, integral_gain is missing: expected all of structure"
+    ):
         recorded_loop(robot)

@@ -1,13 +1,27 @@
-"""The package's simulation of an experiment against the independent simulator: same instants, same law, same motion."""
+"""The package's simulation of an experiment against the independent simulator: same instants,
+same law, same motion.
+"""
 
 import numpy as np
 import pytest
 from conftest import REPLAY
 from independent_robots import plant
-from independent_simulator import Imperfections, described_controller, description, references, simulate
+from independent_simulator import (
+    Imperfections,
+    described_controller,
+    description,
+    references,
+    simulate,
+)
 
 from identification.data import load_signals
-from identification.estimation import SPANS, instrumental_variables, intervals, intervals_of, weighted_least_squares
+from identification.estimation import (
+    SPANS,
+    instrumental_variables,
+    intervals,
+    intervals_of,
+    weighted_least_squares,
+)
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, make_problem, row_blocks, rows_of_recording
 from identification.simulation.experiment import Experiment
@@ -30,7 +44,9 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     np.testing.assert_allclose(places, at, atol=1e-6)
     np.testing.assert_allclose(followed.q, reference.q[0, at], atol=1e-12)
     inner = slice(1, -1)  # differences are one-sided at the ends
-    np.testing.assert_allclose(followed.dq[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max())
+    np.testing.assert_allclose(
+        followed.dq[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max()
+    )
     (found,) = simulate_instruments(e, true, true, None).replicas
     assert found.motion is not None
     grid = np.rint(found.motion.t_s * 1000).astype(int)
@@ -55,7 +71,9 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch):
     e = Experiment(problem, full.beta)
     one = simulate_instruments(e, full.beta, full.beta, spread)
     wanted = instrumental_variables(whole.system, one.Z, full.weights)
-    rho = wanted.weights[whole.system.joint_of_row] * (whole.system.Y - whole.system.W @ wanted.beta)
+    rho = wanted.weights[whole.system.joint_of_row] * (
+        whole.system.Y - whole.system.W @ wanted.beta
+    )
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(row_blocks(problem)) == 3
     e = Experiment(problem, full.beta)
@@ -69,8 +87,12 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch):
     assert len(long.rows[0].Z) < len(one.Z)
     found = instrumental_variables(long.rows[0].system, long.rows[0].Z, full.weights)
     assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6
-    np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-6, atol=1e-9 * wanted.covariance.max())
-    assert (found.rows, found.residual_norm) == pytest.approx((wanted.rows, wanted.residual_norm), rel=1e-9)
+    np.testing.assert_allclose(
+        found.covariance, wanted.covariance, rtol=1e-6, atol=1e-9 * wanted.covariance.max()
+    )
+    assert (found.rows, found.residual_norm) == pytest.approx(
+        (wanted.rows, wanted.residual_norm), rel=1e-9
+    )
     assert long.tracking_percent == pytest.approx(one.tracking_percent, rel=1e-6)
     # Intervals, of spans that count as instants.
     of_spans = intervals_of(long.rows[0].system, found)
@@ -80,7 +102,9 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch):
 
 
 def test_a_pass_whose_inertia_matrix_is_not_positive():
-    """The SCARA's elbow with an inertia below zero, within its interval: the nearest robot is simulated, and tracks."""
+    """The SCARA's elbow with an inertia below zero, within its interval: the nearest robot is
+    simulated, and tracks.
+    """
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     problem = make_problem(signals, Overrides())
     dynamics = InverseModel(signals.robot)
@@ -96,4 +120,8 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     assert (plain.kind, plain.tracking_percent) == ("reference", None)
     right = simulate_instruments(e, true, true, spread)
     assert (right.kind, right.reason) == ("simulated", None)
-    assert [bool(one.replicas[0].direct) for one in (consistent, plain, right)] == [True, False, True]
+    assert [bool(one.replicas[0].direct) for one in (consistent, plain, right)] == [
+        True,
+        False,
+        True,
+    ]

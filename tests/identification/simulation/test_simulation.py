@@ -1,4 +1,6 @@
-"""The simulated robot against physics: energy, closed forms, friction that holds, instants that belong together."""
+"""The simulated robot against physics: energy, closed forms, friction that holds,
+instants that belong together.
+"""
 
 import dataclasses
 
@@ -10,9 +12,23 @@ from loops import free, simulate
 
 from acquisition.robot import robot_from_files
 from identification.methods import Iteration, identify_iv, regular_start
-from identification.model import DirectModel, InverseModel, base_parameters, direct_model, inertias, why_not_positive
+from identification.model import (
+    DirectModel,
+    InverseModel,
+    base_parameters,
+    direct_model,
+    inertias,
+    why_not_positive,
+)
 from identification.regression import Overrides
-from identification.simulation import ClosedLoop, Control, ControlLaw, Encoder, Reference, surrogate_loop
+from identification.simulation import (
+    ClosedLoop,
+    Control,
+    ControlLaw,
+    Encoder,
+    Reference,
+    surrogate_loop,
+)
 from identification.study import Noise, closed_loop, random_reference
 
 RATE = 1000.0
@@ -32,7 +48,9 @@ def still(n: int, seconds: float) -> np.ndarray:
 
 
 def test_a_light_wrist_does_not_chatter():
-    """Fc h/M = 0.16 rad/s per step on joint 6: explicit friction would reverse its sign every step at standstill."""
+    """Fc h/M = 0.16 rad/s per step on joint 6: explicit friction would reverse its sign
+    every step at standstill.
+    """
     _, model = model_of("tx40")
     q_ref = still(6, 1.0) + np.array([0.1, -0.3, 0.4, 0.2, 0.5, 0.0])
     loop = surrogate_loop(10.0, inertias(model.inertia(q_ref[:1])), RATE)
@@ -42,7 +60,9 @@ def test_a_light_wrist_does_not_chatter():
 
 @pytest.mark.parametrize("name", ["tx40", "emps"])
 def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
-    """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint turns round or sticks."""
+    """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint
+    turns round or sticks.
+    """
     dynamics, model = model_of(name)
     q_ref = random_reference(dynamics.robot, duration_s=5.0, sample_rate_hz=RATE, seed=2)
     dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
@@ -55,9 +75,13 @@ def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
     assert moving.mean() > 0.5
     rms = np.sqrt(np.mean(done.tau**2, axis=0))
     # Viscous friction is taken at the end of the step: h Fv ddq.
-    assert (np.abs(tau - done.tau)[moving] < 0.02 * rms + 1e-3 * np.abs(done.ddq[moving]).max(axis=0)).all()
+    assert (
+        np.abs(tau - done.tau)[moving] < 0.02 * rms + 1e-3 * np.abs(done.ddq[moving]).max(axis=0)
+    ).all()
     # A shift by one instant is far worse: the test would see it.
-    assert np.median(np.abs(tau[5:] - done.tau[:-5])[moving[5:]]) > 3 * np.median(np.abs(tau - done.tau)[moving])
+    assert np.median(np.abs(tau[5:] - done.tau[:-5])[moving[5:]]) > 3 * np.median(
+        np.abs(tau - done.tau)[moving]
+    )
 
 
 def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
@@ -66,7 +90,9 @@ def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
     J = inertias(model.inertia(still(2, 0.01)))
     loop = dataclasses.replace(surrogate_loop(5.0, J, RATE), gravity=False)
     limits = np.array([saturation, np.inf])
-    return model, dataclasses.replace(loop, Ki=loop.Kp * 10, position_share=np.ones(2), saturation=limits)
+    return model, dataclasses.replace(
+        loop, Ki=loop.Kp * 10, position_share=np.ones(2), saturation=limits
+    )
 
 
 def test_a_saturated_motor_holds_its_own_integral_only():
@@ -93,7 +119,10 @@ def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
     fastest = np.abs(dq_ref @ model.directions.T).max(axis=0)
     robot = ClosedLoop(model, loop, (q_ref[0], dq_ref[0]), fastest=fastest, substeps=2)
     spans = [slice(0, 1), slice(1, 290), slice(290, 291), slice(291, 900)]
-    parts = [robot.follow(Reference(*(x[s] for x in (q_ref, dq_ref, reference.ddq))), bound)[0] for s in spans]
+    parts = [
+        robot.follow(Reference(*(x[s] for x in (q_ref, dq_ref, reference.ddq))), bound)[0]
+        for s in spans
+    ]
     for joined, wanted in zip(np.concatenate(parts, axis=1), whole, strict=False):
         np.testing.assert_allclose(joined, wanted, rtol=1e-9, atol=1e-9)
     _, lost = robot.follow(Reference(q_ref[:1] + 9.0, dq_ref[:1], dq_ref[:1]), bound)
@@ -101,11 +130,15 @@ def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
 
 
 def test_a_surrogate_holds_a_vertical_axis_up():
-    """The PD of 5 Hz alone would let the axis sag by g/w² = 9.9 mm; half of the reference would be lost in that."""
+    """The PD of 5 Hz alone would let the axis sag by g/w² = 9.9 mm; half of the reference
+    would be lost in that.
+    """
     text = (
         'name = "lift"\ngravity_m_s2 = [0, 0, -9.81]\n[[joint]]\nname = "z"\ntype = "prismatic"\n'
-        "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
-        '[[motor]]\nname = "m"\neffort_unit = "N"\n[controller]\nbandwidth_hz = 5\n[parameters]\nM1 = 20.0\nFv1 = 50.0\n'
+        "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = "
+        "false\n"
+        '[[motor]]\nname = "m"\neffort_unit = "N"\n[controller]\nbandwidth_hz = '
+        "5\n[parameters]\nM1 = 20.0\nFv1 = 50.0\n"
     )
     robot = robot_from_files({"robot.toml": text.encode()}, "lift.toml")
     q_ref = 0.02 * np.sin(np.arange(8000) / 800)[:, None]
@@ -113,13 +146,22 @@ def test_a_surrogate_holds_a_vertical_axis_up():
     assert np.abs(signals.q - q_ref).max() < 1e-3
     measured = dataclasses.replace(signals, q_ref=None)
     fit = identify_iv(measured, Overrides(), Iteration())
-    assert (fit.status, fit.iv.reference, fit.iv.controller) == ("converged", "surrogate", "surrogate")
+    assert (fit.status, fit.iv.reference, fit.iv.controller) == (
+        "converged",
+        "surrogate",
+        "surrogate",
+    )
     assert fit.iv.passes[-1].z.tracking_percent < 5
     np.testing.assert_allclose(fit.beta, [20.0, 50.0], rtol=0.01)
-    # So does a described PD, where the measured position, with the sag in it, stands in for the reference.
+    # So does a described PD, where the measured position, with the sag in it, stands
+    # in for the reference.
     gains = {"position_gain": (20 * 31.4**2,), "velocity_gain": (20 * 50.0,)}
-    described = msgspec.structs.replace(robot.controller, structure="pd", sample_rate_hz=1000.0, **gains)
-    signals = closed_loop(dataclasses.replace(robot, controller=described), q_ref, RATE, noise=Noise(), seed=1)
+    described = msgspec.structs.replace(
+        robot.controller, structure="pd", sample_rate_hz=1000.0, **gains
+    )
+    signals = closed_loop(
+        dataclasses.replace(robot, controller=described), q_ref, RATE, noise=Noise(), seed=1
+    )
     assert signals.q.mean() < -5e-3  # it sags
     fit = identify_iv(dataclasses.replace(signals, q_ref=None), Overrides(), Iteration())
     assert (fit.status, fit.iv.passes[-1].z.tracking_percent < 20) == ("converged", True)
@@ -127,7 +169,9 @@ def test_a_surrogate_holds_a_vertical_axis_up():
 
 def test_a_simulation_that_cannot_go_on_says_why_and_is_not_clipped():
     _, model = model_of("emps")
-    loop = dataclasses.replace(surrogate_loop(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6]))
+    loop = dataclasses.replace(
+        surrogate_loop(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6])
+    )
     done = simulate(model, loop, still(1, 0.06), start=(np.array([1e-3]), np.zeros(1)), bound=0.1)
     assert "leaves its reference at joint 1" in done.reason
     assert (np.abs(done.q) < 0.1).all()
@@ -137,11 +181,16 @@ def test_a_simulation_that_cannot_go_on_says_why_and_is_not_clipped():
     assert 0 < len(done.q) < RATE
     _, model = model_of("scara", ZZ2=-0.01, Fc=0.0)
     assert "not positive on the trajectory" in why_not_positive(model.inertia(np.zeros((1, 2))))
-    assert simulate(model, free(2, RATE), still(2, 0.1)).reason == "the inertia matrix is not positive definite"
+    assert (
+        simulate(model, free(2, RATE), still(2, 0.1)).reason
+        == "the inertia matrix is not positive definite"
+    )
 
 
 def test_noise_at_the_first_instant_does_not_go_into_the_integral():
-    """Begun in motion, off the reference, with 50 rad/s² of a count in its second difference: what is held is gravity only."""
+    """Begun in motion, off the reference, with 50 rad/s² of a count in its second difference: what
+    is held is gravity only.
+    """
     model, loop = scara_pid(saturation=np.inf)
     q_ref, off = still(2, 0.1) + 0.3, np.array([0.299, 0.301])
     control = Control(model, loop, off, np.array([1.5, -2.0]))
@@ -172,7 +221,9 @@ TURN_SLIDE_TURN = 'name = "turn slide turn"\n[controller]\nbandwidth_hz = 5\n' +
 @pytest.mark.parametrize("mass", [1e-3, 2.0])
 def test_a_representative_robot_has_no_link_without_mass(mass):
     """M2R = M2 + M3, and M3 is free to choose: whatever M2R is, M2 must not come out as zero."""
-    dynamics = InverseModel(robot_from_files({"robot.toml": TURN_SLIDE_TURN.encode()}, "robot.toml"))
+    dynamics = InverseModel(
+        robot_from_files({"robot.toml": TURN_SLIDE_TURN.encode()}, "robot.toml")
+    )
     base = base_parameters(dynamics)
     assert "M2R" in base.names
     assert "M3" not in base.names
@@ -189,27 +240,45 @@ def test_a_representative_robot_has_no_link_without_mass(mass):
 
 def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated():
     dynamics = InverseModel(robot_named("scara"))
-    massless = np.array([{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names])
+    massless = np.array(
+        [{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names]
+    )
     assert why_not_positive(direct_model(dynamics, massless).inertia(np.zeros((1, 2)))) is None
     broken = direct_model(dynamics, np.full(dynamics.p, np.nan))
-    assert why_not_positive(broken.inertia(np.zeros((1, 2)))) == "the inertia matrix is not finite on the trajectory"
+    assert (
+        why_not_positive(broken.inertia(np.zeros((1, 2))))
+        == "the inertia matrix is not finite on the trajectory"
+    )
 
 
 def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint():
     dynamics = InverseModel(robot_named("tx40"))
     base = base_parameters(dynamics)
     beta = regular_start(dynamics, base)
-    start = {name: value for name, value in zip(base.names, np.round(beta, 12), strict=True) if value}
+    start = {
+        name: value for name, value in zip(base.names, np.round(beta, 12), strict=True) if value
+    }
     assert start == {"ZZ1R": 1.0, "ZZ2R": 1.0, "Ia3": 1.0, "Ia4": 1.0, "Ia5": 2.0, "Ia6": 1.0}
     J = np.array([5.0, 4.0, 3.0, 0.2, 0.1, 0.01])
-    M = direct_model(dynamics, base.standard_parameters(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
+    M = direct_model(dynamics, base.standard_parameters(regular_start(dynamics, base, J))).inertia(
+        np.zeros((1, 6))
+    )[0]
     np.testing.assert_allclose(np.diag(M), J + np.array([0, 0, 0, 0, 0.01, 0]), rtol=1e-9)
-    assert why_not_positive(direct_model(dynamics, base.standard_parameters(beta)).inertia(np.zeros((1, 6)))) is None
+    assert (
+        why_not_positive(
+            direct_model(dynamics, base.standard_parameters(beta)).inertia(np.zeros((1, 6)))
+        )
+        is None
+    )
 
 
 LAWS_OF_A_LONE_JOINT = {
     "plain": {},
-    "integral": {"Ki": np.array([900.0]), "velocity_estimate": "backward_difference", "gravity_at_q": True},
+    "integral": {
+        "Ki": np.array([900.0]),
+        "velocity_estimate": "backward_difference",
+        "gravity_at_q": True,
+    },
     "saturated": {"saturation": np.array([1.5]), "velocity_estimate": "two_sample_mean"},
     "cascade": {
         "Ki": np.array([90.0]),
@@ -227,19 +296,34 @@ def test_a_lone_joint_moves_as_one_of_several(kind, unit, friction, law):
     """In Python floats as in arrays, to which further friction leads, here of size zero."""
     terms = {"none": "[]", "load": '["viscous", "coulomb", "load"]'}.get(friction, f'"{friction}"')
     text = (
-        f'name = "lone"\ngravity_m_s2 = [3, 0, -9.81]\n[[joint]]\nname = "x"\ntype = "{kind}"\nfriction = {terms}\n'
+        'name = "lone"\ngravity_m_s2 = [3, 0, -9.81]\n[[joint]]\nname = "x"\ntype = '
+        f'"{kind}"\nfriction = {terms}\n'
         "dh = { alpha_deg = 50, d_m = 0.1, theta_deg = 20, r_m = 0.2 }\n"
-        f'[[motor]]\nname = "m"\ndrive_gain = 10\ndrive_gain_unit = "{unit}"\nratio = 2\n[controller]\nbandwidth_hz = 5\n'
+        f'[[motor]]\nname = "m"\ndrive_gain = 10\ndrive_gain_unit = "{unit}"\nratio = '
+        "2\n[controller]\nbandwidth_hz = 5\n"
     )
     dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "lone.toml"))
-    values = {"M1": 9.0, "MX1": 0.7, "MY1": -0.4, "ZZ1": 0.9, "Ia1": 0.3, "Fv1": 3.0, "Fc1": 5.0, "mu1": 0.2}
+    values = {
+        "M1": 9.0,
+        "MX1": 0.7,
+        "MY1": -0.4,
+        "ZZ1": 0.9,
+        "Ia1": 0.3,
+        "Fv1": 3.0,
+        "Fc1": 5.0,
+        "mu1": 0.2,
+    }
     values |= {"Fvp1": 3.0, "Fvn1": 2.0, "Fcp1": 6.0, "Fcn1": 4.0}
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
     model = dataclasses.replace(model, offset=np.ones(1))
     size_0 = {"stribeck": (np.zeros(len(model.directions)), np.ones(len(model.directions)))}
     loop = surrogate_loop(5.0, np.ones(1), RATE)
-    loop = dataclasses.replace(loop, R=np.full((1, 1), 2.0), G=np.full(1, 10.0), gravity=law != "integral")
-    loop = dataclasses.replace(loop, Kp=0.03 * loop.Kp, Kd=0.03 * loop.Kd, **LAWS_OF_A_LONE_JOINT[law])
+    loop = dataclasses.replace(
+        loop, R=np.full((1, 1), 2.0), G=np.full(1, 10.0), gravity=law != "integral"
+    )
+    loop = dataclasses.replace(
+        loop, Kp=0.03 * loop.Kp, Kd=0.03 * loop.Kd, **LAWS_OF_A_LONE_JOINT[law]
+    )
     t_s, rng = np.arange(300)[:, None] / RATE, np.random.default_rng(1)
     q_ref = 0.2 * (1 - np.cos(36 * t_s)) * (t_s < 0.17)
     noise = rng.normal(0, 1e-5, q_ref.shape)
@@ -254,5 +338,8 @@ def test_a_lone_joint_moves_as_one_of_several(kind, unit, friction, law):
     assert alone.reason is general.reason is None
     assert np.ptp(alone.q) > 0.03
     assert (np.abs(alone.tau) == 30.0).any() == ("saturation" in LAWS_OF_A_LONE_JOINT[law])
-    same = [np.abs(x - y).max() <= 1e-12 * np.abs(y).max() for x, y in zip(alone[:4], general[:4], strict=True)]
+    same = [
+        np.abs(x - y).max() <= 1e-12 * np.abs(y).max()
+        for x, y in zip(alone[:4], general[:4], strict=True)
+    ]
     assert all(same) == (friction != "load")

@@ -1,4 +1,6 @@
-"""The imperfections of a simulated cell against the independent simulator, which integrates and disturbs in its own way."""
+"""The imperfections of a simulated cell against the independent simulator, which integrates and
+disturbs in its own way.
+"""
 
 from dataclasses import fields
 from functools import cache
@@ -7,7 +9,13 @@ import numpy as np
 import pytest
 from conftest import IDENTIFY, REPLAY, robot_named
 from independent_robots import plant
-from independent_simulator import Imperfections, coloured, described_controller, references, simulate
+from independent_simulator import (
+    Imperfections,
+    coloured,
+    described_controller,
+    references,
+    simulate,
+)
 
 from acquisition.commands import from_options
 from acquisition.recording import read_recording
@@ -30,7 +38,9 @@ def reference(name: str):
 
 @cache
 def independent(name: str, cell: Imperfections = NOTHING, mean: bool = True):
-    """Torque, as the mean of two commands, and tracking error by the other simulator; friction as steep as numbers allow."""
+    """Torque, as the mean of two commands, and tracking error by the other simulator; friction as
+    steep as numbers allow.
+    """
     body, path = plant(REPLAY / name / "robot.toml", smooth=0.001), reference(name)
     runs = simulate(body, described_controller(body), path, cell, substeps=2)
     effort = runs.effort[0]
@@ -46,7 +56,9 @@ def packaged(name: str, seed: int = 3, **noise: object):
 
 
 def apart(one, other) -> float:
-    """Largest over torque and tracking error, and over joints, of the rms difference over the rms value."""
+    """Largest over torque and tracking error, and over joints, of the rms
+    difference over the rms value.
+    """
     pairs = zip(one, other, strict=True)
     return max(float((np.std(a - b, axis=0) / np.std(a, axis=0)).max()) for a, b in pairs)
 
@@ -67,7 +79,8 @@ def test_motion_and_torque_are_those_of_the_other_simulator(name):
     ],
 )
 def test_noise_has_the_deviation_that_it_has_in_the_other_simulator(name, own, theirs):
-    mean = "torque" not in str(theirs) and "coloured" not in str(theirs)  # noise of the recorded torque comes after it
+    # noise of the recorded torque comes after it
+    mean = "torque" not in str(theirs) and "coloured" not in str(theirs)
     one, other = (
         [a - b for a, b in zip(noisy, quiet, strict=True)]
         for noisy, quiet in (
@@ -75,7 +88,8 @@ def test_noise_has_the_deviation_that_it_has_in_the_other_simulator(name, own, t
             (packaged(name, **own), packaged(name)),
         )
     )
-    # Slow noise has few independent values in 2.5 s; of the SCARA's torque the two take the rms along different motions.
+    # Slow noise has few independent values in 2.5 s; of the SCARA's torque the two take the rms
+    # along different motions.
     torque = 0.35 if "coloured_percent" in own else 0.2 if "effort_percent" in own else 0.1
     for a, b, tolerance in zip(one, other, (torque, 0.4), strict=True):
         np.testing.assert_allclose(np.std(b, axis=0), np.std(a, axis=0), rtol=tolerance, atol=1e-12)
@@ -109,7 +123,9 @@ def test_every_noise_is_an_option_and_stands_in_the_recording(tmp_path):
     path, robot = tmp_path / "a.mcap", REPLAY / "emps" / "robot.toml"
     assert main(["simulate", str(robot), "--duration-s", "1", *given, "-o", str(path)]) == 0
     recording = read_recording(path)
-    assert recording.header.effort_provenance.startswith("simulated joint torque, the mean of the control periods")
+    assert recording.header.effort_provenance.startswith(
+        "simulated joint torque, the mean of the control periods"
+    )
     assert recording.metadata["cell"] == "encoder_step 0.0001, lag_samples 2"
     options = IDENTIFY.parser("simulate").parse_args(["simulate", "r.toml", "-o", "x.mcap"])
     assert from_options(Noise, options) == Noise()
@@ -117,7 +133,9 @@ def test_every_noise_is_an_option_and_stands_in_the_recording(tmp_path):
 
 
 def test_without_noise_the_estimate_is_not_biased_by_the_integration():
-    """Viscous friction of a step's end in place of its middle: M 0.056 % too large, more than an interval."""
+    """Viscous friction of a step's end in place of its middle: M 0.056 % too large,
+    more than an interval.
+    """
     robot = robot_named("emps")
     signals = closed_loop(robot, reference("emps").q[0], 1000.0, noise=Noise(), seed=1)
     fit = identify_iv(signals, Overrides(), Iteration())

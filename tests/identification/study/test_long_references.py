@@ -15,7 +15,9 @@ def condition(name: str, duration_s: float) -> float:
     dq = differentiate(q, 100.0)
     motion = (x[::5] for x in (q, dq, differentiate(dq, 100.0)))
     model = InverseModel(robot)
-    W = model.regressor(*motion)[:, :, base_parameters(model).columns].reshape(-1, base_parameters(model).b)
+    W = model.regressor(*motion)[:, :, base_parameters(model).columns].reshape(
+        -1, base_parameters(model).b
+    )
     return float(np.linalg.cond(W))
 
 
@@ -27,8 +29,15 @@ def test_an_hour_excites_as_ten_seconds_do():
 
 def test_whole_periods_of_about_the_length_asked_for():
     robot = robot_named("scara")
-    for duration_s, period_s, expected in ((4.0, 10.0, 4.0), (12.0, 10.0, 12.0), (24.0, 10.0, 12.0), (24.0, 6.0, 6.0)):
-        q = random_reference(robot, duration_s=duration_s, sample_rate_hz=100.0, seed=1, period_s=period_s)
+    for duration_s, period_s, expected in (
+        (4.0, 10.0, 4.0),
+        (12.0, 10.0, 12.0),
+        (24.0, 10.0, 12.0),
+        (24.0, 6.0, 6.0),
+    ):
+        q = random_reference(
+            robot, duration_s=duration_s, sample_rate_hz=100.0, seed=1, period_s=period_s
+        )
         period = round(100 * expected)
         np.testing.assert_allclose(q[period:], q[:-period], atol=1e-12)
         np.testing.assert_allclose(q[-1], q[0], atol=1e-12)

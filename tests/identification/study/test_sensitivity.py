@@ -1,4 +1,6 @@
-"""How far settings, noise of the position and the start move least squares and instrumental variables."""
+"""How far settings, noise of the position and the start move least squares and
+instrumental variables.
+"""
 
 from dataclasses import replace
 
@@ -26,7 +28,10 @@ class Tasks:
     def run(self, function, tasks):
         assert function is fit_variant
         self.variants = [variant for _, variant in tasks]
-        return (VariedFit(variant=variant, ended="converged", values=self.values) for variant in self.variants)
+        return (
+            VariedFit(variant=variant, ended="converged", values=self.values)
+            for variant in self.variants
+        )
 
 
 def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps, capsys):
@@ -41,7 +46,10 @@ def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_varia
     print_whole(sensitivity_document("emps.mcap", fits), short=True)
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
     section = (
-        (ROOT / "identification" / "results.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
+        (ROOT / "identification" / "results.md")
+        .read_text()
+        .split("      emps.mcap: LS moves")[1]
+        .split("\n\n")[0]
     )
     shown = [line.split() for line in f"emps.mcap: LS moves{section}".splitlines()]
     assert len(shown) == 13
@@ -57,24 +65,35 @@ def test_each_variant_changes_one_thing():
     assert rules == Variant(changed="none", to="the rules")
     cutoffs = [v.overrides.cutoff_hz for v in variants if v.changed == "cut-off"]
     assert cutoffs == [12.5, 50.0, 0.0], "of a bandwidth of 5 Hz"
-    assert [v.overrides.decimation for v in variants if v.changed == "decimation"] == [20, 80], "of 40"
+    assert [v.overrides.decimation for v in variants if v.changed == "decimation"] == [20, 80], (
+        "of 40"
+    )
     assert [v.noise for v in variants if v.changed == "position noise"] == [1e-6, 2e-6]
     assert [v.start for v in variants if v.changed == "start"] == [0.001, 1000.0]
     assert variants[5].to == "1e-06 rad rms"
     for variant in variants:
-        changed = [getattr(variant, x) != getattr(rules, x) for x in ("overrides", "noise", "start", "gain_update")]
+        changed = [
+            getattr(variant, x) != getattr(rules, x)
+            for x in ("overrides", "noise", "start", "gain_update")
+        ]
         assert sum(changed) == 1
 
 
 def test_noise_and_settings_reach_the_fit():
     source, rules = RecordingFile.at(SCARA), Variant(changed="none", to="the rules")
-    one, noisy, again = (fit_variant(source, replace(rules, noise=x)) for x in (rules.noise, 1e-3, 1e-3))
+    one, noisy, again = (
+        fit_variant(source, replace(rules, noise=x)) for x in (rules.noise, 1e-3, 1e-3)
+    )
     assert noisy == again
     assert set(one.essential) <= set(one.values)
     assert all(one.values[name][0] != noisy.values[name][0] for name in one.values)
-    decimated = fit_variant(source, replace(rules, overrides=replace(rules.overrides, decimation=20)))
+    decimated = fit_variant(
+        source, replace(rules, overrides=replace(rules.overrides, decimation=20))
+    )
     assert decimated.values != one.values
-    refused = fit_variant(source, replace(rules, overrides=replace(rules.overrides, cutoff_hz=600.0)))
+    refused = fit_variant(
+        source, replace(rules, overrides=replace(rules.overrides, cutoff_hz=600.0))
+    )
     assert refused.values == {}
     assert "600" in refused.ended
 
@@ -83,22 +102,51 @@ def made_up():
     rules = VariedFit(
         variant=Variant(changed="none", to="the rules"),
         ended="converged",
-        values={"M1": (10.0, 2.0, 10.5, 0.5), "Fc1": (3.0, 1.0, 3.0, 1.0), "Off1": (0.0, 1.0, 0.0, 1e-9)},
+        values={
+            "M1": (10.0, 2.0, 10.5, 0.5),
+            "Fc1": (3.0, 1.0, 3.0, 1.0),
+            "Off1": (0.0, 1.0, 0.0, 1e-9),
+        },
         essential=("M1", "Fc1"),
     )
-    noise, cut = Variant(changed="position noise", to="1e-05 m rms"), Variant(changed="cut-off", to="none")
-    moved = {"M1": (14.0, 2.0, 10.25, 0.5), "Fc1": (3.0, 1.0, 3.75, 1.0), "Off1": (9.0, 1.0, 9.0, 1.0)}
+    noise, cut = (
+        Variant(changed="position noise", to="1e-05 m rms"),
+        Variant(changed="cut-off", to="none"),
+    )
+    moved = {
+        "M1": (14.0, 2.0, 10.25, 0.5),
+        "Fc1": (3.0, 1.0, 3.75, 1.0),
+        "Off1": (9.0, 1.0, 9.0, 1.0),
+    }
     noisy = VariedFit(variant=noise, ended="max_iterations", passes=40, values=moved)
     return [rules, VariedFit(variant=cut, ended="too short"), noisy]
 
 
 def test_moves_are_in_half_widths_of_iv_by_the_rules_and_of_essential_parameters():
     fits = made_up()
-    np.testing.assert_array_equal(moves_of(fits, "M1"), [[0, 0, 0, 0], [np.nan] * 4, [8, 0.5, 2, 0.5]])
+    np.testing.assert_array_equal(
+        moves_of(fits, "M1"), [[0, 0, 0, 0], [np.nan] * 4, [8, 0.5, 2, 0.5]]
+    )
     document = sensitivity_document("log.mcap", fits)
-    assert document.title == ("log.mcap: LS moves by up to 8 half-widths with position noise 1e-05 m rms, IV by 0.75")
-    cut, noise = ([x if isinstance(x, str) else x.text for x in row] for row in document.sections[0].table.rows)
-    assert noise == ["position noise", "1e-05 m rms", "8", "M1", "2", "0.75", "Fc1", "0.75", "40", "max_iterations"]
+    assert document.title == (
+        "log.mcap: LS moves by up to 8 half-widths with position noise 1e-05 m rms, IV by 0.75"
+    )
+    cut, noise = (
+        [x if isinstance(x, str) else x.text for x in row]
+        for row in document.sections[0].table.rows
+    )
+    assert noise == [
+        "position noise",
+        "1e-05 m rms",
+        "8",
+        "M1",
+        "2",
+        "0.75",
+        "Fc1",
+        "0.75",
+        "40",
+        "max_iterations",
+    ]
     assert cut[2] == cut[4] == "-"
     assert cut[-1] == "too short"
     assert [row[0] for row in document.sections[1].table.rows] == ["M1", "Fc1", "M1", "Fc1"]
@@ -110,7 +158,9 @@ def test_the_mass_over_noise_is_drawn_by_both_methods_with_intervals_and_the_tru
     rules, _, noisy = made_up()
     strong = replace(noisy, variant=replace(noisy.variant, noise=1e-5))
     weak = replace(
-        noisy, variant=replace(noisy.variant, noise=2e-6), values={**noisy.values, "M1": (11.0, 1.5, 10.4, 0.5)}
+        noisy,
+        variant=replace(noisy.variant, noise=2e-6),
+        values={**noisy.values, "M1": (11.0, 1.5, 10.4, 0.5)},
     )
     chart = noise_chart([replace(rules, **known), strong, weak])
     assert chart.title == "M1 [kg] over position noise [µm rms]"
@@ -128,7 +178,9 @@ def test_the_mass_over_noise_is_drawn_by_both_methods_with_intervals_and_the_tru
 
 
 def test_a_simulated_recording_knows_its_true_values():
-    fit = fit_variant(RecordingFile.at(REPLAY / "emps" / "session.mcap"), Variant(changed="none", to="the rules"))
+    fit = fit_variant(
+        RecordingFile.at(REPLAY / "emps" / "session.mcap"), Variant(changed="none", to="the rules")
+    )
     assert fit.known == ("true", {"M1": 95.1089, "Fv1": 203.5034, "Fc1": 20.3935, "Off1": -3.1648})
     assert fit.units["M1"] == "kg"
     assert abs(fit.values["M1"][2] - 95.1089) < fit.values["M1"][3]

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
-from identification.study import FALSE_TRUST, Noise, Run, RunFit, Study, false_trust, study_document, summaries
+from identification.study import (
+    FALSE_TRUST,
+    Noise,
+    Run,
+    RunFit,
+    Study,
+    false_trust,
+    study_document,
+    summaries,
+)
 from identification.study.study import one_run
 
 TRUE = np.array([1.0, 2.0])
@@ -47,7 +56,9 @@ def test_false_trust_is_trust_in_what_is_far_off_or_no_robot(one, wrong):
 
 def test_coverage_spread_and_bias_are_those_of_the_printed_intervals():
     offs = {-1: (0.5, -0.9), 0: (1.1, 0.0), 1: (0.0, -2.0)}
-    runs = [run(fit_of_run(off, beta=1.01 * TRUE + k * np.array([0.1, 0.2]))) for k, off in offs.items()]
+    runs = [
+        run(fit_of_run(off, beta=1.01 * TRUE + k * np.array([0.1, 0.2]))) for k, off in offs.items()
+    ]
     ls, iv = summaries([*runs, run(fit_of_run((9.0, 9.0), beta=9 * TRUE), "diverged")], TRUE)
     assert (ls.runs, iv.runs) == (0, 3), "of iv, those that converged"
     assert np.isnan(ls.bias_percent)

@@ -8,7 +8,9 @@ from identification.regression import Overrides
 from identification.trust import FitData
 
 
-def looked_at(method: str, signals: Signals, *, long: bool = False, **overrides) -> tuple[Fit, FitData]:
+def looked_at(
+    method: str, signals: Signals, *, long: bool = False, **overrides
+) -> tuple[Fit, FitData]:
     """`long`: as of a recording whose rows are not held, in short blocks."""
     with pytest.MonkeyPatch.context() as patch:
         if long:

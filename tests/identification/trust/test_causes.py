@@ -1,4 +1,6 @@
-"""What is wrong with a recording is named: exchanged efforts, wrong signs, unstated limits, units, a period for a rate."""
+"""What is wrong with a recording is named: exchanged efforts, wrong signs, unstated limits,
+units, a period for a rate.
+"""
 
 from dataclasses import replace
 
@@ -19,7 +21,11 @@ from identification.trust import combined_lag
 
 
 def setup(name: str, seed: int = 1, duration_s: float = 5.0) -> SetUp:
-    return replace(sound(name, np.random.default_rng(seed)), duration_s=duration_s, substeps=1 if name != "tx40" else 2)
+    return replace(
+        sound(name, np.random.default_rng(seed)),
+        duration_s=duration_s,
+        substeps=1 if name != "tx40" else 2,
+    )
 
 
 def first(fit: Fit) -> tuple[str, str]:
@@ -38,7 +44,9 @@ def test_exchanged_efforts_are_named_and_what_is_left_without():
     assert first(fit) == ("do not use", "the efforts of motor_1 and motor_2 are exchanged")
     error = fit.trust.line("signs and order").text.split("torque errors of joints are ")[1]
     left, with_it = (float(text.split(" %")[0]) for text in error.split(" in place of "))
-    sound_errors = [joint.moving_relative_error_percent for joint in fit_by_least_squares(signals).errors[:-1]]
+    sound_errors = [
+        joint.moving_relative_error_percent for joint in fit_by_least_squares(signals).errors[:-1]
+    ]
     assert left == pytest.approx(np.sqrt(np.mean(np.square(sound_errors))), rel=0.3)
     assert with_it > 50
 
@@ -96,26 +104,35 @@ def test_limits_are_where_an_effort_stays_and_peaks_are_none():
     def limits(effort: np.ndarray, **saturation: float) -> list[str]:
         motors = tuple(msgspec.structs.replace(motor, **saturation) for motor in robot.motors)
         own = replace(robot, motors=motors)
-        signals = Signals(t_s=t, q=q, effort=effort, sample_rate_hz=1000.0, robot=own, recording="log")
+        signals = Signals(
+            t_s=t, q=q, effort=effort, sample_rate_hz=1000.0, robot=own, recording="log"
+        )
         return unstated_limits(make_problem(signals, Overrides(span="all")))
 
     assert limits(effort) == []
     clipped = np.clip(effort, -8.0, 8.0)
     (found,) = limits(clipped)
-    assert found.startswith("drive of motor_1 saturates at 8 N m in 4")  # of acos(0.8) / (pi / 2) = 41 % of the samples
+    # of acos(0.8) / (pi / 2) = 41 % of the samples
+    assert found.startswith("drive of motor_1 saturates at 8 N m in 4")
     assert limits(clipped, saturation=8.0) == []
     assert limits(clipped, saturation=20.0) == [found]
 
 
 def test_radians_declared_as_degrees_are_asked_for():
-    signals = KINDS["radians declared as degrees"].change(setup("scara"), np.random.default_rng(1)).recording(1)
+    signals = (
+        KINDS["radians declared as degrees"]
+        .change(setup("scara"), np.random.default_rng(1))
+        .recording(1)
+    )
     assert first(fit_by_least_squares(signals)) == ("caution", "radians declared as degrees?")
 
 
 @pytest.mark.parametrize("bandwidth_hz", [5.0, None])
 def test_a_period_for_a_rate_is_refused(bandwidth_hz):
     signals = setup("scara", duration_s=1.0).recording(1)
-    robot = replace(signals.robot, controller=type(signals.robot.controller)(bandwidth_hz=bandwidth_hz))
+    robot = replace(
+        signals.robot, controller=type(signals.robot.controller)(bandwidth_hz=bandwidth_hz)
+    )
     with pytest.raises(BadInputError) as refused:
         make_problem(replace(at_rate(signals, 0.001), robot=robot), Overrides())
     assert refused.value.key == "sample_rate_hz"
@@ -123,12 +140,18 @@ def test_a_period_for_a_rate_is_refused(bandwidth_hz):
 
 
 def test_a_known_lag_and_the_data_are_compared_by_students_t():
-    """3.48 deviations are the quantile 0.9985 of Student's t of 16 degrees of freedom (tables), 2.97 that of a normal law."""
+    """3.48 deviations are the quantile 0.9985 of Student's t of 16 degrees of freedom (tables),
+    2.97 that of a normal law.
+    """
     known = KnownLag(value_s=0.0, sd_s=1e-9, source="effort_timing")
     sources = [
-        [combined_lag(known, (t * 1e-3, 1e-3, freedom)).source == "data" for t in (2.9, 3.05, 3.4, 3.55)]
+        [
+            combined_lag(known, (t * 1e-3, 1e-3, freedom)).source == "data"
+            for t in (2.9, 3.05, 3.4, 3.55)
+        ]
         for freedom in (16, 10**6)
     ]
     assert sources == [[False, False, False, True], [False, True, True, True]]
-    exact = KnownLag(value_s=0.0, sd_s=1e-2, source="effort_timing")  # the deviation of the data hardly counts
+    # the deviation of the data hardly counts
+    exact = KnownLag(value_s=0.0, sd_s=1e-2, source="effort_timing")
     assert combined_lag(exact, (31e-3, 1e-3, 4)).source == "data"

@@ -1,4 +1,6 @@
-"""Lag of the torque and control law, on recordings of the independent simulator and the real EMPS."""
+"""Lag of the torque and control law, on recordings of the independent
+simulator and the real EMPS.
+"""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -31,16 +33,22 @@ def recorded(name: str, lag: int = 0, noise: float = 0.0, stribeck: float = 0.0)
 
 
 @cache
-def fitted(signals: Signals, *, method: str | None = None, torque_lag_s: float | str | None = None) -> Fit:
+def fitted(
+    signals: Signals, *, method: str | None = None, torque_lag_s: float | str | None = None
+) -> Fit:
     return identify(signals, Overrides(torque_lag_s=torque_lag_s), method=method)
 
 
-NO_LAW = dict.fromkeys(("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate"))
+NO_LAW = dict.fromkeys(
+    ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate")
+)
 
 
 def with_controller(signals: Signals, **keys: object) -> Signals:
     robot = signals.robot
-    return replace(signals, robot=replace(robot, controller=msgspec.structs.replace(robot.controller, **keys)))
+    return replace(
+        signals, robot=replace(robot, controller=msgspec.structs.replace(robot.controller, **keys))
+    )
 
 
 def late_scara() -> Signals:
@@ -61,7 +69,9 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     signals = recorded(name, lag=lag)
     fit = fitted(signals)
     # By the same ramps: those of a stated lag may be others, just as good.
-    stated = identify(signals, Overrides(torque_lag_s=1e-3 * (lag - 0.5), ramp_rows=fit.settings.ramp_rows))
+    stated = identify(
+        signals, Overrides(torque_lag_s=1e-3 * (lag - 0.5), ramp_rows=fit.settings.ramp_rows)
+    )
     (found,) = fit.lags
     assert found.found is not None
     assert 1e3 * found.value_s == pytest.approx(lag - 0.5, abs=0.12)
@@ -82,15 +92,20 @@ def test_what_a_lag_moves_is_the_difference_of_two_fits():
     lag = identify(signals, by(), method="wls").lags[0]
     moves, half = np.abs(fits[1].beta - fits[0].beta) / 2e-4, fits[0].intervals.half
     # Of a millisecond; the fits differ in the weights of their joints too.
-    np.testing.assert_array_less(1e-3 * np.abs(lag.moved / lag.sd_s - moves), np.maximum(0.2 * half, 2e-5 * moves))
+    np.testing.assert_array_less(
+        1e-3 * np.abs(lag.moved / lag.sd_s - moves), np.maximum(0.2 * half, 2e-5 * moves)
+    )
 
 
 @pytest.mark.parametrize(
-    ("cell", "within", "most_ms"), [({"lag": 1, "noise": 2e-5}, 1.25, 0.8), ({"stribeck": 0.5}, 1.5, np.inf)]
+    ("cell", "within", "most_ms"),
+    [({"lag": 1, "noise": 2e-5}, 1.25, 0.8), ({"stribeck": 0.5}, 1.5, np.inf)],
 )
 def test_noise_that_is_fed_back_or_missing_friction_do_not_pass_for_a_lag(cell, within, most_ms):
     (found,) = fitted(recorded("emps", **cell)).lags
-    assert found.value_s == pytest.approx((cell.get("lag", 0) - 0.5) * 1e-3, abs=within * found.half_width_s)
+    assert found.value_s == pytest.approx(
+        (cell.get("lag", 0) - 0.5) * 1e-3, abs=within * found.half_width_s
+    )
     assert 1e3 * found.half_width_s < most_ms
 
 
@@ -132,7 +147,9 @@ def test_the_delay_behind_the_command_and_a_torque_before_it():
     assert fitted(signals).lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
     _, evidence = looked_at("iv", signals)
     (lag,) = evidence.lags
-    late, early = (replace(evidence, lags=(replace(lag, delay_s=(by, 1e-4)),)) for by in (2e-3, -2e-3))
+    late, early = (
+        replace(evidence, lags=(replace(lag, delay_s=(by, 1e-4)),)) for by in (2e-3, -2e-3)
+    )
     after, before = (trust_in(one).line("lag") for one in (late, early))
     assert after.level == "ok"
     assert "2.00 ± 0.10 samples after the command" in after.text
@@ -166,15 +183,22 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
     ],
 )
 def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
-    signals = with_controller(replace(recorded("scara"), effort_timing=timing), sample_rate_hz=rate_hz)
+    signals = with_controller(
+        replace(recorded("scara"), effort_timing=timing), sample_rate_hz=rate_hz
+    )
     own = msgspec.structs.replace(signals.robot.identification, torque_lag_s=stated)
-    assert known(replace(signals, robot=replace(signals.robot, identification=own)), option) == expected
+    assert (
+        known(replace(signals, robot=replace(signals.robot, identification=own)), option)
+        == expected
+    )
 
 
 def test_the_shift_is_that_of_a_sine_and_ends_are_cut():
     t = np.arange(2000.0)
     x = np.sin(0.05 * t)[:, None]
-    np.testing.assert_allclose(sampled_at(t[:-10] + 0.3, x)[:, 0], np.sin(0.05 * (t[:-10] + 0.3)), atol=1e-6)
+    np.testing.assert_allclose(
+        sampled_at(t[:-10] + 0.3, x)[:, 0], np.sin(0.05 * (t[:-10] + 0.3)), atol=1e-6
+    )
     signals = recorded("scara")
     N = len(signals.q)
     for lag_s in (0.9, -0.9):
@@ -233,10 +257,17 @@ def test_an_integral_is_found_and_missed_where_it_is_not_described():
     c = replace(c, **cascade, integral_gain=np.full(2, 20.0))
     path = references(body, range(1), duration_s=5.0, rate_hz=1000.0)
     runs = simulate(body, c, path, Imperfections(torque_noise_percent=1.0), substeps=1)
-    keys = {"structure": c.structure, "position_gain": tuple(c.position_gain), "integral_gain": (20.0, 20.0)}
+    keys = {
+        "structure": c.structure,
+        "position_gain": tuple(c.position_gain),
+        "integral_gain": (20.0, 20.0),
+    }
     signals = with_controller(runs.signals(robot_named("scara"), 0), **keys)
     assert law_line_of(signals).level == "ok"
-    assert law_line_of(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level == "caution"
+    assert (
+        law_line_of(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level
+        == "caution"
+    )
 
 
 def test_the_described_gains_tell_a_lag_of_noisy_commands():
@@ -245,7 +276,9 @@ def test_the_described_gains_tell_a_lag_of_noisy_commands():
     assert law.lag_s[0] * signals.sample_rate_hz == pytest.approx(1.0, abs=0.1)
     assert law.residual_percent[0] < 1.1
     corrected = law_of(make_problem(signals, Overrides(torque_lag_s=0.002)))
-    assert corrected.lag_s[0] == pytest.approx(law.lag_s[0], abs=2e-5), "of the effort as it was recorded"
+    assert corrected.lag_s[0] == pytest.approx(law.lag_s[0], abs=2e-5), (
+        "of the effort as it was recorded"
+    )
 
 
 def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used():
@@ -263,7 +296,10 @@ def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used(
 
 
 def test_the_real_emps(emps):
-    """Controller confirmed. The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier."""
+    """Controller confirmed.
+
+    The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier.
+    """
     fit = identify(load_signals(emps), Overrides())
     found = fit.trust.line("control law")
     assert found.level == "ok"

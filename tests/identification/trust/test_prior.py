@@ -1,4 +1,6 @@
-"""The links of a URDF as a witness of a recording: arms of a simulator of its own, with one fault in what a fit is given."""
+"""The links of a URDF as a witness of a recording: arms of a simulator of its own, with one fault
+in what a fit is given.
+"""
 
 import json
 from dataclasses import replace
@@ -21,7 +23,8 @@ from identification.report import to_markdown
 from identification.study import write_signals
 
 NAMES = [name for name, *_ in SIX]
-TOLD = NAMES[:5]  # wrist_3 turns its own axis: its links need next to no torque, no prior can tell its gain
+# wrist_3 turns its own axis: its links need next to no torque, no prior can tell its gain
+TOLD = NAMES[:5]
 CELL = Imperfections(torque_noise_percent=2.0, encoder_noise=2e-5)
 
 
@@ -29,7 +32,14 @@ CELL = Imperfections(torque_noise_percent=2.0, encoder_noise=2e-5)
 def runs(payload_kg: float = 0.0):
     body, law = arm_of(six_joints())
     body = with_payload(body, payload_kg) if payload_kg else body
-    return simulate(body, law, references(body, range(1), duration_s=10, rate_hz=RATE_HZ), CELL, seed=1, substeps=3)
+    return simulate(
+        body,
+        law,
+        references(body, range(1), duration_s=10, rate_hz=RATE_HZ),
+        CELL,
+        seed=1,
+        substeps=3,
+    )
 
 
 @cache
@@ -85,7 +95,10 @@ def test_links_off_by_forty_percent_are_no_fault():
 
 def with_columns(names: str, order=range(6), gain=1.0):
     """The recording with other columns of these arrays."""
-    return replace(recorded(), **{name: gain * getattr(recorded(), name)[:, list(order)] for name in names.split()})
+    return replace(
+        recorded(),
+        **{name: gain * getattr(recorded(), name)[:, list(order)] for name in names.split()},
+    )
 
 
 @pytest.mark.parametrize(
@@ -94,7 +107,10 @@ def with_columns(names: str, order=range(6), gain=1.0):
         (("effort", range(6), [10, 1, 1, 1, 1, 1]), "torque of pan is "),
         (("effort", range(6), [1, 1, 1, 3, 1, 1]), "torque of wrist_1 is "),
         (("effort", [1, 0, 2, 3, 4, 5]), "recorded efforts of joints pan and lift exchanged?"),
-        (("q q_ref", [0, 1, 3, 2, 4, 5]), "recorded positions of joints elbow and wrist_1 exchanged?"),
+        (
+            ("q q_ref", [0, 1, 3, 2, 4, 5]),
+            "recorded positions of joints elbow and wrist_1 exchanged?",
+        ),
         (("q q_ref", range(6), np.pi / 180), "position of all joints in rad declared as degrees?"),
     ],
 )
@@ -106,7 +122,9 @@ def test_a_fault_of_the_recording_is_named_at_its_joints(signals, said):
 
 
 def test_a_prior_that_is_off_everywhere_is_no_fault_of_the_recording():
-    _, line = told(replace(recorded(), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES)))
+    _, line = told(
+        replace(recorded(), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES))
+    )
     assert line.level == "cannot tell"
     assert "the prior is off everywhere" in line.text
     line = told(replace(recorded(), robot=robot_of(six_joints((0.2,) * 6), NAMES)))[1]
@@ -143,7 +161,10 @@ def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_o
     free = [i for i, name in enumerate(system.names) if name not in data.prior]
     (W, Y), Z = system.weighted(weights), data.Z[:, free] * data.weight[:, None]
     motion = problem.motion.between(fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz)
-    whole, T = problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns], len(fit.tau)
+    whole, T = (
+        problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns],
+        len(fit.tau),
+    )
     squares = np.zeros(2)
     for block in np.array_split(np.arange(T), 5):
         others = ~np.isin(np.tile(np.arange(T), len(NAMES)), block)
@@ -153,10 +174,14 @@ def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_o
         counts = data.observed.counts[block]
         error = (fit.tau - fit.settings.decimator.filtered((whole @ beta).T).T)[block]
         squares += (error[counts] ** 2).sum(), (fit.tau[block][counts] ** 2).sum()
-    assert data.prior_error_percent == pytest.approx(100 * np.sqrt(squares[0] / squares[1]), rel=0.01)
+    assert data.prior_error_percent == pytest.approx(
+        100 * np.sqrt(squares[0] / squares[1]), rel=0.01
+    )
 
 
-def test_the_report_and_the_files_have_the_prior_and_a_fit_is_compared_with_a_urdf(tmp_path, capsys):
+def test_the_report_and_the_files_have_the_prior_and_a_fit_is_compared_with_a_urdf(
+    tmp_path, capsys
+):
     write_signals(tmp_path / "log.mcap", recorded(), source="independent simulator")
     fit, report, arm = (tmp_path / name for name in ("fit.json", "r.md", "arm.urdf"))
     command = "fit", tmp_path / "log.mcap", "--method", "wls", "--json", fit, "--report", report
@@ -167,7 +192,9 @@ def test_the_report_and_the_files_have_the_prior_and_a_fit_is_compared_with_a_ur
     model = InverseModel(recorded().robot)
     assert prior == pytest.approx(base_prior(model, base_parameters(model))[0])
     assert "| parameter | value | ±95% | in % | prior | unit |" in report.read_text()
-    held = (f"{stored[key]:.2f} %" for key in ("prior_held_out_error_percent", "held_out_error_percent"))
+    held = (
+        f"{stored[key]:.2f} %" for key in ("prior_held_out_error_percent", "held_out_error_percent")
+    )
     assert "torque error held out: links of the URDF {}, fit {}".format(*held) in report.read_text()
 
     arm.write_text(six_joints((2.0,) * 6))
@@ -176,7 +203,9 @@ def test_the_report_and_the_files_have_the_prior_and_a_fit_is_compared_with_a_ur
     lines = out.translate(str.maketrans("┃│", "  ")).splitlines()
     head = "name unit value ±95% prior ratio"
     assert next(line for line in lines if "value" in line).split() == head.split()
-    value, _, prior, ratio = map(float, next(line.split() for line in lines if line.strip().startswith("MZ2R"))[-4:])
+    value, _, prior, ratio = map(
+        float, next(line.split() for line in lines if line.strip().startswith("MZ2R"))[-4:]
+    )
     assert ratio == pytest.approx(value / prior, rel=0.01)
     assert ratio == pytest.approx(0.5, rel=0.02)  # the URDF has twice the links of the arm
     compared = json.loads((tmp_path / "compared.json").read_text())

@@ -1,4 +1,7 @@
-"""What the description denies or holds fixed: rotors, zeros of joints, one clock. Named as missing, or as assumed."""
+"""What the description denies or holds fixed: rotors, zeros of joints, one clock.
+
+Named as missing, or as assumed.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -29,7 +32,8 @@ def arm() -> SetUp:
     cell = Imperfections(encoder_noise=1e-5, torque_noise_percent=0.5)
     return SetUp(
         name="tx40", body=body, controller=controller, cell=cell,
-        robot=without_settings(description(toml, controller)), timing="command", duration_s=6.0, substeps=2,
+        robot=without_settings(description(toml, controller)), timing="command", duration_s=6.0,
+        substeps=2,
     )  # fmt: skip
 
 
@@ -55,15 +59,21 @@ def test_a_rotor_that_the_description_denies_is_named_with_its_size():
     assert value == pytest.approx(0.3 * setup.robot.parameters["ZZ2"], rel=0.15)
     assert abs(t) > 10
     assert "rotors" not in assumed(fit)
-    ((where, value, t),) = figures(clean("scara"), "rotor")  # that of the shoulder is a part of ZZ1R
+    # that of the shoulder is a part of ZZ1R
+    ((where, value, t),) = figures(clean("scara"), "rotor")
     assert where == "of joint elbow"
     assert abs(t) < 4
     assert clean("scara").trust.verdict == "trust"
 
 
 def test_zeros_and_rotors_that_no_column_tells_are_assumed_and_those_without_effect_are_not():
-    """The SCARA's last zero turns its link; its first and that of a level axis are nowhere in the torque."""
-    assert assumed(clean("scara")) == {"zeros": "right at elbow", "rotors": "none at elbow (rotor_inertia = false)"}
+    """The SCARA's last zero turns its link; its first and that of a level axis are
+    nowhere in the torque.
+    """
+    assert assumed(clean("scara")) == {
+        "zeros": "right at elbow",
+        "rotors": "none at elbow (rotor_inertia = false)",
+    }
     assert assumed(clean("emps")) == {}
     zero = KINDS["zero of a joint 2°"].change(white("scara"), np.random.default_rng(1))
     off = fit_by_default(zero.recording(3))
@@ -101,7 +111,9 @@ def test_clocks_that_run_apart_are_named():
 def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     """Of the elbow; the rows of the shoulder stay."""
     data, scored, shares = clean("scara").data, columns._scored, []
-    fast = np.mean(np.abs(data.observed.speed[:, 1]) > 0.1 * np.abs(data.observed.speed[:, 1]).max())
+    fast = np.mean(
+        np.abs(data.observed.speed[:, 1]) > 0.1 * np.abs(data.observed.speed[:, 1]).max()
+    )
 
     def lag_of_elbow(in_fast_rows: float) -> MissingTerm:
         def of_t(evidence, terms, C, among=None):
@@ -109,7 +121,10 @@ def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
             if among is not None and terms[0].kind == "lag":
                 shares.append(among[0].reshape(2, -1).mean(axis=1))
             t = 6.0 if among is None else in_fast_rows
-            return {k: replace(x, t=t, moves=2.0) if x.finding == "lag of joint elbow" else x for k, x in found.items()}
+            return {
+                k: replace(x, t=t, moves=2.0) if x.finding == "lag of joint elbow" else x
+                for k, x in found.items()
+            }
 
         monkeypatch.setattr(columns, "_scored", of_t)
         return next(x for x in missing_terms(data) if x.finding == "lag of joint elbow")

@@ -1,4 +1,6 @@
-"""Defaults that are right: ends, samples at low speed, surrogates at low rates, wrong signs, the best pass, settings kept."""
+"""Defaults that are right: ends, samples at low speed, surrogates at low rates, wrong signs, the
+best pass, settings kept.
+"""
 
 import dataclasses
 import json
@@ -15,7 +17,15 @@ from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import LowSpeed, Robot, robot_from_files
 from identification.data import Signals, load_signals
 from identification.errors import BadInputError
-from identification.methods import Fit, Iteration, fit_file, identify, identify_iv, identify_ls, idim
+from identification.methods import (
+    Fit,
+    Iteration,
+    fit_file,
+    identify,
+    identify_iv,
+    identify_ls,
+    idim,
+)
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 from identification.report import write_json
@@ -36,7 +46,9 @@ def off_percent(fit: Fit, signals: Signals) -> float:
 def test_a_description_asks_for_matlabs_edges():
     signals = signals_of(SCARA)
     given = msgspec.structs.replace(signals.robot.identification, edges="matlab")
-    asked = dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, identification=given))
+    asked = dataclasses.replace(
+        signals, robot=dataclasses.replace(signals.robot, identification=given)
+    )
     fits = [identify_ls(s, Overrides()) for s in (signals, asked)]
     by_option = identify_ls(signals, Overrides(edges="matlab"))
     assert [fit.settings.edges for fit in fits] == ["smooth", "matlab"]
@@ -61,11 +73,14 @@ def test_samples_that_stand_weigh_nothing_in_both_methods_and_settings_say_so():
 
 
 def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
-    """The same motion, below 1 Hz, at 1 kHz and 100 Hz: within one interval. Held for 20 ms that PD is not stable."""
+    """The same motion, below 1 Hz, at 1 kHz and 100 Hz: within one interval. Held for 20 ms
+    that PD is not stable.
+    """
     robot = robot_named("scara")
     bare = msgspec.structs.replace(
         robot.controller,
-        bandwidth_hz=10.0, structure=None, sample_rate_hz=None, position_gain=None, velocity_gain=None,
+        bandwidth_hz=10.0, structure=None, sample_rate_hz=None, position_gain=None,
+        velocity_gain=None,
         velocity_estimate=None,
     )  # fmt: skip
     robot = dataclasses.replace(robot, controller=bare)
@@ -74,7 +89,11 @@ def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
     fit = identify_iv(fine, Overrides(), Iteration())
     for step, intervals in ((10, 1.0), (20, 2.0)):  # at 50 Hz central differences cost as much
         arrays = {name: getattr(fine, name)[::step] for name in ("t_s", "q", "q_ref", "effort")}
-        slow = identify_iv(dataclasses.replace(fine, **arrays, sample_rate_hz=1000.0 / step), Overrides(), Iteration())
+        slow = identify_iv(
+            dataclasses.replace(fine, **arrays, sample_rate_hz=1000.0 / step),
+            Overrides(),
+            Iteration(),
+        )
         assert (fit.status, slow.status) == ("converged", "converged")
         width = np.max([f.intervals.half for f in (fit, slow)], axis=0)
         assert (np.abs(slow.beta - fit.beta) < intervals * width).all()
@@ -84,12 +103,16 @@ def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
 
 
 @pytest.mark.parametrize(("name", "method", "joint"), [("emps", "wls", 0), ("scara", "iv", 1)])
-def test_an_effort_of_the_wrong_sign_is_told_with_its_joint_and_a_right_one_is_not(name, method, joint, request):
+def test_an_effort_of_the_wrong_sign_is_told_with_its_joint_and_a_right_one_is_not(
+    name, method, joint, request
+):
     signals = signals_of(SCARA if name == "scara" else request.getfixturevalue("emps"))
     right = identify(signals, Overrides(), method="ols").trust.line("physical")
     assert (right.level, right.value > 0) == ("ok", True)
     sign = np.where(np.arange(signals.robot.n) == joint, -1, 1)
-    fit = identify(dataclasses.replace(signals, effort=signals.effort * sign), Overrides(), method=method)
+    fit = identify(
+        dataclasses.replace(signals, effort=signals.effort * sign), Overrides(), method=method
+    )
     told = f"check the sign of effort and position of joint {signals.robot.joints[joint].name}"
     for part in (told, "below zero", "inertia matrix is not positive"):
         assert any(part in text for text in fit.distrust)
@@ -146,12 +169,15 @@ def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsy
 
 
 def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch):
-    """Passes 2 and 3 get a share of the torque as noise: the first one's simulated robot tracks best."""
+    """Passes 2 and 3 get a share of the torque as noise: the first one's
+    simulated robot tracks best.
+    """
     solve, calls = idim.instrumental_variables, []
 
     def spoilt(system, Z, weights):
         calls.append(len(calls))
-        # Of the loop passes 2 and 3; what is solved afterwards is right. Not in proportion: gains follow the inertias.
+        # Of the loop passes 2 and 3; what is solved afterwards is right. Not in proportion: gains
+        # follow the inertias.
         wrong = 0.35 * (-1) ** len(calls) if len(calls) in (2, 3) else 0.0
         Y = system.Y + wrong * np.roll(system.Y, 37)
         return solve(dataclasses.replace(system, Y=Y), Z, weights)
@@ -181,10 +207,16 @@ def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
     assert run(capsys, "fit", SCARA, "--cutoff-hz", "40", "--robot", robot, "--json", fit)[0] == 0
     stored = json.loads(fit.read_text())
     assert stored["low_speed_percent"] == {"ls": 7.0, "iv": 7.0}
-    assert (stored["edges"], stored["span_rule"], stored["span"]) == ("smooth", "all", "all samples")
+    assert (stored["edges"], stored["span_rule"], stored["span"]) == (
+        "smooth",
+        "all",
+        "all samples",
+    )
     assert used("cutoff_hz", "decimation", "span") == [40.0, 20, "all samples"]
     assert used("cutoff_hz", "decimation", options=("--cutoff-hz", "none")) == [None, 20]
-    fit.write_text(json.dumps({**stored, "cutoff_hz": None, "edges": "matlab", "sample_rate_hz": 500.0}))
+    fit.write_text(
+        json.dumps({**stored, "cutoff_hz": None, "edges": "matlab", "sample_rate_hz": 500.0})
+    )
     assert used("cutoff_hz", "decimation", "edges") == [None, 40, "matlab"]
 
 
@@ -192,7 +224,11 @@ def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(ca
     fit, log, errors = tmp_path / "fit.json", tmp_path / "log.mcap", tmp_path / "errors.json"
     assert run(capsys, "fit", SCARA, "--json", fit)[0] == 0
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("d_m = 0.5", "d_m = 0.4")
-    rewritten(log, robot_from_files({"robot.toml": text.encode()}, "other.toml"), read_recording(SCARA).samples)
+    rewritten(
+        log,
+        robot_from_files({"robot.toml": text.encode()}, "other.toml"),
+        read_recording(SCARA).samples,
+    )
 
     def validated() -> tuple[dict, str]:
         status, out, _ = run(capsys, "validate", fit, log, "--json", errors)
@@ -215,7 +251,9 @@ def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
     a, b, old = (tmp_path / f"{name}.json" for name in ("a", "b", "old"))
     write_json(a, fit_file(ls_of(SCARA)))
     content, other = (json.loads(a.read_text()) for _ in range(2))
-    other["description"]["robot.toml"] = content["description"]["robot.toml"].replace("d_m = 0.5", "d_m = 0.4")
+    other["description"]["robot.toml"] = content["description"]["robot.toml"].replace(
+        "d_m = 0.5", "d_m = 0.4"
+    )
     other["parameters"][0]["expression"] = "ZZ1 + 0.16 M2"
     other["parameters"][3]["name"] = "ZZ2R"
     b.write_text(json.dumps(other))
@@ -224,7 +262,15 @@ def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
     old.write_text(json.dumps(content))
     frames = "the link frames differ: two different DH rows"
     for file, said in (
-        (b, {"of 7 parameters in both 7 within 1 sigma", "only in a: ZZ1R", "only in b: ZZ1R of b", frames}),
+        (
+            b,
+            {
+                "of 7 parameters in both 7 within 1 sigma",
+                "only in a: ZZ1R",
+                "only in b: ZZ1R of b",
+                frames,
+            },
+        ),
         (old, {"of 8 parameters in both", "matched by name"}),
     ):
         status, told, _ = run(capsys, "compare", a, file)
@@ -237,7 +283,9 @@ def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
 
 
 def test_samples_at_real_times_are_made_uniform(tmp_path):
-    """A jitter of 0.3 periods that is in the stamps does no harm; one that is not costs what it costs."""
+    """A jitter of 0.3 periods that is in the stamps does no harm; one that is
+    not costs what it costs.
+    """
     robot, path = robot_named("scara"), tmp_path / "jitter.mcap"
     samples = np.array(read_recording(SCARA).samples)
     t = (samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9
@@ -257,6 +305,8 @@ def test_samples_at_real_times_are_made_uniform(tmp_path):
     for x in (signals.q, signals.q_ref, signals.effort):
         np.testing.assert_allclose(x[:, 1], 0.3 * np.sin(3.0 * signals.t_s + 1), atol=1e-8)
     rewritten(path, robot, np.delete(made, [5000, 5001, 5002, 5003]))
-    with pytest.raises(BadInputError, match=r"samples: 1 gap\(s\), the first after 5\.\d+ s: a step of"):
+    with pytest.raises(
+        BadInputError, match=r"samples: 1 gap\(s\), the first after 5\.\d+ s: a step of"
+    ):
         load_signals(path)
     assert signals_of(SCARA).off_grid <= 0.05

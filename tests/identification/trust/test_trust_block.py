@@ -1,4 +1,6 @@
-"""The trust block: each test against mathematics, and on recordings of the independent simulator with one fault each."""
+"""The trust block: each test against mathematics, and on recordings of the independent
+simulator with one fault each.
+"""
 
 import re
 from dataclasses import replace
@@ -11,7 +13,14 @@ import pytest
 from conftest import REPLAY, ROOT
 from fits_of_records import iv_of, ls_of, signals_of
 from independent_robots import plant
-from independent_simulator import Imperfections, described_controller, description, designed_pd, references, simulate
+from independent_simulator import (
+    Imperfections,
+    described_controller,
+    description,
+    designed_pd,
+    references,
+    simulate,
+)
 from looked_at import looked_at
 from scipy.signal import lfilter
 
@@ -36,7 +45,15 @@ from identification.trust.solution import (
 
 WHITE = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
 COARSE = Imperfections(encoder_noise=2e-5, torque_noise_percent=1.0)
-OF_ALL = {"fixed point", "physical", "units", "lag", "control law", "added columns", "held-out blocks"}
+OF_ALL = {
+    "fixed point",
+    "physical",
+    "units",
+    "lag",
+    "control law",
+    "added columns",
+    "held-out blocks",
+}
 OF_ALL |= {"halves", "ends", "consistent", "essential"}
 
 
@@ -46,16 +63,24 @@ def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals
     described = plant(toml)
     controller = designed_pd(described, 10.0, 500.0) if arm else described_controller(described)
     body = plant(toml, tilt_rad=np.deg2rad(3.0) if fault == "tilt of gravity" else 0.0)
-    friction = {"asymmetric friction": {"asymmetry": 0.2}, "Stribeck friction": {"stribeck": 0.5}}.get(fault, {})
+    friction = {
+        "asymmetric friction": {"asymmetry": 0.2},
+        "Stribeck friction": {"stribeck": 0.5},
+    }.get(fault, {})
     body = replace(body, friction=replace(body.friction, **friction))
     cell = replace(cell, drift_percent=30.0 if fault == "drift" else 0.0)
-    reference = references(described, range(5, 6), duration_s=5.0 if arm else 10.0, rate_hz=controller.rate_hz)
+    reference = references(
+        described, range(5, 6), duration_s=5.0 if arm else 10.0, rate_hz=controller.rate_hz
+    )
     runs = simulate(body, controller, reference, cell, seed=5, substeps=2 if arm else 1)
     return runs.signals(description(toml, controller if arm else None), 0)
 
 
 def cut(signals: Signals, first: int, last: int) -> Signals:
-    return replace(signals, **{name: getattr(signals, name)[first:last] for name in ("t_s", "q", "q_ref", "effort")})
+    return replace(
+        signals,
+        **{name: getattr(signals, name)[first:last] for name in ("t_s", "q", "q_ref", "effort")},
+    )
 
 
 def without_gains(signals: Signals, unit: str = "A") -> Signals:
@@ -65,7 +90,9 @@ def without_gains(signals: Signals, unit: str = "A") -> Signals:
 
 
 @cache
-def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, FitData]:
+def examined(
+    method: str, name: str, cell: Imperfections = WHITE, fault: str = ""
+) -> tuple[Fit, FitData]:
     return looked_at(method, recorded(name, cell, fault))
 
 
@@ -89,7 +116,9 @@ def test_the_worst_line_is_the_verdict():
     ):
         trust = Trust(lines=worst_first([line(level) for level in levels]))
         assert trust.verdict == verdict
-        assert [LEVELS.index(x.level) for x in trust.lines] == sorted(LEVELS.index(level) for level in levels)
+        assert [LEVELS.index(x.level) for x in trust.lines] == sorted(
+            LEVELS.index(level) for level in levels
+        )
     for one, finding in (
         (line("not made"), ""),
         (line("caution", "lag"), "lag"),
@@ -100,7 +129,9 @@ def test_the_worst_line_is_the_verdict():
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_clean_recording_is_trusted_and_what_nobody_checked_is_named(method):
-    """Least squares cannot find the lag, and half a millisecond more or less is much of the shoulder's small friction."""
+    """Least squares cannot find the lag, and half a millisecond more or less is much of the
+    shoulder's small friction.
+    """
     fit, _ = looked_at(method, recorded("scara"), torque_lag_s=None if method == "iv" else -0.5e-3)
     lines = {x.test: x for x in fit.trust.lines}
     assert set(lines) == OF_ALL | ({"instruments"} if method == "iv" else {"position noise"})
@@ -128,7 +159,11 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
     _, evidence = examined("wls", "scara")
     held = trust_in(evidence).line("held-out blocks")
     far = replace(held, level="caution", fails_held_out=True)
-    for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
+    for value, line_, level in (
+        (-0.1, far, "do not use"),
+        (0.1, far, "caution"),
+        (-0.1, held, "ok"),
+    ):
         physical = TrustLine("physical", "caution", "", value)
         (judged,) = (x for x in _combine_failures([physical, line_]) if x.test == "held-out blocks")
         assert judged.level == level
@@ -138,7 +173,10 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
 def test_the_tables_of_the_guides_have_every_line():
     longer = {"held out": "held-out blocks"}
     names = {one.__name__.removesuffix("_test").replace("_", " ") for one in TESTS}
-    for guide, head in (("README.md", "| line | what is wrong "), ("results.md", "| line | what it means ")):
+    for guide, head in (
+        ("README.md", "| line | what is wrong "),
+        ("results.md", "| line | what it means "),
+    ):
         _, rest = (ROOT / "identification" / guide).read_text().split(head)
         lines = re.findall(r"^\| `(.*?)` \|", rest.split("\n\n")[0], flags=re.MULTILINE)
         assert sorted(lines) == sorted(longer.get(name, name) for name in names)
@@ -148,20 +186,33 @@ def test_the_tables_of_the_guides_have_every_line():
 
 def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
     _, evidence = examined("wls", "scara")
-    of_some = replace(evidence, estimate=evidence.estimate.part(np.arange(5)))  # as with --essential
-    assert (essential_test(of_some).level, essential_test(of_some).text) == ("ok", f"{len(evidence.essential)} of 8")
+    # as with --essential
+    of_some = replace(evidence, estimate=evidence.estimate.part(np.arange(5)))
+    assert (essential_test(of_some).level, essential_test(of_some).text) == (
+        "ok",
+        f"{len(evidence.essential)} of 8",
+    )
     told = essential_test(replace(evidence, essential=("Fv1", "Fc1", "Fc2")))
     assert (told.level, told.finding) == ("caution", "no inertia is determined")
     fit, _ = examined("wls", "scara")
     assert set(fit.essential_names) <= set(fit.essential.estimate.names)
-    wide = replace(fit.intervals, low=fit.intervals.low - np.abs(fit.beta), high=fit.intervals.high + np.abs(fit.beta))
+    wide = replace(
+        fit.intervals,
+        low=fit.intervals.low - np.abs(fit.beta),
+        high=fit.intervals.high + np.abs(fit.beta),
+    )
     assert replace(fit, intervals=wide).essential_names == ()
 
 
 def test_the_error_is_that_behind_the_rules_filter():
-    """Noise of 20 µm makes the prediction of a fit without a filter useless; the model is none the worse."""
+    """Noise of 20 µm makes the prediction of a fit without a filter useless; the
+    model is none the worse.
+    """
     noisy = recorded("emps", COARSE)
-    plain, raw = (identify(noisy, Overrides(cutoff_hz=c)).errors[-1].relative_error_percent for c in (None, 0.0))
+    plain, raw = (
+        identify(noisy, Overrides(cutoff_hz=c)).errors[-1].relative_error_percent
+        for c in (None, 0.0)
+    )
     assert raw == pytest.approx(plain, rel=0.3)
 
 
@@ -186,7 +237,9 @@ def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
 
 
 def test_signs_are_judged_by_weighted_rows_only_where_ordinary_least_squares_sees_no_wrong_one():
-    """Of the rows as they are, and with the sign of every torque changed; beta of one or the other."""
+    """Of the rows as they are, and with the sign of every torque changed;
+    beta of one or the other.
+    """
 
     def judged(method: str, sign_of_beta: int) -> tuple[str, bool]:
         _, evidence = examined(method, "scara")
@@ -205,7 +258,10 @@ def test_the_ways_an_iteration_ends():
     _, evidence = examined("iv", "scara")
     none = fixed_point_test(replace(evidence, fixed_point=False, unconfirmed="status diverged: M"))
     assert (none.level, none.text[:18]) == ("do not use", "status diverged: M")
-    assert fixed_point_test(replace(evidence, unconfirmed="status not_confirmed: joint 2")).level == "caution"
+    assert (
+        fixed_point_test(replace(evidence, unconfirmed="status not_confirmed: joint 2")).level
+        == "caution"
+    )
     assert fixed_point_test(evidence).level == "ok"
 
 
@@ -217,7 +273,9 @@ def test_a_column_is_solved_with_the_others(method):
     fit, evidence = examined(method, "scara", fault="drift")
     system, n = evidence.observed.system, 2
     W, Y = system.weighted(fit.estimate.weights)
-    (lack,) = (x for x in missing_terms(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder"))
+    (lack,) = (
+        x for x in missing_terms(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder")
+    )
     motion, decimation = measured_motion(evidence.problem)
     if method == "iv":
         motion, decimation = evidence.replicas[0].motion, evidence.replicas[0].decimation
@@ -230,7 +288,9 @@ def test_a_column_is_solved_with_the_others(method):
     solved = np.linalg.solve(Z.T @ wider, Z.T @ Y)
     assert lack.value == pytest.approx(solved[-1], rel=1e-6)
     before, after = Y - W @ fit.estimate.beta, Y - wider @ solved
-    assert lack.taken_percent == pytest.approx(100 * (1 - after @ after / (before @ before)), rel=1e-6)
+    assert lack.taken_percent == pytest.approx(
+        100 * (1 - after @ after / (before @ before)), rel=1e-6
+    )
     named = System.whole(wider, Y, system.joint_of_row, (*system.names, "drift"))
     estimate = instrumental_variables(named, Z, np.ones(n))
     sigma = intervals(estimate, Y - wider @ estimate.beta, n).sigma[-1]
@@ -238,7 +298,8 @@ def test_a_column_is_solved_with_the_others(method):
 
 
 @pytest.mark.parametrize(
-    ("method", "fault"), [("iv", "asymmetric friction"), ("wls", "drift"), ("wls", "Stribeck friction")]
+    ("method", "fault"),
+    [("iv", "asymmetric friction"), ("wls", "drift"), ("wls", "Stribeck friction")],
 )
 def test_what_the_model_lacks_is_named_first(method, fault):
     found = examined(method, "scara", fault=fault)[0].trust
@@ -248,7 +309,11 @@ def test_what_the_model_lacks_is_named_first(method, fault):
 
 
 def test_a_column_has_the_size_of_the_fault():
-    found = [x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1]) if "asym" in x.kind]
+    found = [
+        x
+        for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])
+        if "asym" in x.kind
+    ]
     assert [x.where for x in found] == ["of joint shoulder", "of joint elbow"]
     assert [abs(x.value - 20.0) < 3 * x.value / x.t < 15.0 for x in found] == [True, True]
 
@@ -260,7 +325,9 @@ def test_a_tilt_of_gravity_is_named_first():
 
 
 def test_a_relative_gain_is_named():
-    """The elbow's torque scaled by 1.2: its inertia and friction take that, its share in the shoulder's torque does not."""
+    """The elbow's torque scaled by 1.2: its inertia and friction take that, its share in the
+    shoulder's torque does not.
+    """
     signals = recorded("scara")
     scaled = replace(signals, effort=signals.effort * np.array([1.0, 1.2]))
     told = identify_ls(scaled, Overrides()).trust.line("added columns")
@@ -282,7 +349,10 @@ def block_errors(evidence: FitData, blocks: int) -> tuple[float, float]:
         betas.append(np.linalg.solve(Z[~inside].T @ W[~inside], Z[~inside].T @ Y[~inside]))
     tau, held, _ = torque_of_recording(evidence.problem, *betas)
     trained = torque_of_recording(evidence.problem, evidence.estimate.beta)[1]
-    return tuple(100 * np.linalg.norm((tau - x)[counts]) / np.linalg.norm(tau[counts]) for x in (held, trained))
+    return tuple(
+        100 * np.linalg.norm((tau - x)[counts]) / np.linalg.norm(tau[counts])
+        for x in (held, trained)
+    )
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
@@ -296,7 +366,9 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
 
 
 def test_a_fit_that_does_not_generalise_is_a_caution():
-    """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive gains let them be found."""
+    """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive
+    gains let them be found.
+    """
     signals = cut(recorded("tx40", fault="tilt of gravity"), 0, 1300)
     short = identify_ls(signals, Overrides()).trust.line("held-out blocks")
     assert short.level == "caution"
@@ -312,11 +384,13 @@ def test_halves_differ_where_the_torque_changes_its_scale():
     later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
     changed = identify_ls(replace(signals, effort=signals.effort * later), Overrides())
     assert changed.trust.line("halves").level == "caution"
-    assert ls_of(REPLAY / "tx40" / "session.mcap").trust.line("halves").level == "ok"  # of 60 parameters
+    # of 60 parameters
+    assert ls_of(REPLAY / "tx40" / "session.mcap").trust.line("halves").level == "ok"
     fit, evidence = examined("wls", "scara")
     assert fit.trust.line("halves").level == "ok"
-    # The statistic from the two halves' own least squares: correlations of the formula, deviations of the cosines by the
-    # share of white noise that they find in the residuals, I - W(W'W)⁻¹W' of it.
+    # The statistic from the two halves' own least squares: correlations of the formula,
+    # deviations of the cosines by the share of white noise that they find in the residuals,
+    # I - W(W'W)⁻¹W' of it.
     n, b = 2, len(fit.estimate.names)
     T = len(evidence.Y) // n
     betas, total = [], np.zeros((b, b))
@@ -327,7 +401,9 @@ def test_halves_differ_where_the_torque_changes_its_scale():
         beta = inverse @ W.T @ Y
         t = (W * (Y - W @ beta)[:, None]).reshape(n, -1, b).sum(axis=0) @ inverse
         instants, B = len(t), int(np.clip(0.4 * len(t) ** (2 / 3), 4, 16))
-        waves = np.cos(np.pi * np.arange(1, B + 1)[:, None] * (np.arange(instants) + 0.5) / instants)
+        waves = np.cos(
+            np.pi * np.arange(1, B + 1)[:, None] * (np.arange(instants) + 0.5) / instants
+        )
         given, seen = np.zeros(b), np.zeros(b)
         for wave in np.sqrt(2) * waves:
             a = (W @ inverse) * np.tile(wave, n)[:, None]
@@ -348,7 +424,10 @@ def test_the_noise_of_an_end_sample_is_told():
     effort = signals.effort.copy()
     effort[stop - 1] += 2.0
     noisy = replace(signals, effort=effort)
-    fits = (identify_ls(noisy, Overrides(edges=edges, torque_lag_s=0.0)) for edges in ("smooth", "matlab"))
+    fits = (
+        identify_ls(noisy, Overrides(edges=edges, torque_lag_s=0.0))
+        for edges in ("smooth", "matlab")
+    )
     smooth, raw = (fit.trust.line("ends") for fit in fits)
     assert (smooth.level, raw.level) == ("ok", "caution")
     assert raw.value > 4 * smooth.value
@@ -364,20 +443,28 @@ def test_noise_of_the_position_biases_least_squares_and_is_told():
     assert by_iv.iv.contrast > 1
     assert examined("wls", "emps")[0].trust.line("position noise").level == "ok"
     for cutoff_hz in (0.0, 350.0):
-        unseen = identify_ls(recorded("emps"), Overrides(cutoff_hz=cutoff_hz)).trust.line("position noise")
+        unseen = identify_ls(recorded("emps"), Overrides(cutoff_hz=cutoff_hz)).trust.line(
+            "position noise"
+        )
         assert unseen.level == "cannot tell"
 
 
 def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
-    """AR(0.9) from sample to sample: the noise above the low-pass is a small part of the noise below."""
+    """AR(0.9) from sample to sample: the noise above the low-pass is a small
+    part of the noise below.
+    """
     cell = replace(COARSE, encoder_noise=1e-5, encoder_correlation=0.9)
     fit, _ = examined("wls", "emps", cell)
     assert fit.trust.line("position noise").level == "caution"
 
 
 def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
-    """It grows with the variance of the noise: what moves the estimate with the noise's sign cancels."""
-    fits = (examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (6e-6, 2e-5))
+    """It grows with the variance of the noise: what moves the estimate with
+    the noise's sign cancels.
+    """
+    fits = (
+        examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (6e-6, 2e-5)
+    )
     told = [fit.trust.line("position noise").text for fit in fits]
     small, large = (float(re.search(r"\(([0-9.]+) %\)", text)[1]) for text in told)
     assert large / small == pytest.approx(100 / 9, rel=0.25)
@@ -385,7 +472,9 @@ def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
 
 def test_weak_instruments_and_those_that_are_w():
     _, evidence = examined("iv", "scara")
-    levels = {F: instruments_test(replace(evidence, first_stage_F=F)).level for F in (5.0, 50.0, 4e16)}
+    levels = {
+        F: instruments_test(replace(evidence, first_stage_F=F)).level for F in (5.0, 50.0, 4e16)
+    }
     assert levels == {5.0: "caution", 50.0: "ok", 4e16: "cannot tell"}
     assert "W itself" in instruments_test(replace(evidence, first_stage_F=4e16)).text
 
@@ -406,7 +495,12 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     (fit, evidence), (long, of_blocks) = examined(method, "scara"), examined_as_long(method)
     assert (evidence.observed.reduced, of_blocks.observed.reduced) == (False, True)
     rows = 5e-8 if method == "wls" else 0.01
-    for test, rel in (("held-out blocks", 0.01), ("halves", 0.2), ("ends", 5 * rows), ("added columns", 0.05)):
+    for test, rel in (
+        ("held-out blocks", 0.01),
+        ("halves", 0.2),
+        ("ends", 5 * rows),
+        ("added columns", 0.05),
+    ):
         told, wanted = (x.trust.line(test) for x in (long, fit))
         assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=rel))
         assert test != "ends" or method == "iv" or told.text == wanted.text
@@ -416,18 +510,26 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     found, expected = (x.error(whole, x.estimate.beta) for x in (of_blocks, evidence))
     assert found == pytest.approx(expected, rel=rows)
     np.testing.assert_array_equal(of_blocks.predicted, long.tau_predicted)
-    made, wanted = ([x.test for x in one.trust.lines if x.level == "not made"] for one in (long, fit))
+    made, wanted = (
+        [x.test for x in one.trust.lines if x.level == "not made"] for one in (long, fit)
+    )
     assert (made, long.trust.verdict) == (wanted, fit.trust.verdict)
     lag, other = long.lags[0], fit.lags[0]
     assert lag.value_s == pytest.approx(other.value_s, abs=2e-5)
-    np.testing.assert_allclose(lag.moved, other.moved, rtol=0.2, atol=0.5 * fit.intervals.half.max())
+    np.testing.assert_allclose(
+        lag.moved, other.moved, rtol=0.2, atol=0.5 * fit.intervals.half.max()
+    )
     assert (np.abs(long.beta - fit.beta) < 0.3 * fit.intervals.half).all()
 
 
 def test_sums_over_spans_are_those_of_their_rows():
     (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
     T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
-    for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):
+    for part in (
+        slice(0, round(T / 5)),
+        slice(round(T / 5), round(2 * T / 5)),
+        slice(round(T / 2), T),
+    ):
         covered, _ = long.aligned((part,))
         assert max(abs(covered[0] - part.start), abs(covered[-1] + 1 - part.stop)) <= 1
         assert all((x == np.arange(part.start, part.stop)).all() for x in evidence.aligned((part,)))
@@ -435,15 +537,21 @@ def test_sums_over_spans_are_those_of_their_rows():
         inside[:, covered] = True
         W, Y = evidence.W[inside.ravel()], evidence.Y[inside.ravel()]
         (Q, W_k, Y_k, count), bread = long.part((part,)), long.estimate.bread
-        np.testing.assert_allclose(np.linalg.solve(Q.T @ W_k, Q.T @ Y_k), np.linalg.lstsq(W, Y)[0], rtol=1e-7)
-        np.testing.assert_allclose(bread @ Q.T @ Q @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7)
+        np.testing.assert_allclose(
+            np.linalg.solve(Q.T @ W_k, Q.T @ Y_k), np.linalg.lstsq(W, Y)[0], rtol=1e-7
+        )
+        np.testing.assert_allclose(
+            bread @ Q.T @ Q @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7
+        )
         weight = evidence.weight[inside.ravel()]
         assert count == pytest.approx(np.sum(evidence.observed.share.T[inside] ** 2), rel=1e-9)
         per = np.where(weight > 0, 1 / np.where(weight > 0, weight, 1.0), 0.0)
         beta = fit.estimate.beta * (1 + 0.01 * np.random.default_rng(3).normal(size=b))
         error = np.linalg.norm((Y - W @ beta) * per)
         assert long.error((part,), beta) == pytest.approx(error, rel=1e-7)
-        assert evidence.error((slice(covered[0], covered[-1] + 1),), beta) == pytest.approx(error, rel=1e-7)
+        assert evidence.error((slice(covered[0], covered[-1] + 1),), beta) == pytest.approx(
+            error, rel=1e-7
+        )
 
 
 @pytest.mark.parametrize("long", [False, True])
@@ -459,7 +567,9 @@ def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(long):
 
 
 def test_a_short_recording_has_no_halves():
-    trust = identify_ls(cut(recorded("tx40", fault="tilt of gravity"), 2000, 2350), Overrides(cutoff_hz=0.0)).trust
+    trust = identify_ls(
+        cut(recorded("tx40", fault="tilt of gravity"), 2000, 2350), Overrides(cutoff_hz=0.0)
+    ).trust
     assert trust.line("halves").level == "not made"
     assert "record longer" in trust.line("halves").text
 

@@ -1,4 +1,6 @@
-"""`converged` is not said where a joint does not track or the instruments say nothing of the regressor."""
+"""`converged` is not said where a joint does not track or the instruments say
+nothing of the regressor.
+"""
 
 import dataclasses
 from types import SimpleNamespace
@@ -18,12 +20,16 @@ GOOD = InstrumentTests(strength=0.9, first_stage_F=500.0)
 
 def verdict(tracking, errors, tests=GOOD):
     settled = Pass(
-        z=SimpleNamespace(kind="simulated"), estimate=None, asked=None, covariance=None, coarse=False,
+        z=SimpleNamespace(kind="simulated"), estimate=None, asked=None, covariance=None,
+        coarse=False,
         change_sigma=0.1, change_percent=0.1, changed="M1",
         residual_percent=0.1, residual_settled=True, parameters_settled=True,
     )  # fmt: skip
     of = DirectModelResidual
-    direct = [of(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)]
+    direct = [
+        of(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0)
+        for j, e in enumerate(errors)
+    ]
     replica = SimpleNamespace(tracking_percent=tracking, direct=direct)
     # whether M is positive is asked of each recording
     none = SimpleNamespace(problems=(), unknowns=SimpleNamespace(arms=()), tasks=list)
@@ -33,7 +39,10 @@ def verdict(tracking, errors, tests=GOOD):
 def test_every_joint_has_to_track():
     assert verdict(1.0, [1.0, 2.0]) == ("converged", None)
     status, reason = verdict(2.3, [0.5, 59.3])
-    assert (status, reason) == ("not_confirmed", "simulated joint j1 differs by 59.3 % from the measured one")
+    assert (status, reason) == (
+        "not_confirmed",
+        "simulated joint j1 differs by 59.3 % from the measured one",
+    )
     assert verdict(float("nan"), [1.0])[0] == "not_confirmed"
     assert verdict(1.0, [float("nan")])[0] == "not_confirmed"
 

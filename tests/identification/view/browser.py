@@ -1,4 +1,6 @@
-"""A headless Chromium, driven over HTTP by its chromedriver (W3C WebDriver): what it does with a page."""
+"""A headless Chromium, driven over HTTP by its chromedriver (W3C WebDriver):
+what it does with a page.
+"""
 
 import base64
 import json
@@ -14,9 +16,22 @@ from pathlib import Path
 from typing import Any
 
 DRIVER = shutil.which("chromedriver")
-CHROMIUM = next((found for name in ("chromium", "google-chrome", "chrome") if (found := shutil.which(name))), None)
-MISSING = None if DRIVER and CHROMIUM else "no chromium with its chromedriver: apt-get install chromium chromium-driver"
-FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage")
+CHROMIUM = next(
+    (found for name in ("chromium", "google-chrome", "chrome") if (found := shutil.which(name))),
+    None,
+)
+MISSING = (
+    None
+    if DRIVER and CHROMIUM
+    else "no chromium with its chromedriver: apt-get install chromium chromium-driver"
+)
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--hide-scrollbars",
+    "--disable-dev-shm-usage",
+)
 
 
 class Browser:
@@ -44,7 +59,10 @@ class Browser:
         """Open a file in a window of this width, light or dark."""
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
         self.cdp("Emulation.setDeviceMetricsOverride", **size)
-        self.cdp("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self.cdp(
+            "Emulation.setEmulatedMedia",
+            features=[{"name": "prefers-color-scheme", "value": scheme}],
+        )
         self._ask("/url", {"url": file.absolute().as_uri()})
 
     def run(self, script: str) -> Any:
@@ -57,12 +75,21 @@ class Browser:
 
     def requests(self) -> list[str]:
         """Addresses requested since the last call."""
-        entries = [json.loads(entry["message"])["message"] for entry in self._ask("/se/log", {"type": "performance"})]
-        return [e["params"]["request"]["url"] for e in entries if e["method"] == "Network.requestWillBeSent"]
+        entries = [
+            json.loads(entry["message"])["message"]
+            for entry in self._ask("/se/log", {"type": "performance"})
+        ]
+        return [
+            e["params"]["request"]["url"]
+            for e in entries
+            if e["method"] == "Network.requestWillBeSent"
+        ]
 
     def pdf(self) -> bytes:
         """The page as printed."""
-        return base64.b64decode(self.cdp("Page.printToPDF", preferCSSPageSize=True, printBackground=True)["data"])
+        return base64.b64decode(
+            self.cdp("Page.printToPDF", preferCSSPageSize=True, printBackground=True)["data"]
+        )
 
     def close(self) -> None:
         """End the session."""
@@ -74,7 +101,9 @@ def browser() -> Iterator[Browser]:
     assert DRIVER is not None
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    with subprocess.Popen([DRIVER, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as driver:
+    with subprocess.Popen(
+        [DRIVER, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as driver:
         try:
             window = _connect(f"http://127.0.0.1:{port}")
             try:

@@ -15,8 +15,12 @@ COMMANDS = {  # what stands before --rrd FILE
 
 def test_the_commands_are_those_that_write_such_files():
     """That of `demo` is looked at where it is made."""
-    commands = next(action for action in IDENTIFY.parser(*IDENTIFY.commands)._actions if action.choices).choices
-    writing = {name for name, parser in commands.items() if "--rrd" in parser._option_string_actions}
+    commands = next(
+        action for action in IDENTIFY.parser(*IDENTIFY.commands)._actions if action.choices
+    ).choices
+    writing = {
+        name for name, parser in commands.items() if "--rrd" in parser._option_string_actions
+    }
     assert writing | {"view", "view --follow"} == set(COMMANDS)
 
 

@@ -21,17 +21,34 @@ from identification.view.svg_panels import HEAD, PITCH, draw_graph, draw_rows
 
 
 def found(column, **given):
-    return [m for m in column.marks if all(getattr(m, name) == value for name, value in given.items())]
+    return [
+        m for m in column.marks if all(getattr(m, name) == value for name, value in given.items())
+    ]
 
 
 AXES = {
     "linear": (linear(-1.0, 9.0, 5), {0.0: "0", 2.0: "2", 4.0: "4", 6.0: "6", 8.0: "8"}, 4.0, 0.5),
-    "small": (linear(0.0, 0.03, 3), {0.0: "0.00", 0.01: "0.01", 0.02: "0.02", 0.03: "0.03"}, 0.015, 0.5),
+    "small": (
+        linear(0.0, 0.03, 3),
+        {0.0: "0.00", 0.01: "0.01", 0.02: "0.02", 0.03: "0.03"},
+        0.015,
+        0.5,
+    ),
     "logarithmic": (logarithmic(0.5, 500.0, 6), {1.0: "1", 10.0: "10", 100.0: "100"}, 5.0, 1 / 3),
-    "decades": (decades([3e-6, 0.2], 3), {1e-6: "1e-6", 1e-4: "1e-4", 1e-2: "0.01", 1.0: "1"}, 1e-3, 0.5),
+    "decades": (
+        decades([3e-6, 0.2], 3),
+        {1e-6: "1e-6", 1e-4: "1e-4", 1e-2: "0.01", 1.0: "1"},
+        1e-3,
+        0.5,
+    ),
     "a point": (linear(2.0, 2.0, 3), {2.0: "2"}, 2.0, 0.0),
     "beyond": (linear(0.0, 1.0, 1), {0.0: "0", 1.0: "1"}, 7.0, 1.0),
-    "zero": (logarithmic(0.01, 100.0, 4), {0.01: "0.01", 0.1: "0.1", 1.0: "1", 10.0: "10", 100.0: "100"}, 0.0, 0.0),
+    "zero": (
+        logarithmic(0.01, 100.0, 4),
+        {0.01: "0.01", 0.1: "0.1", 1.0: "1", 10.0: "10", 100.0: "100"},
+        0.0,
+        0.0,
+    ),
 }
 
 
@@ -45,17 +62,25 @@ def test_an_axis_has_round_ticks_and_places_numbers(case):
 def test_parameters_have_rows_with_values_intervals_and_differences():
     own = values("IV", M1=(2.0, 0.3), M2=(-1.0, 0.1), M3=(0.0, 0.1))
     own.parameters["M2"] = msgspec.structs.replace(own.parameters["M2"], essential=False)
-    ls, true = values("LS", M1=(2.4, 0.3), M2=(-9.0, 0.1)), values("true", M1=(2.1, 0.0), M2=(-1.0, 0.0))
+    ls, true = (
+        values("LS", M1=(2.4, 0.3), M2=(-9.0, 0.1)),
+        values("true", M1=(2.1, 0.0), M2=(-1.0, 0.0)),
+    )
     (chart,) = deviation_charts(own, [ls, true])
     assert chart.names == [("M1", ORANGE), ("M2", GREY), ("M3", ORANGE)]
     assert {("× LS", PURPLE), ("| true", GREEN)} <= set(chart.legend)
     percent, far = chart.columns
-    assert [m.value for m in percent.marks] == pytest.approx([100 * 1.96 * 0.15, 100 * 1.96 * 0.1, 100.0])
+    assert [m.value for m in percent.marks] == pytest.approx(
+        [100 * 1.96 * 0.15, 100 * 1.96 * 0.1, 100.0]
+    )
     own_marks = [m for m in far.marks if m.shape in ("dot", "ring")]
     assert [(m.row, m.value, m.half, m.shape) for m in own_marks] == [
         (0, 0.0, 1.0, "dot"), (1, 0.0, 1.0, "ring"), (2, 0.0, 1.0, "dot"),
     ]  # fmt: skip
-    assert [(m.value, m.half) for m in found(far, shape="tick")] == [(pytest.approx(0.1 / 0.588), 0.0), (0.0, 0.0)]
+    assert [(m.value, m.half) for m in found(far, shape="tick")] == [
+        (pytest.approx(0.1 / 0.588), 0.0),
+        (0.0, 0.0),
+    ]
     crosses = [(math.floor(m.row), m.value, m.half, m.color) for m in found(far, shape="cross")]
     assert crosses == [
         (0, pytest.approx(0.4 / 0.588), pytest.approx(1.0), PURPLE),
@@ -63,12 +88,17 @@ def test_parameters_have_rows_with_values_intervals_and_differences():
     ]
     assert far.lines == (-1.0, 0.0, 1.0)
     exact = deviation_charts(true, [own])[0].columns[1]
-    assert [m.value for m in found(exact, shape="cross")] == pytest.approx([-0.1 / 0.588, 0.0]), "in those of the other"
+    assert [m.value for m in found(exact, shape="cross")] == pytest.approx([-0.1 / 0.588, 0.0]), (
+        "in those of the other"
+    )
     assert len(deviation_charts(own, [])[0].columns) == 1
 
 
 def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected():
-    figures = (Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5))
+    figures = (
+        Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5),
+        Figure(name="elbow", value=-0.5),
+    )
     lag = TrustLine("lag", "caution", "torque late", 1.2, unit="samples", figures=figures)
     made = TrustLine("ends", "ok", "no outlier", -5.0)
     (of_lag,) = trust_charts(Trust(lines=(lag, made)))
@@ -79,7 +109,10 @@ def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected()
     assert of_lag.names == [("shoulder", LIGHT), ("elbow", LIGHT)]
     (column,) = of_lag.columns
     assert column.head == "samples"
-    assert [(m.row, m.value) for m in found(column, shape="tick", color=GREEN)] == [(0, -0.5), (1, 0.0)]
+    assert [(m.row, m.value) for m in found(column, shape="tick", color=GREEN)] == [
+        (0, -0.5),
+        (1, 0.0),
+    ]
     assert [(m.row, m.value, m.half) for m in found(column, shape="dot", color=ORANGE)] == [
         (0, 1.2, 0.2),
         (1, -0.5, 0.0),
@@ -103,7 +136,9 @@ def test_a_study_has_all_errors_by_method_and_the_medians_of_those_that_count():
     chart = study_chart(runs)
     assert [name for name, _ in chart.names if name] == ["LS: median 20", "IV: median 2"]
     (column,) = chart.columns
-    assert [m.value for m in found(column, shape="tick")] == [20.0] * STUDY_ROWS + [2.0] * STUDY_ROWS
+    assert [m.value for m in found(column, shape="tick")] == [20.0] * STUDY_ROWS + [
+        2.0
+    ] * STUDY_ROWS
     assert [m.value for m in found(column, shape="cross")] == [10.0, 20.0, 30.0, 90.0, 20.0]
     assert [m.value for m in found(column, shape="dot")] == [1.0, 3.0, 2.0]
     assert [m.value for m in found(column, shape="ring")] == [90.0]
@@ -120,26 +155,40 @@ def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit():
     sine = replace(signals, q=1e-3 * np.sin(2 * np.pi * 80.0 * signals.t_s)[:, None])
     position, effort = spectrum_charts(sine, settings)
     (curve,) = position.curves
-    assert curve.line[0][curve.line[1].argmax()] == pytest.approx(80.0, rel=0.06), "a band of 40 in a decade"
-    assert set(position.marks.values()) == {"bandwidth 10 Hz", f"low-pass {settings.cutoff_hz:g} Hz"}
+    assert curve.line[0][curve.line[1].argmax()] == pytest.approx(80.0, rel=0.06), (
+        "a band of 40 in a decade"
+    )
+    assert set(position.marks.values()) == {
+        "bandwidth 10 Hz",
+        f"low-pass {settings.cutoff_hz:g} Hz",
+    }
     assert position.marks[settings.cutoff_hz].startswith("low-pass")
     assert f"decimation {0.4 * FS / settings.decimation:g} Hz" in effort.marks.values()
     assert position.title == "position [rad/√Hz] over frequency [Hz]"
     short = replace(signals, t_s=signals.t_s[:10], q=signals.q[:10], effort=signals.effort[:10])
     assert spectrum_charts(short, None) == []
     drawn = draw_graph(position)
-    ticks = {text: float(x) for x, text in re.findall(r'middle" x="([\d.]+)" y="194">([^<]+)<', drawn)}
-    marks = {text: float(x) for x, text in re.findall(r'end" x="([\d.]+)" y="[\d.]+">(\w[^<]+ Hz)<', drawn)}
+    ticks = {
+        text: float(x) for x, text in re.findall(r'middle" x="([\d.]+)" y="194">([^<]+)<', drawn)
+    }
+    marks = {
+        text: float(x)
+        for x, text in re.findall(r'end" x="([\d.]+)" y="[\d.]+">(\w[^<]+ Hz)<', drawn)
+    }
     per_decade = ticks["100"] - ticks["10"]
     assert marks["bandwidth 10 Hz"] + 4 == pytest.approx(ticks["10"], abs=0.2)
     at = ticks["10"] + per_decade * math.log10(settings.cutoff_hz / 10.0)
     assert marks[f"low-pass {settings.cutoff_hz:g} Hz"] + 4 == pytest.approx(at, abs=0.2)
-    assert "bandwidth" not in draw_graph(replace(position, marks={1e6: "bandwidth 1e6 Hz"})), "beyond the axis"
+    assert "bandwidth" not in draw_graph(replace(position, marks={1e6: "bandwidth 1e6 Hz"})), (
+        "beyond the axis"
+    )
 
 
 def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
     rows = charts.rigid_torque_at_rows
-    monkeypatch.setattr(charts, "rigid_torque_at_rows", lambda *of: tuple(x * [1.0, 0.0] for x in rows(*of)))
+    monkeypatch.setattr(
+        charts, "rigid_torque_at_rows", lambda *of: tuple(x * [1.0, 0.0] for x in rows(*of))
+    )
     _, still = charts.friction_charts(fitted(made_up()))
     assert sum(len(dots) for dots, _ in still.dots) == 0
     assert "nan" not in draw_graph(still)
@@ -154,16 +203,24 @@ def test_rows_are_drawn_where_their_axis_says():
         Mark(row=2, value=0.25, color=SKY, shape="tick"),
     ]
     column = Column(head="<head>", axis=linear(-1.0, 1.0, 4), marks=marks, lines=(0.25,))
-    rows = Rows(path=("x",), title="a & b", names=[("one", LIGHT), ("two", LIGHT), ("three", LIGHT)], columns=[column])
+    rows = Rows(
+        path=("x",),
+        title="a & b",
+        names=[("one", LIGHT), ("two", LIGHT), ("three", LIGHT)],
+        columns=[column],
+    )
     text = draw_rows(rows)
     assert 'aria-label="a &amp; b"' in text
     assert "&lt;head&gt;" in text
-    ticks = {t: float(x) for x, t in re.findall(rf'middle" x="([\d.]+)" y="{HEAD - 5:g}">([^<]+)<', text)}
+    ticks = {
+        t: float(x) for x, t in re.findall(rf'middle" x="([\d.]+)" y="{HEAD - 5:g}">([^<]+)<', text)
+    }
     zero, one = ticks["0.0"], ticks["1.0"]
 
     def path(kind):
         return [
-            tuple(map(float, re.findall(r"-?[\d.]+", d)[:3])) for d in re.findall(rf'{kind}"[^>]* d="([^"]*)"', text)
+            tuple(map(float, re.findall(r"-?[\d.]+", d)[:3]))
+            for d in re.findall(rf'{kind}"[^>]* d="([^"]*)"', text)
         ]
 
     def at(value, row):

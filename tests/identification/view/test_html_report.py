@@ -1,4 +1,6 @@
-"""The report as one HTML file: its structure, its colours, the panels of both renderers, and what Chromium does with it."""
+"""The report as one HTML file: its structure, its colours, the panels of both renderers, and what
+Chromium does with it.
+"""
 
 import html.parser
 import re
@@ -68,7 +70,11 @@ def test_the_file_stands_alone_and_is_small(tmp_path):
     assert (tmp_path / "report.html").stat().st_size < 1_000_000
     names = {name for name, _ in page.tags}
     assert not names & {"script", "img", "link", "iframe", "object", "image", "use"}
-    (policy,) = (meta["content"] for meta in page.all("meta") if meta.get("http-equiv") == "Content-Security-Policy")
+    (policy,) = (
+        meta["content"]
+        for meta in page.all("meta")
+        if meta.get("http-equiv") == "Content-Security-Policy"
+    )
     assert policy == "default-src 'none'; style-src 'unsafe-inline'"
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"(href|src)=|url\(|@import|https?:|\bnan\b|\binf\b|NaN", text)
@@ -77,7 +83,12 @@ def test_the_file_stands_alone_and_is_small(tmp_path):
         assert min(float(x) for x in svg["viewbox"].split()[2:]) > 0
         assert svg["aria-label"]
     said = " ".join(page.texts)
-    for part in (f"verdict: {fit.trust.verdict}", "assumed: drive gains", signals.sha256, f"numpy {np.__version__}"):
+    for part in (
+        f"verdict: {fit.trust.verdict}",
+        "assumed: drive gains",
+        signals.sha256,
+        f"numpy {np.__version__}",
+    ):
         assert part in said
 
 
@@ -129,7 +140,9 @@ def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
 def test_a_spectrum_is_that_of_welch(length):
     x = np.random.default_rng(1).standard_normal(1700).cumsum()
     expected = signal.welch(x, 250.0, nperseg=length, detrend="linear")[1]
-    np.testing.assert_allclose(_welch(x, length, 250.0), expected, rtol=1e-9, atol=1e-12 * expected.max())
+    np.testing.assert_allclose(
+        _welch(x, length, 250.0), expected, rtol=1e-9, atol=1e-12 * expected.max()
+    )
 
 
 RUNS = {
@@ -167,19 +180,46 @@ def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(tmp_path
             window.open(file, width=width, scheme=scheme)
             assert window.requests() == [file.as_uri()]
             assert window.console() == []
-            assert window.run("return [innerWidth, document.documentElement.scrollWidth]") == [width, width]
+            assert window.run("return [innerWidth, document.documentElement.scrollWidth]") == [
+                width,
+                width,
+            ]
             assert window.run(
-                "return [...document.querySelectorAll('path.l')].filter(p => p.getBBox().width <= 1 && "
-                "p.getBBox().height <= 1 || parseFloat(getComputedStyle(p).strokeWidth) < .5).length"
+                "return [...document.querySelectorAll('path.l')].filter(p => p.getBBox().width <= "
+                "1 && "
+                "p.getBBox().height <= 1 || parseFloat(getComputedStyle(p).strokeWidth) < "
+                ".5).length"
             ) == 0  # fmt: skip
             ground = "return getComputedStyle(document.body).backgroundColor"
-            assert window.run(ground) == {"light": "rgb(255, 255, 255)", "dark": "rgb(18, 18, 18)"}[scheme]
+            assert (
+                window.run(ground)
+                == {"light": "rgb(255, 255, 255)", "dark": "rgb(18, 18, 18)"}[scheme]
+            )
             assert "NaN" not in window.run("return document.documentElement.outerHTML")
         pages = len(re.findall(rb"/Type\s*/Page\b[^s]", window.pdf()))
-        assert 4 <= pages <= 22, "at most two of the result, then the appendix, which is opened in print"
+        assert 4 <= pages <= 22, (
+            "at most two of the result, then the appendix, which is opened in print"
+        )
         window.cdp("Emulation.setEmulatedMedia", media="print")
-        inside = "return [...document.querySelectorAll('figure')].map(f => getComputedStyle(f).breakInside)"
+        inside = (
+            "return [...document.querySelectorAll('figure')].map(f => "
+            "getComputedStyle(f).breakInside)"
+        )
         assert set(window.run(inside)) == {"avoid"}
-        # Less than the 186 mm that a page of A4 across has within its margins: no figure has to be cut.
-        window.cdp("Emulation.setDeviceMetricsOverride", width=1032, height=703, deviceScaleFactor=1, mobile=False)
-        assert max(window.run("return [...document.querySelectorAll('figure')].map(f => f.offsetHeight)")) < 700
+        # Less than the 186 mm that a page of A4 across has within its margins: no
+        # figure has to be cut.
+        window.cdp(
+            "Emulation.setDeviceMetricsOverride",
+            width=1032,
+            height=703,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+        assert (
+            max(
+                window.run(
+                    "return [...document.querySelectorAll('figure')].map(f => f.offsetHeight)"
+                )
+            )
+            < 700
+        )

@@ -35,9 +35,14 @@ def recorded() -> Recording:
 
 
 class Session(threading.Thread):
-    """Writes a recording again, block by block, as the recorder does; each block takes `pace_s`. Begun, not finished."""
+    """Writes a recording again, block by block, as the recorder does; each block takes `pace_s`.
 
-    def __init__(self, recording: Recording, out: Path, seconds: float, pace_s: float = 0.02) -> None:
+    Begun, not finished.
+    """
+
+    def __init__(
+        self, recording: Recording, out: Path, seconds: float, pace_s: float = 0.02
+    ) -> None:
         super().__init__(daemon=True)
         self.recording, self.until_ns, self.pace_s = recording, round(seconds * 1e9), pace_s
         self.recorder = Recorder(out, recording.robot, source="CAN, active", place="robot.toml")
@@ -72,7 +77,11 @@ def values(rrd: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_page_has_the_rows_of_the_recording(tmp_path, recorded):
-    session, rrd, warnings = Session(recorded, tmp_path / "log.mcap", 4.0), tmp_path / "live.rrd", []
+    session, rrd, warnings = (
+        Session(recorded, tmp_path / "log.mcap", 4.0),
+        tmp_path / "live.rrd",
+        [],
+    )
     session.start()
     follow_recording(tmp_path / "log.mcap", None, rrd, warnings.append)
     session.join()
@@ -123,14 +132,20 @@ def clocked(monkeypatch: pytest.MonkeyPatch, at_poll: Callable[[], object]) -> N
         (lambda path: None, "has not grown"),
     ],
 )  # fmt: skip
-def test_a_recording_that_cannot_be_followed_any_more_is_one_line(tmp_path, recorded, monkeypatch, capsys, harm, text):
+def test_a_recording_that_cannot_be_followed_any_more_is_one_line(
+    tmp_path, recorded, monkeypatch, capsys, harm, text
+):
     path, polls = tmp_path / "log.mcap", iter(range(10**6))
     session = begun(recorded, path)
     monkeypatch.setattr(os, "nice", lambda by: by)
     clocked(monkeypatch, lambda: harm(path) if next(polls) == 2 else None)
     assert main(["view", str(path), "--follow", "-o", str(tmp_path / "live.rrd")]) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert [line for line in lines if not line.startswith("warning: the session runs without SCHED_FIFO")] == lines[-1:]
+    assert [
+        line
+        for line in lines
+        if not line.startswith("warning: the session runs without SCHED_FIFO")
+    ] == lines[-1:]
     assert lines[-1].startswith(f"robot-identify: {path}: {text}")
     session.recorder.close()
 
@@ -140,7 +155,11 @@ def state(rrd: Path) -> tuple[str, list[int]]:
     for chunk in RrdReader(rrd).stream():
         batch = chunk.to_record_batch()
         for name in batch.schema.names:
-            if chunk.entity_path == "/state/text" and name.endswith("labels") and "show" not in name:
+            if (
+                chunk.entity_path == "/state/text"
+                and name.endswith("labels")
+                and "show" not in name
+            ):
                 text = batch.column(name).to_pylist()[-1][-1]
             if chunk.entity_path == "/state/bar" and name.endswith("colors"):
                 colors = batch.column(name).to_pylist()[-1]
@@ -176,16 +195,23 @@ def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
     follow_recording(path, tmp_path / "fit.json", rrd, lambda text: None)
     session.join()
     model = InverseModel(signals.robot)
-    base, problem = base_parameters(model), make_problem(signals, Overrides(torque_lag_s=stored.torque_lag_s))
+    base, problem = (
+        base_parameters(model),
+        make_problem(signals, Overrides(torque_lag_s=stored.torque_lag_s)),
+    )
     motion = problem.motion.between(0, len(signals.q), problem.settings.cutoff_hz)
     rho = motion.tau - predicted_torque(motion, model, base, stored_beta(stored, base, "fit.json"))
-    n_d, stamps = problem.settings.decimation, recorded.samples["stamp_ns"] - recorded.events[0].stamp_ns
+    n_d, stamps = (
+        problem.settings.decimation,
+        recorded.samples["stamp_ns"] - recorded.events[0].stamp_ns,
+    )
     for j in range(signals.robot.n):
         t_ns, shown = values(rrd, f"/residual/{j + 1}/measured")
         assert len(shown) > 60
         at = np.searchsorted(stamps, t_ns)
         assert (stamps[at] == t_ns).all()
-        # Decimation keeps the last sample: the whole recording is cut so that each row shown is one that is kept.
+        # Decimation keeps the last sample: the whole recording is cut so that each row shown
+        # is one that is kept.
         expected = [Decimation(factor=n_d).filtered(rho[: k + 1 + 50 * n_d, j])[-51] for k in at]
         assert np.abs(shown[:, 0] - expected).max() < 0.05 * 4 * rms[j]
         _, band = values(rrd, f"/residual/{j + 1}/levels")

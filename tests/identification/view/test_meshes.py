@@ -1,4 +1,6 @@
-"""Meshes of a URDF that a recording carries: the robot is drawn by them on a machine that does not have their files."""
+"""Meshes of a URDF that a recording carries: the robot is drawn by them on a machine that
+does not have their files.
+"""
 
 import shutil
 
@@ -15,8 +17,14 @@ from identification.data import load_signals
 from identification.regression import Overrides
 from identification.view import draw_recording, write_rrd
 
-# A binary STL of one triangle: 80 bytes of header, the count, then normal, corners and an attribute.
-TRIANGLE = bytes(80) + np.uint32(1).tobytes() + np.float32([0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0]).tobytes() + bytes(2)
+# A binary STL of one triangle: 80 bytes of header, the count, then normal,
+# corners and an attribute.
+TRIANGLE = (
+    bytes(80)
+    + np.uint32(1).tobytes()
+    + np.float32([0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0]).tobytes()
+    + bytes(2)
+)
 
 
 def described(folder, name="meshes/l.stl", asked="urdf_meshes = true\n"):
@@ -36,7 +44,11 @@ def recorded(path, robot):
 
 def meshes_drawn(path, tmp_path):
     write_rrd(tmp_path / "view.rrd", draw_recording(load_signals(path), Overrides()))
-    shapes = [c for path, c in Written(tmp_path / "view.rrd").static.items() if "/visual_geometries/" in path]
+    shapes = [
+        c
+        for path, c in Written(tmp_path / "view.rrd").static.items()
+        if "/visual_geometries/" in path
+    ]
     return [bytes(c["Asset3D:blob"][0]) for c in shapes if "Asset3D:blob" in c]
 
 
@@ -68,13 +80,19 @@ def test_a_mesh_of_a_kind_that_is_not_known_is_not_written(tmp_path):
     assert meshes_drawn(path, tmp_path) == []
 
 
-@pytest.mark.parametrize("name", ["meshes/none.stl", "package://other/meshes/l.stl", "meshes/l.txt"])
+@pytest.mark.parametrize(
+    "name", ["meshes/none.stl", "package://other/meshes/l.stl", "meshes/l.txt"]
+)
 def test_a_mesh_that_is_not_found_is_refused(name, tmp_path):
     path = described(tmp_path, name)
     (tmp_path / "meshes" / "l.txt").write_text("text")
     with pytest.raises(BadInputError, match="does not exist") as caught:
         load_robot(path)
-    assert (caught.value.place, caught.value.key, caught.value.value) == (str(path), "urdf: mesh", name)
+    assert (caught.value.place, caught.value.key, caught.value.value) == (
+        str(path),
+        "urdf: mesh",
+        name,
+    )
 
 
 def test_what_cannot_be_attached_is_refused(tmp_path, monkeypatch):

@@ -1,4 +1,6 @@
-"""The Rerun file of a fit: its layout shows only what is there, and what is there is what was measured and modelled."""
+"""The Rerun file of a fit: its layout shows only what is there, and what is there is what was
+measured and modelled.
+"""
 
 import re
 from dataclasses import replace
@@ -35,14 +37,19 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     signals = made_up(**case)
     file = written(signals)
     n, errors = signals.robot.n, signals.robot.n * (signals.q_ref is not None)
-    assert sorted(kind for kind, _ in file.views.values()) == ["3D", "TextDocument"] + ["TimeSeries"] * (5 * n + errors)
+    assert sorted(kind for kind, _ in file.views.values()) == ["3D", "TextDocument"] + [
+        "TimeSeries"
+    ] * (5 * n + errors)
     assert file.is_complete()
     assert "## verdict: " in file.static["/report"]["TextDocument:text"][0]
 
 
 def error_scale(title, name, unit):
     """What an error of 1 rad or 1 m is drawn as, by its plot's title."""
-    return {f"position error {name} [{p}{unit}]": factor for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))}[title]
+    return {
+        f"position error {name} [{p}{unit}]": factor
+        for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))
+    }[title]
 
 
 @pytest.mark.parametrize("name", ["two joints, with reference", "one joint"])
@@ -51,22 +58,34 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
     fit, ls = fitted_iv(signals), fitted(signals)
     file = written(signals, fit, truth=ls.beta)
     n = signals.robot.n
-    assert sorted(kind for kind, _ in file.views.values()) == ["3D", "TextDocument"] + ["TimeSeries"] * 6 * n
+    assert (
+        sorted(kind for kind, _ in file.views.values())
+        == ["3D", "TextDocument"] + ["TimeSeries"] * 6 * n
+    )
     assert file.is_complete()
     simulated, name = fit.replica.motion, signals.robot.joints[0].name
     k, x = file.curve("q", name, "simulated")
     np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
     np.testing.assert_allclose(x, simulated.q[:, 0])
     titles = {origin: title for origin, (_, title) in file.views.items()}
-    per_unit = error_scale(titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit)
+    per_unit = error_scale(
+        titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit
+    )
     k, x = file.curve("error", name, "simulated")
     np.testing.assert_allclose(x / per_unit, simulated.q[:, 0] - fit.replica.q[:, 0])
-    np.testing.assert_allclose(signals.q[k, 0] + x / per_unit, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0]))
+    np.testing.assert_allclose(
+        signals.q[k, 0] + x / per_unit, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0])
+    )
     if signals.q_ref is not None:
         k, x = file.curve("error", name, "reference")
         np.testing.assert_allclose(x / per_unit, (signals.q_ref - signals.q)[k, 0])
     text = file.static["/report"]["TextDocument:text"][0]
-    for part in ("simulated robot against the recording", "passes from start", "IV and LS", "IV and true"):
+    for part in (
+        "simulated robot against the recording",
+        "passes from start",
+        "IV and LS",
+        "IV and true",
+    ):
         assert part in text
 
 
@@ -80,8 +99,15 @@ def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
 
 
 def test_titles_say_joint_and_unit(written):
-    titles = {origin: title for origin, (_, title) in written(made_up(types=("prismatic", "revolute"))).views.items()}
-    for quantity, units in {"torque": ("N", "N m"), "residual": ("N", "N m"), "ddq": ("m/s²", "rad/s²")}.items():
+    titles = {
+        origin: title
+        for origin, (_, title) in written(made_up(types=("prismatic", "revolute"))).views.items()
+    }
+    for quantity, units in {
+        "torque": ("N", "N m"),
+        "residual": ("N", "N m"),
+        "ddq": ("m/s²", "rad/s²"),
+    }.items():
         for j, unit in enumerate(units, 1):
             assert titles[f"/{quantity}/joint\\ {j}.x"] == f"{quantity} joint {j}.x [{unit}]"
     in_amperes = written(made_up(types=("revolute",), unit="A"), name="a.rrd").views
@@ -93,9 +119,13 @@ def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
     q_ref = signals.q + np.array([2e-3, 3e-5, 5e-6])
     file = written(replace(signals, q_ref=q_ref), fitted(signals))
     titles = [file.views[f"/error/joint\\ {j}.x"][1] for j in (1, 2, 3)]
-    assert titles == [f"position error joint {j}.x [{unit}]" for j, unit in ((1, "mrad"), (2, "µm"), (3, "mrad"))]
+    assert titles == [
+        f"position error joint {j}.x [{unit}]" for j, unit in ((1, "mrad"), (2, "µm"), (3, "mrad"))
+    ]
     for j, error in enumerate([2.0, 30.0, 5e-3], 1):
-        np.testing.assert_allclose(file.curve("error", f"joint {j}.x", "reference")[1], error, rtol=1e-6)
+        np.testing.assert_allclose(
+            file.curve("error", f"joint {j}.x", "reference")[1], error, rtol=1e-6
+        )
 
 
 def test_short_curves_are_written_sample_by_sample(written):
@@ -125,12 +155,18 @@ def test_the_residual_is_the_one_whose_error_is_reported(written):
     fit, file = fitted(signals), written(signals)
     decimation = Decimation(factor=fit.settings.decimation)
     Y = decimation.filtered(signals.effort[fit.settings.start : fit.settings.stop].T)
-    motion = FilteredMotion(signals).between(fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz)
+    motion = FilteredMotion(signals).between(
+        fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz
+    )
     predicted = predicted_torque(motion, InverseModel(signals.robot), fit.base, fit.beta)
     for j, joint in enumerate(signals.robot.joints):
         k, rho = file.curve("residual", joint.name, "residual")
-        assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
-        np.testing.assert_allclose(rho, Y[j] - decimation.filtered(predicted[:, j]), atol=1e-9 * np.abs(Y[j]).max())
+        assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(
+            fit.errors[j].relative_error_percent
+        )
+        np.testing.assert_allclose(
+            rho, Y[j] - decimation.filtered(predicted[:, j]), atol=1e-9 * np.abs(Y[j]).max()
+        )
         np.testing.assert_array_equal(file.curve("torque", joint.name, "residual")[1], rho)
         assert k[-1] == fit.settings.stop - 1
         assert set(np.diff(k)) == {fit.settings.decimation}
@@ -144,7 +180,9 @@ def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
     assert whole.curves.keys() == blocks.curves.keys()
     for path, (t, x) in whole.curves.items():
         np.testing.assert_array_equal(blocks.curves[path][0], t)
-        np.testing.assert_allclose(blocks.curves[path][1], x, rtol=1e-9, atol=1e-9 * np.abs(x).max())
+        np.testing.assert_allclose(
+            blocks.curves[path][1], x, rtol=1e-9, atol=1e-9 * np.abs(x).max()
+        )
 
 
 @pytest.mark.parametrize(("N", "step"), [(10, 1), (10, 3), (99, 9), (5, 9)])
@@ -166,15 +204,22 @@ def test_what_was_not_recorded_or_done_is_not_shown(written):
     assert not any(path.endswith("reference") for path in written(signals).curves)
     unfiltered = written(signals, fitted(signals, cutoff_hz=0.0), name="b.rrd")
     k, speed = unfiltered.curve("dq", "joint 1.x", "measured")
-    np.testing.assert_allclose(speed, differentiate(signals.q, FS)[k, 0], atol=1e-9 * np.abs(speed).max())
+    np.testing.assert_allclose(
+        speed, differentiate(signals.q, FS)[k, 0], atol=1e-9 * np.abs(speed).max()
+    )
     assert not any(path.endswith("filtered") for path in unfiltered.curves)
     assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
 
 
 def test_each_fit_is_an_application_of_its_own(written):
-    """A viewer has one layout per application: another fit's titles would stand over this one's curves."""
+    """A viewer has one layout per application: another fit's titles would stand
+    over this one's curves.
+    """
     signals = made_up()
-    files = [written(signals, fit) for fit in (fitted(signals), fitted(signals), fitted(signals, cutoff_hz=30.0))]
+    files = [
+        written(signals, fit)
+        for fit in (fitted(signals), fitted(signals), fitted(signals, cutoff_hz=30.0))
+    ]
     assert files[0].application == files[1].application != files[2].application
 
 

@@ -1,4 +1,6 @@
-"""The rest of the Rerun files: robots, sessions, recordings not fitted, two fits side by side, and the commands."""
+"""The rest of the Rerun files: robots, sessions, recordings not fitted, two fits side by
+side, and the commands.
+"""
 
 import json
 import xml.etree.ElementTree as ET
@@ -38,12 +40,20 @@ def test_a_robot_is_drawn_from_its_table(name):
     rng = np.random.default_rng(1)
     q = 0.2 * np.cumsum(rng.standard_normal((400, robot.n)), axis=0) / 20
     signals = replace(
-        made_up(), t_s=np.arange(400) / 1000.0, q=q, effort=np.zeros_like(q), robot=robot, events=(), health={}
+        made_up(),
+        t_s=np.arange(400) / 1000.0,
+        q=q,
+        effort=np.zeros_like(q),
+        robot=robot,
+        events=(),
+        health={},
     )
     scene = robot_scene(signals, None)
     links = ET.fromstring(scene.urdf).findall("link")
     assert len(links) == robot.n + 1
-    assert all(link.find("visual/geometry") is not None for link in links), "base and every link have something to show"
+    assert all(link.find("visual/geometry") is not None for link in links), (
+        "base and every link have something to show"
+    )
     (robot_shown,) = scene.robots
     assert np.diff(robot_shown.t_s).min() > 0.99 / 50
     model = pin.buildModelFromXML(scene.urdf)
@@ -66,7 +76,9 @@ def test_poses_are_as_many_as_a_screen_shows():
 @pytest.fixture
 def mesh(tmp_path):
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.4]], dtype="<f4")
-    faces = np.zeros(4, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
+    faces = np.zeros(
+        4, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    )
     faces["corners"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
     file = tmp_path / "src" / "arm" / "meshes" / "l.STL"
     file.parent.mkdir(parents=True)
@@ -77,7 +89,11 @@ def mesh(tmp_path):
 PLACES = {  # name of the mesh, environment, whether it is found
     "a box": ("", {}, True),
     "file": ("file://{mesh}", {}, True),
-    "package among sources": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "/nowhere:{src}"}, True),
+    "package among sources": (
+        "package://arm/meshes/l.STL",
+        {"ROS_PACKAGE_PATH": "/nowhere:{src}"},
+        True,
+    ),
     "installed package": ("package://arm/meshes/l.STL", {"AMENT_PREFIX_PATH": "{src}"}, True),
     "relative name": ("meshes/l.STL", {}, False),
     "not a mesh": ("file://{mesh}.txt", {}, False),
@@ -85,7 +101,9 @@ PLACES = {  # name of the mesh, environment, whether it is found
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(place, mesh, tmp_path, monkeypatch, capfd):
+def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(
+    place, mesh, tmp_path, monkeypatch, capfd
+):
     name, variables, found = PLACES[place]
     mesh.with_name("l.STL.txt").write_text("text")
     folder = tmp_path / "src"
@@ -94,15 +112,29 @@ def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(place, mesh,
         (folder / "arm").rename(folder / "share" / "arm")
     for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
         monkeypatch.setenv(variable, variables.get(variable, "").format(src=folder))
-    monkeypatch.chdir(mesh.parents[1] if mesh.exists() else tmp_path)  # a relative name is not relative to this
-    robot = urdf_robot(f"<mesh filename='{name.format(mesh=mesh)}'/>" if name else "<box size='.1 .1 .4'/>")
-    collision = "<collision><geometry><mesh filename='/nowhere/c.stl'/></geometry></collision></link>"
+    # a relative name is not relative to this
+    monkeypatch.chdir(mesh.parents[1] if mesh.exists() else tmp_path)
+    robot = urdf_robot(
+        f"<mesh filename='{name.format(mesh=mesh)}'/>" if name else "<box size='.1 .1 .4'/>"
+    )
+    collision = (
+        "<collision><geometry><mesh filename='/nowhere/c.stl'/></geometry></collision></link>"
+    )
     robot = replace(robot, urdf=robot.urdf.replace("</link>", collision))
-    file = written(tmp_path, draw_recording(replace(made_up(types=("revolute", "revolute")), robot=robot), Overrides()))
+    file = written(
+        tmp_path,
+        draw_recording(replace(made_up(types=("revolute", "revolute")), robot=robot), Overrides()),
+    )
     assert name or file.is_complete()
-    own = [columns for path, columns in file.static.items() if "/robot/measured/visual_geometries/l2" in path]
+    own = [
+        columns
+        for path, columns in file.static.items()
+        if "/robot/measured/visual_geometries/l2" in path
+    ]
     assert (len(own) > 0) == found
-    assert any(any(name.startswith("Asset3D:blob") for name in columns) for columns in own) == (found and name != "")
+    assert any(any(name.startswith("Asset3D:blob") for name in columns) for columns in own) == (
+        found and name != ""
+    )
     made = any("/robot/measured/visual_geometries/link_2" in path for path in file.static)
     assert made != found, "lines where the mesh is not found"
     moved = [path for path, columns in file.moving.items() if "Transform3D:quaternion" in columns]
@@ -136,7 +168,11 @@ def test_events_and_counters_of_a_session_are_shown(tmp_path):
     phases = [(-3.0, "configure"), (-1.0, "settle"), (0.5, "track"), (99.0, "stop")]
     events = [event(t_s=at, kind="phase", text=text) for at, text in phases]
     events.insert(3, event(t_s=1.0, kind="fault", text="drive 2: following error"))
-    health = {"frames": (t_s, 100 * t_s), "late": (t_s, np.array([0, 0, 2, 2, 3.0])), "lost": (t_s, t_s * np.nan)}
+    health = {
+        "frames": (t_s, 100 * t_s),
+        "late": (t_s, np.array([0, 0, 2, 2, 3.0])),
+        "lost": (t_s, t_s * np.nan),
+    }
     signals = replace(made_up(), events=tuple(events), health=health)
     file = written(tmp_path, draw_fit(signals, fitted(made_up())))
     assert file.is_complete()
@@ -154,12 +190,17 @@ def test_events_and_counters_of_a_session_are_shown(tmp_path):
 def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_are_recorded():
     plain = made_up(types=("revolute", "prismatic"))
     robot = plain.robot
-    columns = {name: k + plain.q for k, name in enumerate(("velocity", "known_torque", "feedforward"), 1)}
+    columns = {
+        name: k + plain.q for k, name in enumerate(("velocity", "known_torque", "feedforward"), 1)
+    }
     whole = replace(plain, **columns)
     joints, motors = [j.name for j in robot.joints], [m.name for m in robot.motors]
     plots = column_plots(whole)
     assert [plot.title for plot in plots[:2]] == ["velocity measured", "known torque"]
-    assert [curve.name for curve in plots[0].curves] == [f"{joints[0]} [rad/s]", f"{joints[1]} [m/s]"]
+    assert [curve.name for curve in plots[0].curves] == [
+        f"{joints[0]} [rad/s]",
+        f"{joints[1]} [m/s]",
+    ]
     assert [curve.name for curve in plots[1].curves] == [f"{joints[0]} [N m]", f"{joints[1]} [N]"]
     for plot, name, keys in zip(plots, columns, (joints, joints, motors), strict=True):
         assert [curve.key for curve in plot.curves] == keys
@@ -172,11 +213,15 @@ def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_ar
     assert (only.path, only.title) == (("column", "known_torque"), "known torque [N m]")
     assert other.title == f"feed-forward [{alike.robot.motors[0].recorded_unit}]"
     for signals, shown in ((whole, 3), (plain, 0)):
-        (page,) = (page for page in draw_recording(signals, Overrides()).pages if page.name == "signal")
+        (page,) = (
+            page for page in draw_recording(signals, Overrides()).pages if page.name == "signal"
+        )
         assert len(page.groups["column"]) == shown
 
 
-@pytest.mark.parametrize(("case", "N"), [({"types": ("prismatic",), "reference": True}, 4000), ({}, 2)], ids=str)
+@pytest.mark.parametrize(
+    ("case", "N"), [({"types": ("prismatic",), "reference": True}, 4000), ({}, 2)], ids=str
+)
 def test_a_recording_that_is_not_fitted_is_shown(case, N, tmp_path):
     signals = made_up(**case)
     signals = replace(signals, t_s=signals.t_s[:N], q=signals.q[:N], effort=signals.effort[:N])
@@ -207,14 +252,19 @@ def test_differences_are_in_deviations_of_the_difference():
 
 
 def test_where_there_are_intervals_they_are_the_deviations_to_judge_by():
-    """Intervals of 2.0 ± 0.6 and 1.0 ± 0.8: the difference is one of two whose halves add up to 1, so 1.96 deviations."""
+    """Intervals of 2.0 ± 0.6 and 1.0 ± 0.8: the difference is one of two whose halves add up to
+    1, so 1.96 deviations.
+    """
     a = Parameter(name="M1", value=2.0, low=1.4, high=2.6, unit="kg", sigma=0.01)
     b = Parameter(name="M1", value=1.0, low=0.2, high=1.8, unit="kg", sigma=5.0)
-    (row,) = differences(ParameterSet(label="A", parameters={"M1": a}), ParameterSet(label="B", parameters={"M1": b}))
+    (row,) = differences(
+        ParameterSet(label="A", parameters={"M1": a}), ParameterSet(label="B", parameters={"M1": b})
+    )
     assert row.off_sigma == pytest.approx(1.96)
     without = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2)
     assert (without.half, without.spread) == (pytest.approx(1.96 * 0.2), pytest.approx(0.2))
-    earlier = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2, sigma_hac=0.3)  # in files of earlier versions
+    # in files of earlier versions
+    earlier = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2, sigma_hac=0.3)
     assert earlier.spread == pytest.approx(0.3)
     assert Parameter(name="M1", value=1.0, unit="kg").half == 0
 
@@ -224,7 +274,9 @@ def test_text_has_only_characters_of_the_viewers_font(tmp_path):
     assert shown_text("cond ZᵀW, σ ± 2 µrad²/√Hz − é") == "cond Z'W, σ ± 2 µrad²/√Hz − é"
     assert shown_text("Ｊ１ 関節") == "J1 ??"
     signals = scara()
-    joints = (msgspec.structs.replace(j, name=f"関節 {k}") for k, j in enumerate(signals.robot.joints))
+    joints = (
+        msgspec.structs.replace(j, name=f"関節 {k}") for k, j in enumerate(signals.robot.joints)
+    )
     signals = replace(signals, robot=replace(signals.robot, joints=tuple(joints)))
     file = written(tmp_path, draw_fit(signals, fitted_iv(signals)))
     texts = [title for _, title in file.views.values()]
@@ -243,7 +295,9 @@ def test_command_view(capsys, tmp_path):
     status, out, _ = run(capsys, "view", SESSION, "-o", page)
     assert (status, out) == (0, f"open the report: {page} in a browser\n")
     assert "position [rad/√Hz] over frequency [Hz]" in page.read_text()
-    assert refused(capsys, "view", SESSION, "--follow", "-o", page).endswith("expected FILE.rrd with --follow\n")
+    assert refused(capsys, "view", SESSION, "--follow", "-o", page).endswith(
+        "expected FILE.rrd with --follow\n"
+    )
 
 
 def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):

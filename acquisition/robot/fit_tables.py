@@ -1,0 +1,147 @@
+"""The tables of `robot.toml` that only a fit reads: controller, identification and payload."""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from .toml import Name, Positive, TomlTable, note
+
+Rows = Annotated[int, msgspec.Meta(ge=0)]
+RowStep = Annotated[int, msgspec.Meta(ge=1)]
+Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
+Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
+Edges = Literal["smooth", "matlab"]
+GAINS = ("position_gain", "velocity_gain", "integral_gain")
+Gains = tuple[float, ...] | None
+SpeedEstimate = Literal["exact", "backward_difference", "two_sample_mean"]
+OwnKind = Literal["Off", "Fv", "Fc"]
+Structure = Literal[
+    "pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"
+]
+
+
+class Controller(TomlTable, frozen=True):
+    """`[controller]`: how the drives follow their reference.
+
+    Least squares needs only `bandwidth_hz`.
+    """
+
+    bandwidth_hz: Annotated[
+        Positive | None,
+        note(
+            "bandwidth of the position loop, Hz; sets cut-off and decimation (default: by the "
+            "motion)"
+        ),
+    ] = None
+    structure: Annotated[Structure | None, note("control law (default: a PD of the bandwidth)")] = (
+        None
+    )
+    sample_rate_hz: Annotated[Positive | None, note("rate of the control law, Hz")] = None
+    position_gain: Annotated[
+        Gains, note("per motor, effort per rad or m (computed_torque: 1/s²)")
+    ] = None
+    velocity_gain: Annotated[
+        Gains, note("per motor, effort per rad/s or m/s (computed_torque: 1/s)")
+    ] = None
+    integral_gain: Annotated[
+        Gains, note("per motor, effort per rad s or m s; none without an integral")
+    ] = None
+    velocity_estimate: Annotated[
+        SpeedEstimate | None, note("speed from positions (default: backward_difference)")
+    ] = None
+    gravity_feedforward: Annotated[
+        bool, note("whether gravity at the measured position is added to the law")
+    ] = False
+
+    def __post_init__(self) -> None:
+        if self.gravity_feedforward and self.structure in (None, "computed_torque"):
+            self.refuse("gravity_feedforward", True, "a structure that has no gravity by itself")
+        for name in GAINS:
+            gains = getattr(self, name)
+            if gains is not None and any(g <= 0 for g in gains):
+                self.refuse(name, list(gains), "positive numbers")
+
+
+class LowSpeed(TomlTable, frozen=True):
+    """Percentage of the peak speed below which samples weigh nothing in least squares and in
+    iv; None: the default.
+    """
+
+    ls: Annotated[
+        Share | None, note("of least squares, % of the joint's peak speed (default: 4)")
+    ] = None
+    iv: Annotated[
+        Share | None, note("of instrumental variables, % of the joint's peak speed (default: 4)")
+    ] = None
+
+
+class Identification(TomlTable, frozen=True):
+    """`[identification]`: overrides of the defaults of a fit; options of the
+    command override both.
+    """
+
+    cutoff_hz: Annotated[
+        Positive | None, note("low-pass cut-off, Hz (default: 5 times the bandwidth)")
+    ] = None
+    decimation: Annotated[
+        RowStep | None, note("samples per row of the fit (default: by the bandwidth)")
+    ] = None
+    span: Annotated[
+        Literal["motion", "all"], note("rows between first and last motion, or all")
+    ] = "motion"
+    cut_start_samples: Annotated[
+        Rows | None, note("samples left out at the start (default: 5 cut-off periods)")
+    ] = None
+    cut_end_samples: Annotated[
+        Rows | None, note("samples left out at the end (default: 5 cut-off periods)")
+    ] = None
+    edges: Annotated[Edges, note('edge rule of decimation; "matlab" as MATLAB has it')] = "smooth"
+    low_speed_percent: Annotated[
+        Share | LowSpeed | None,
+        note(
+            "slower samples weigh nothing, % of the joint's peak speed; by method or one for all "
+            "(default: 4)"
+        ),
+    ] = None
+    torque_lag_s: Annotated[
+        Lag | Literal["none"] | None,
+        note("known delay of the recorded torque, s, positive: late; or none (default: estimated)"),
+    ] = None
+    tolerance_percent: Annotated[
+        Positive, note("iv stops when no value changes by more, % of the value")
+    ] = 2.5
+    max_iterations: Annotated[RowStep, note("maximum number of passes of iv")] = 10
+    own: Annotated[
+        tuple[OwnKind, ...] | None,
+        note(
+            "kinds of parameters that several recordings do not share (default: Fv and Fc with "
+            "--gains, else none)"
+        ),
+    ] = None
+
+    @property
+    def low_speed(self) -> LowSpeed:
+        """`low_speed_percent` by method."""
+        return low_speed_by_method(self.low_speed_percent)
+
+
+def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
+    """A low-speed threshold by method, from one number for both or one for each."""
+    return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
+
+
+class PayloadFile(TomlTable, frozen=True):
+    """`[payload]`: how the numbers of `--payload` are meant: the frame of the centre of mass, and
+    how well it was weighed.
+    """
+
+    frame: Annotated[
+        Name | None,
+        note(
+            "fixed link that the centre of mass is given in (default: the frame of the last joint)"
+        ),
+    ] = None
+    mass_half_width_kg: Annotated[
+        float, note("half of the 95 % interval of the weighed mass, kg", ge=0)
+    ] = 0.0
+    center_half_width_m: Annotated[float, note("the same of each coordinate, m", ge=0)] = 0.005
