@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Final, NoReturn
 
@@ -28,6 +29,31 @@ def listed(names: Sequence[str]) -> str:
     """The expected names for an error; of many, the first 30."""
     shown = ", ".join(names[:30])
     return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "") or "(nothing)"
+
+
+class HeldBack(AbstractContextManager["HeldBack"]):
+    """Hold back whatever is raised inside its blocks, so that the next step of a stop is taken.
+
+    Attributes:
+        interrupt: the first KeyboardInterrupt or SystemExit, to be raised after the stop.
+        problem: the first other error but `RobotIdimError`, in words; empty without one.
+    """
+
+    def __init__(self) -> None:
+        self.interrupt: BaseException | None = None
+        self.problem = ""
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> bool:
+        if not isinstance(error, Exception):
+            self.interrupt = self.interrupt or error
+        elif not isinstance(error, RobotIdimError):
+            self.problem = self.problem or f"{type(error).__name__}: {error}"
+        return True
+
+    def raise_interrupt(self) -> None:
+        """Raise `interrupt` if there is one."""
+        if self.interrupt is not None:
+            raise self.interrupt
 
 
 class RobotIdimError(Exception):

@@ -2,7 +2,7 @@
 every drive is read back.
 
 The session, the recorder's process (after the session has died) and the command `disable` use it.
-It never raises `RobotIdimError`: if one step fails, the next is tried.
+Nothing that is raised ends it: if one step fails, the next is tried.
 """
 
 import itertools
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from ..errors import RobotIdimError
+from ..errors import HeldBack, RobotIdimError
 from ..protocol import (
     RAMP_OBJECTS,
     Command,
@@ -23,7 +23,7 @@ from ..protocol import (
 )
 from ..robot import Bus, axis_index
 from .links import open_link
-from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch, send_order
+from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, STOPPED, Master, NodeWatch, send_order
 
 FALL_S = 0.05  # over which the speed must fall in a quick stop
 FALL_SLOPE = -0.2  # of the acceleration limit: below this slope the speed counts as falling
@@ -116,15 +116,19 @@ def _speed(seen: list[tuple[int, int]]) -> float:
     return abs(seen[-1][1] - seen[0][1]) * 1e9 / (seen[-1][0] - seen[0][0])
 
 
-def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None) -> list[int]:
+def safe_stop(
+    master: Master, held: HeldBack, *, after_sync: Callable[[], object] = lambda: None
+) -> list[int]:
     """Stop and disable every drive of `master`; returns the node ids of those that did not confirm.
 
     All drives get the quick stop at once, by PDO (where configured) and by SDO, while SYNC
     continues. Voltage is switched off for each drive at its measured standstill, where its speed
     rises or holds for 50 ms, and at the latest 0.5 s after 1.2 times the time that its ramp takes
     (the ramp is read on the way; unknown: after v/a + 0.5 s). Then each drive's statusword (6041h)
-    is read for up to a second, until it shows switch on disabled or fault (CiA 402). `after_sync`
-    is called after every SYNC; an `RobotIdimError` from it is ignored.
+    is read for up to a second, until it shows switch on disabled or fault (CiA 402). A node that
+    is in NMT stopped takes neither PDO nor SDO: it is set to PRE-OPERATIONAL first (CiA 301, NMT).
+    `after_sync` is called after every SYNC. Whatever is raised, by `after_sync` too, is left to
+    `held`.
     """
     now_ns = master.link.now_ns()
     period_ns = master.bus.period_ns
@@ -140,19 +144,20 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
     for count in itertools.count():
         if count * period_ns > 2e9 * (max(one.longest_s for one in drives) + CONFIRM_S):
             break
-        for one in drives:
-            _command(
-                master, one, Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
-            )
-        next_ns = _sync(master, next_ns)
-        with suppress(RobotIdimError):
+        with held:
+            for one in drives:
+                _command(master, one)
+        with held:
+            next_ns = _sync(master, next_ns, held)
+        with held:
             after_sync()
-        now_ns = master.link.now_ns()
-        for one in drives:
-            one.observe(master.synced_ns or now_ns)  # drives sample at SYNC
-            _collect(master, one)
-            if one.off_ns is None and (one.confirmed or one.must_go_off(now_ns)):
-                one.off_ns = now_ns
+        with held:
+            now_ns = master.link.now_ns()
+            for one in drives:
+                one.observe(master.synced_ns or now_ns)  # drives sample at SYNC
+                _collect(master, one)
+                if one.off_ns is None and (one.confirmed or one.must_go_off(now_ns)):
+                    one.off_ns = now_ns
         waited = all(
             one.off_ns is not None and now_ns - one.off_ns > CONFIRM_S * 1e9 for one in drives
         )
@@ -160,22 +165,28 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
             break
     unconfirmed = [one for one in drives if not one.confirmed]
     for one in unconfirmed:
-        _command(master, one, Command.DISABLE_VOLTAGE)
+        with held:
+            one.off_ns = one.off_ns or now_ns
+            _command(master, one)
     return [one.watch.drive.node for one in unconfirmed]
 
 
 def stop_drives(bus: Bus) -> list[int]:
     """Open the bus, `safe_stop`, then PRE-OPERATIONAL; the node ids of the drives that did not
     confirm to be disabled.
+
+    An interrupt (Ctrl-C) is raised afterwards, unless the result is not what it has to be.
     """
+    held = HeldBack()
     link = open_link(bus.file, passive=False)
-    try:
-        master = Master(link, bus)
-        unconfirmed = safe_stop(master)
+    master = Master(link, bus)
+    unconfirmed = safe_stop(master, held)
+    with held:
         leave_operational(master)
-    finally:
-        with suppress(RobotIdimError):
-            link.close()
+    with held:
+        link.close()
+    if not unconfirmed:
+        held.raise_interrupt()
     return unconfirmed
 
 
@@ -191,10 +202,16 @@ def leave_operational(master: Master) -> None:
             master.nmt(PRE_OPERATIONAL, watch.drive.node)
 
 
-def _command(master: Master, one: _Stopping, command: Command) -> None:
-    """Send the command by PDO, with the last measured position as target (without one:
-    not at all), and by SDO.
+def _command(master: Master, one: _Stopping) -> None:
+    """Send quick stop, or disable voltage once it is off, by PDO with the last measured position
+    as target (without one: not at all), and by SDO.
     """
+    command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
+    if one.watch.nmt == STOPPED:
+        with suppress(RobotIdimError):
+            master.nmt(PRE_OPERATIONAL, one.watch.drive.node)
+            one.watch.nmt = None  # until its next heartbeat
+            one.wrote, one.request = None, b""  # no request before this one reached it
     with suppress(RobotIdimError):  # a bus that refuses frames now may accept them later
         if one.watch.counts is not None:
             send_order(master, one.watch, command.controlword, one.watch.counts)
@@ -252,12 +269,12 @@ def _collect(master: Master, one: _Stopping) -> None:
             one.wrote = None
 
 
-def _sync(master: Master, next_ns: int) -> int:
+def _sync(master: Master, next_ns: int, held: HeldBack) -> int:
     """Send SYNC, or await that of the other producer, and take the answers; the time at
     which the next one is due.
     """
     link, period_ns = master.link, master.bus.period_ns
-    with suppress(RobotIdimError):
+    with held:
         if master.bus.file.sync_producer == "recorder":
             master.wait(next_ns)
             if link.now_ns() > next_ns + period_ns:
@@ -270,6 +287,6 @@ def _sync(master: Master, next_ns: int) -> int:
             next_ns = link.now_ns()
         master.wait(link.now_ns() + round(0.7 * period_ns), for_answers=True)
         return next_ns + period_ns
-    with suppress(RobotIdimError):
+    with held:
         master.wait(link.now_ns() + period_ns)
     return link.now_ns() + period_ns

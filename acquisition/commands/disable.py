@@ -3,7 +3,6 @@
 import argparse
 import sys
 
-from ..errors import RobotIdimError
 from .command_line import add_path
 
 
@@ -21,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     nodes = [drive.node for drive in robot.bus.drive] if robot.bus is not None else []
     try:
         unconfirmed = stop_drives(resolve(robot, str(options.robot)))
-    except RobotIdimError:
+    except BaseException:  # also Ctrl-C: nobody knows their state
         print(not_disabled(nodes), file=sys.stderr)
         raise
     if unconfirmed:

@@ -89,6 +89,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> int:
+    from ..session import INTERRUPTED
+
     if outcome.fault:  # the reason is printed before what was recorded
         reason = "; ".join((outcome.reason, *outcome.reports))
         print(
@@ -100,11 +102,18 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         print(one_line(f"warning: {text}"), file=sys.stderr)
     counts = f"{recorded.samples} samples, {recorded.frames} CAN frames"
     print(one_line(f"{out}: {robot.name}, {counts}; {outcome.reason}"))
+    if recorded.path is not None and recorded.path.absolute() != out.absolute():
+        raise BadInputError(f"was deleted: the recording is in {recorded.path}", place=str(out))
     if outcome.fault:
         return 1
     if outcome.alarm:
         raise BusFaultError(outcome.alarm, place=str(out))
+    if outcome.cut_short and outcome.reason != INTERRUPTED:
+        raise BusFaultError(f"the session was cut short: {outcome.reason}", place=str(out))
     if recorded.no_samples:
+        if recorded.path is None:
+            text = f"nothing was recorded, and no file is left: {recorded.no_samples}"
+            raise BadInputError(text, place=str(out))
         raise BadInputError(
             f"no samples, but the frames are in the recording: {recorded.no_samples}"
         )
@@ -149,16 +158,17 @@ class StatusLine:
                 )
 
     def show(self, *parts: tuple[str, bool]) -> None:
-        """Replace the line by `parts`, bold and red where the flag is true;
-        without parts, remove it.
+        """Replace the line by `parts`, bold and red where the flag is true; without them remove it.
+
+        Never raises: a terminal that is gone must not end the session that it shows.
         """
         if self._terminal >= 0 and (parts or self._rows):
             text = "".join(f"\x1b[1;31m{part}\x1b[0m" if bad else part for part, bad in parts)
             above = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
-            with suppress(OSError):
+            with suppress(OSError, ValueError):  # it is full or gone; a name of surrogates
                 os.write(self._terminal, f"\r{above}\x1b[J{text}".encode())
-            width = os.get_terminal_size(self._terminal).columns or 80
-            self._rows = -(-sum(len(part) for part, _ in parts) // width)
+                width = os.get_terminal_size(self._terminal).columns or 80
+                self._rows = -(-sum(len(part) for part, _ in parts) // width)
 
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:

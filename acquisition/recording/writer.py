@@ -12,6 +12,7 @@ import math
 import os
 import platform
 import re
+import shutil
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -262,6 +263,18 @@ class RecordingWriter:
     def fileno(self) -> int:
         """Descriptor of the file, for locks."""
         return self._file.fileno()
+
+    def move_to(self, path: Path) -> None:
+        """Copy the file to `path`, which must not exist, and go on there: the way out for a file
+        that was deleted, which only its descriptor still reaches.
+        """
+        self.flush(sync=False)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as new, open(f"/proc/self/fd/{self.fileno()}", "rb") as old:
+            shutil.copyfileobj(old, new)
+            new.flush()
+            os.dup2(new.fileno(), self.fileno())
+        self.flush()
 
     def close(self) -> None:
         """Write the end of the file; does nothing if it is closed."""

@@ -129,10 +129,9 @@ class Watchdog:
         unconfirmed = [drive.node for drive in self._bus.drives]
         try:
             unconfirmed = stop_drives(self._bus)
-        except RobotIdimError as error:
-            self._event(
-                "fault", f"the recorder's process could not stop the drives: {error.args[0]}"
-            )
+        except Exception as error:  # whatever it is: the drives that may be enabled are named
+            text = f"the recorder's process could not stop the drives: {error}"
+            self._event("fault", text)
         if unconfirmed:
             with suppress(OSError, ValueError):  # a closed terminal
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")

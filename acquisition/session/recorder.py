@@ -2,9 +2,11 @@
 counters, decoded at the end.
 """
 
+import os
 import shutil
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -31,17 +33,22 @@ class Status:
     # position of each joint so far, rad or m; empty before the first sample
     lowest: tuple[float, ...] = ()
     highest: tuple[float, ...] = ()
-    disk_full: bool = False  # less than `MIN_FREE_BYTES` is free
+    ends: str = ""  # why the session has to end; empty if it has not
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSummary:
-    """Result of a recording: number of samples, or why there are none, and warnings."""
+    """Result of a recording: number of samples, or why there are none, and warnings.
+
+    `path`: where it is, another one than asked for if that was deleted; None: it has no frames and
+    was removed.
+    """
 
     frames: int
     samples: int
     warnings: tuple[str, ...]
     no_samples: str = ""
+    path: Path | None = None
 
 
 class Recorder:
@@ -91,6 +98,7 @@ class Recorder:
         self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
         self._flushed_ns: int | None = None
         self._fd_frames = 0
+        self._ends, self._is_empty = "", True
 
     def add(self, block: recording.Block) -> None:
         """Write frames in the order of reception; programs that follow the file see them at once.
@@ -101,6 +109,7 @@ class Recorder:
         self._fd_frames += int(of_fd.sum())
         block = block[~of_fd]
         if len(block):
+            self._is_empty = False
             self._writer.frames(self.channel, block)
             self._writer.flush(sync=False)
             self._recent.append(block)
@@ -121,6 +130,7 @@ class Recorder:
         self._note_marks(stamp_ns)
         recent = np.concatenate(self._recent) if self._recent else np.zeros(0, recording.FRAME)
         self._recent = []
+        self._watch_file()
         self._status = status = self._next_status(recent, elapsed_s, drops)
         counters = {
             "frames": status.frames,
@@ -157,14 +167,17 @@ class Recorder:
             drops=drops,
             lowest=low,
             highest=high,
-            disk_full=shutil.disk_usage(self._path.parent).free < MIN_FREE_BYTES,
+            ends=self._ends,
             **{word: getattr(last, word) + count for word, count in counted.items()},
         )
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
         """Decode the recorded frames, write the samples after them, and close the file."""
         self._writer.flush()
-        frames = recording.read_recording(self._path).frames.get(
+        self._watch_file()
+        # by its descriptor, as the file may have been renamed
+        here = Path(f"/proc/self/fd/{self._writer.fileno()}")
+        frames = recording.read_recording(here).frames.get(
             self.channel, np.zeros(0, recording.FRAME)
         )
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
@@ -173,15 +186,34 @@ class Recorder:
             self._writer.event(stamp_ns, "warning", text)
             found = replace(found, warnings=(*found.warnings, text))
         self._note_marks(stamp_ns, last=True)
-        self._writer.close()
-        return found
+        self.close()
+        return replace(found, path=None if self._is_empty else self._path)
+
+    def _watch_file(self) -> None:
+        """Find out whether the session has to end; a file that was deleted is written again from
+        its descriptor, under a new name.
+        """
+        if not os.fstat(self._writer.fileno()).st_nlink:
+            names = (self._path.with_stem(f"{self._path.stem}-{k}") for k in count(2))
+            new = next(name for name in names if not name.exists())
+            self._writer.move_to(new)
+            self._ends = f"{self._path.name} was deleted: it is now {new}"
+            self._path = new
+        elif shutil.disk_usage(self._writer.fileno()).free < MIN_FREE_BYTES:
+            self._ends = self._ends or "disk nearly full"
 
     def _note_marks(self, stamp_ns: int, *, last: bool = False) -> None:
         for age_ns, text in recording.take_marks(self._path, self._writer, last=last):
+            self._is_empty = False
             self._writer.event(max(0, stamp_ns - age_ns), "operator", text)
 
     def close(self) -> None:
-        """Close the file as it is."""
+        """Close the file as it is; one without frames and notes of the operator is removed."""
+        if self._is_empty:
+            with suppress(OSError, ValueError):  # it is gone, or was closed before
+                # another file may have its name by now
+                if os.path.samestat(os.fstat(self._writer.fileno()), self._path.stat()):
+                    self._path.unlink()
         self._writer.close()
 
 

@@ -57,6 +57,7 @@ from .session import Outcome, Stop, Task, run_active
 from .timing import real_time_scheduling, refuse_jitter
 
 STOPPED = "stopped by"
+INTERRUPTED = f"{STOPPED} {signal.SIGINT.name}"  # by the operator
 ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
 
 
@@ -249,7 +250,7 @@ def _listen(
         out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload
     )
     try:
-        started_s = time.monotonic()
+        started_s, cut_short = time.monotonic(), False
         log.event(clock.now_ns(), "phase", "record")
         try:
             while not stop.reason:
@@ -261,8 +262,8 @@ def _listen(
                     operator.show(
                         status, None if task.duration_s is None else task.duration_s - elapsed_s
                     )
-                    if status.disk_full:
-                        stop.reason = "disk nearly full"
+                    stop.reason = stop.reason or status.ends
+                    cut_short = bool(status.ends)
                 time.sleep(0.02)
         except RobotIdimError as error:
             with suppress(RobotIdimError):
@@ -271,7 +272,8 @@ def _listen(
         reason = stop.reason or "finished"
         with suppress(RobotIdimError):
             log.event(clock.now_ns(), "end", reason)
-        return Outcome(reason=reason, fault=False), log.finish(clock.now_ns())
+        outcome = Outcome(reason=reason, fault=False, cut_short=cut_short)
+        return outcome, log.finish(clock.now_ns())
     finally:
         log.close()
 

@@ -8,12 +8,11 @@ are disabled, and the recording says which of them confirmed it.
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from .. import bus
 from ..arrays import Array
-from ..errors import BusFaultError, RefusedError, RobotIdimError
+from ..errors import BusFaultError, HeldBack, RefusedError, RobotIdimError
 from ..protocol import DISABLED, Command, Mode, State, notices
 from ..robot import (
     Drive,
@@ -60,6 +59,8 @@ class Outcome:
 
     reason: str
     fault: bool  # whether an error ended it
+    # a reference was not followed to its end, or the recorder had to end
+    cut_short: bool = False
     error: RobotIdimError | None = None
     # nodes of commanded drives that did not confirm to be disabled
     unconfirmed: tuple[int, ...] = ()
@@ -85,7 +86,9 @@ def run_active(
     `master` has an open link that may send; `log` gets its frames independently. `stop`, set from
     outside (Ctrl-C), ends the session. `announce` is called with the outcome as soon as it is
     known, also when an exception follows. An `RobotIdimError` that ended the session is not raised:
-    it is the `error` of the outcome. Any other exception is raised after the drives were disabled.
+    it is the `error` of the outcome. Any other exception is raised after the drives were disabled;
+    what is raised while they are stopped, by `log` or `announce`, is held back until then, and
+    unless it is an interrupt (KeyboardInterrupt, SystemExit) it is only recorded.
     """
     link = master.link
     session = _Session(robot, master, log, task, stop)
@@ -101,27 +104,43 @@ def run_active(
         reason = f"{type(error).__name__}: {error}"
         raise
     finally:
-        with suppress(RobotIdimError):  # drives are disabled also when the recorder has ended
+        held = session.held
+        with held:  # drives are disabled also when the recorder has ended
             log.event(link.now_ns(), "fault" if fault else "end", reason)
-        unconfirmed = session.make_safe()
-        outcome = Outcome(reason=reason, fault=fault, error=failure, unconfirmed=tuple(unconfirmed))
-        if unconfirmed:
-            announce(outcome)  # now: the requests that follow take time
-            # the second stop stays armed, and must not act in that time
-            master.while_awaiting = log.alive
-        else:
-            log.ended()
-        if session.addressed:
-            text = outcome.alarm or "every drive confirmed"
-            with suppress(RobotIdimError):
+        unconfirmed = [drive.node for drive in master.bus.drives]
+        with held:
+            unconfirmed = session.make_safe()
+        outcome = Outcome(
+            reason=reason,
+            fault=fault,
+            cut_short=session.cut_short,
+            error=failure,
+            unconfirmed=tuple(unconfirmed),
+        )
+        with held:
+            if unconfirmed:
+                # the second stop stays armed, and must not act while the requests that follow
+                # take time
+                master.while_awaiting = log.alive
+                announce(outcome)
+            else:
+                log.ended()
+        with held:
+            if session.addressed:
+                text = outcome.alarm or "every drive confirmed"
                 log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
-        session.leave(unconfirmed)  # before the reports: while those are read there is no heartbeat
-        outcome = replace(outcome, reports=tuple(session.reports(unconfirmed)) if fault else ())
-        for text in outcome.reports:
-            with suppress(RobotIdimError):
-                log.event(link.now_ns(), "mark", text)
-        if not unconfirmed:
-            announce(outcome)
+        with held:  # before the reports: while those are read there is no heartbeat
+            session.leave(unconfirmed)
+        with held:
+            outcome = replace(outcome, reports=tuple(session.reports(unconfirmed)) if fault else ())
+            session.note("mark", *outcome.reports)
+        with held:
+            if not unconfirmed:
+                announce(outcome)
+        if held.problem:
+            with held:
+                session.note("warning", f"held back while the drives were stopped: {held.problem}")
+        held.raise_interrupt()
     return outcome
 
 
@@ -150,6 +169,8 @@ class _Session:
         self._in_fault: list[int] = []  # nodes found in fault before motion
         self._started = False
         self.addressed = False  # whether anything was commanded or written to the drives
+        self.cut_short = task.reference is not None  # until it has been followed
+        self.held = HeldBack()  # what is raised while the drives are stopped
 
     def prepare(self) -> None:
         """Check, configure and start the drives. Raises `RobotIdimError` where a check fails."""
@@ -157,14 +178,14 @@ class _Session:
             check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
             check_carriers(self._bus)
-        self._note("phase", "configure")
+        self.note("phase", "configure")
         if (refusal := bus.listen_for_others(self._master)) is not None:
             raise refusal
         # Only reads: a drive that another program has enabled stays as it is.
         self._in_fault = bus.refuse_enabled(self._master)
-        self._note("mark", *(f"node {node}: found in fault" for node in self._in_fault))
+        self.note("mark", *(f"node {node}: found in fault" for node in self._in_fault))
         if self._task.reference is not None:
-            self._note("mark", *self._task.before_motion(self._master))
+            self.note("mark", *self._task.before_motion(self._master))
             # takes the frames received while the operator was asked
             self._master.wait(self._link.now_ns())
         self.addressed = True
@@ -174,8 +195,8 @@ class _Session:
             raise RefusedError("; ".join(differences), what="the session")
         if self._task.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-            self._note("mark", *bus.refuse_slow_ramps(self._master))
-            self._note("warning", *self._heartbeat.request())
+            self.note("mark", *bus.refuse_slow_ramps(self._master))
+            self.note("warning", *self._heartbeat.request())
         self._master.refuse_doubled()
         self._master.start()
         self._started = True
@@ -183,14 +204,15 @@ class _Session:
         if self._task.duration_s is not None:
             self._until_ns = self._link.now_ns() + round(self._task.duration_s * 1e9)
 
-    def _note(self, kind: str, *texts: str) -> None:
+    def note(self, kind: str, *texts: str) -> None:
+        """Record texts as events."""
         for text in texts:
             self._log.event(self._link.now_ns(), kind, text)
 
     def _note_once(self, kind: str, text: str) -> None:
         if text not in self._noted:
             self._noted.add(text)
-            self._note(kind, text)
+            self.note(kind, text)
 
     def phases(self) -> None:
         """Run one phase after the other."""
@@ -211,18 +233,17 @@ class _Session:
             self._run("approach", self._follow(path), len(path) * self._period_s)
         if not self._stop.reason:
             self._run("track", self._follow(reference), len(reference) * self._period_s)
+            self.cut_short = bool(self._stop.reason)
         self._run("stop", self._hold())
         self._run("disable", self._disable())
 
     def _run(
         self, name: str, orders: Iterator[bus.Orders | None], planned_s: float | None = None
     ) -> None:
-        """Run a phase: for each SYNC its orders, which apply from that SYNC on, then
-        SYNC, answers and guards.
-        """
+        """Run a phase: for each SYNC its orders, which apply from then on, answers and guards."""
         self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
         if planned_s is not None:
-            self._note("plan", f"{name} {planned_s:g} s")
+            self.note("plan", f"{name} {planned_s:g} s")
         for order in orders:
             if order is not None:
                 self._held = [target for _, target in order]
@@ -265,8 +286,8 @@ class _Session:
         if error is not None:
             raise error
         status = self._log.poll(now_ns)
-        if status is not None and status.disk_full and not self._stop.reason:
-            self._stop.reason = "disk nearly full"
+        if status is not None and status.ends and not self._stop.reason:
+            self._stop.reason, self.cut_short = status.ends, True
 
     def _other_master(self, in_motion: bool) -> RobotIdimError | None:
         """The fault if another master commands our drives in motion; any other sign of one
@@ -343,10 +364,12 @@ class _Session:
         self._stop.reason = self._stop.reason or "safe state"
         if self._task.reference is None:
             return [drive.node for drive in self._bus.drives if not self._is_disabled(drive)]
-        return bus.safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
+        return bus.safe_stop(
+            self._master, self.held, after_sync=lambda: self._log.poll(self._link.now_ns())
+        )
 
     def _is_disabled(self, drive: Drive) -> bool:
-        with suppress(RobotIdimError):
+        with self.held:
             return self._master.state(drive) in DISABLED
         return False
 
@@ -365,9 +388,9 @@ class _Session:
         """End the heartbeat, and set the drives to PRE-OPERATIONAL."""
         if not self.addressed:
             return
-        with suppress(RobotIdimError):
+        with self.held:
             nodes = [drive.node for drive in self._bus.drives if drive.node not in unconfirmed]
-            self._note("warning", *self._heartbeat.release(nodes))
+            self.note("warning", *self._heartbeat.release(nodes))
         bus.leave_operational(self._master)
 
 

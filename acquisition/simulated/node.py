@@ -142,6 +142,7 @@ class SimulatedNode:
             if command is not None and not held:
                 # illegal commands are ignored
                 self.state = cia.TRANSITIONS.get((self.state, command), self.state)
+                self.values[self.drive.status.index, 0] = self.statusword  # read by SDO, too
         elif key == (cia.MODE_OF_OPERATION, 0) and (cia.MODE_DISPLAY, 0) in self.values:
             self.values[cia.MODE_DISPLAY, 0] = value
 

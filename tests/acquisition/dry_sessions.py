@@ -285,7 +285,9 @@ def dry_session(
     stop: Stop | None = None,
     drives: Bus | None = None,
     simulated: type[FaultyDrives] = FaultyDrives,
-    log_of: type[InlineLog] = InlineLog,
+    log_of: Callable[[Recorder], InlineLog] = InlineLog,
+    announce: Callable[[Outcome], None] = lambda _: None,
+    read_from: Path | None = None,
 ) -> DrySession:
     """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised:
     drives that are disabled.
@@ -300,9 +302,14 @@ def dry_session(
     run = LockStepLink(simulated(robot, drives or bus, mechanism, faults), tap=log.tap)
     outcome, raised = None, None
     announced: list[Outcome] = []
+
+    def announce_to_all(outcome: Outcome) -> None:
+        announced.append(outcome)
+        announce(outcome)
+
     try:
         master = Master(through(link=run), bus)
-        outcome = run_active(robot, master, log, task, stop or Stop(), announced.append)
+        outcome = run_active(robot, master, log, task, stop or Stop(), announce_to_all)
     except BaseException as error:
         raised = error
     until_ns = run.now_ns() + 200_000_000
@@ -315,7 +322,7 @@ def dry_session(
         raised=raised,
         drives=run.drives,
         recorded=recorded,
-        recording=read_recording(path),
+        recording=read_recording(read_from or path),
         announced=tuple(announced),
     )
 

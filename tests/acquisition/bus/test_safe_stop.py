@@ -11,7 +11,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.bus.stopping as stopping
 from acquisition.bus import Master, safe_stop, stop_drives
-from acquisition.errors import RobotIdimError
+from acquisition.errors import HeldBack, RobotIdimError
 from acquisition.protocol import State
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 
@@ -113,7 +113,7 @@ def test_voltage_goes_off_at_standstill_after_the_ramp_or_where_nothing_else_hel
     after, how, at_s, within_s
 ):
     run, master, sent = moving(after, **how)
-    assert safe_stop(master) == []
+    assert safe_stop(master, HeldBack()) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert off_s(sent, 1) == pytest.approx(at_s, abs=within_s)
     if "simulated" not in how:
@@ -124,7 +124,7 @@ def test_voltage_goes_off_at_standstill_after_the_ramp_or_where_nothing_else_hel
 def test_where_sync_of_another_producer_ends_nothing_stands():
     _, master, sent = moving(lambda t: 1.0, extra='sync_producer = "other"')
     master.synced_ns = None  # it was not ours
-    safe_stop(master)
+    safe_stop(master, HeldBack())
     assert off_s(sent, 1) == pytest.approx(0.5 + 1.2 * np.deg2rad(200) / LIMIT, abs=0.03)
 
 
@@ -135,13 +135,13 @@ def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp()
         return 1.0
 
     run, master, sent = moving(silence)
-    assert safe_stop(master) == [1]
+    assert safe_stop(master, HeldBack()) == [1]
     assert off_s(sent, 1) == pytest.approx(CAP_S, abs=0.03)
 
 
 def test_quick_stop_goes_to_all_nodes_at_once_by_pdo_and_by_sdo():
     _, master, sent = moving(lambda t: 0.0)
-    safe_stop(master)
+    safe_stop(master, HeldBack())
     first_ns = sent[0][0]
     at_once = {(can_id, data) for t, can_id, data in sent if t == first_ns}
     quick = bytes.fromhex("2b40600002000000")  # two bytes to 6040h:0
@@ -151,7 +151,7 @@ def test_quick_stop_goes_to_all_nodes_at_once_by_pdo_and_by_sdo():
 
 def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
     run, master, sent = moving(lambda t: 0.0, started=False)
-    assert safe_stop(master) == []
+    assert safe_stop(master, HeldBack()) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     # no position was heard: no target is made up
     assert not any(can_id in (0x201, 0x202) for _, can_id, _ in sent)
@@ -161,7 +161,7 @@ def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
     run, master, sent = moving(lambda t: 1.0)
     run.drives.silent.add(1)
     began_ns = run.now_ns()
-    assert safe_stop(master) == [2]
+    assert safe_stop(master, HeldBack()) == [2]
     assert run.drives.states[0] is State.SWITCH_ON_DISABLED
     assert off_s(sent, 1) == pytest.approx(0.05, abs=0.006)
     assert (run.now_ns() - began_ns) * 1e-9 < CAP_S + 1.2
@@ -183,7 +183,7 @@ def test_a_late_sync_of_the_stop_is_made_up_for_by_the_next_one_alone_if_at_all(
             return frame
 
     master.link = Late(link=run)
-    assert safe_stop(master) == []
+    assert safe_stop(master, HeldBack()) == []
     steps = np.diff([t for t, can_id, _ in sent if can_id == 0x80])
     assert (steps[18:22] // 1_000_000).tolist() == steps_ms
     assert steps.min() >= 1_000_000
@@ -192,7 +192,7 @@ def test_a_late_sync_of_the_stop_is_made_up_for_by_the_next_one_alone_if_at_all(
 def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2), extra='sync_producer = "other"')
     master.link = SyncOfAnother(link=run, next_ns=run.now_ns() + 2_000_000)
-    assert safe_stop(master) == []
+    assert safe_stop(master, HeldBack()) == []
     words = [can_id for _, can_id, _ in sent if can_id in (0x80, 0x201)]
     assert len(words) > 100
     assert words[:100] == [0x201, 0x80] * 50
@@ -201,7 +201,7 @@ def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
 def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
     run.drives.nodes[0].state = State.SWITCH_ON_DISABLED  # by its own reaction, at speed
-    assert safe_stop(master) == []
+    assert safe_stop(master, HeldBack()) == []
     assert off_s(sent, 1) < 0.045  # earlier than any judgement of its speed
 
 
@@ -209,16 +209,16 @@ def test_a_fault_is_disabled_switched_on_is_not_and_a_bus_that_takes_nothing_end
     run, master, _ = moving(lambda t: 0.0)
     with monkeypatch.context() as patch:
         say(patch, lambda node, word: 0x0233 if node == 2 else 0x0250)
-        assert safe_stop(master) == [2]
+        assert safe_stop(master, HeldBack()) == [2]
     say(monkeypatch, lambda node, word: 0x0218)
-    assert safe_stop(master) == []
+    assert safe_stop(master, HeldBack()) == []
 
     def refuse(*_):
         raise RobotIdimError("bus: gone")
 
     monkeypatch.setattr(run, "send", refuse)
     monkeypatch.setattr(run, "receive", refuse)
-    assert safe_stop(master) == [1, 2]
+    assert safe_stop(master, HeldBack()) == [1, 2]
 
 
 def test_after_disable_or_the_second_stop_no_session_can_enable_by_pdo(monkeypatch):

@@ -16,10 +16,10 @@ from made_up_buses import bus_text, flat, robot_of, session
 from made_up_recordings import attempt, is_prefix, same, write
 from mcap.writer import Writer
 
-from acquisition.bus import WallClock
+from acquisition.bus import Frame, WallClock, block_of
 from acquisition.errors import BadInputError
 from acquisition.importing import import_recording
-from acquisition.recording import FRAME, Block, read_recording
+from acquisition.recording import Block, read_recording
 from acquisition.recording import content as mcap_content
 from acquisition.session import Recorder, process
 
@@ -334,7 +334,7 @@ def test_drops_of_the_recorders_own_socket_stand_in_the_recording(tmp_path, monk
         now[0] += 600_000_000  # a status each time
         if now[0] > 1_500_000_000:
             messages.append(("stop", now[0]))
-        return np.zeros(0, FRAME)
+        return block_of([Frame(now[0], 0x80, b"")])
 
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0], lambda: now[0]))
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 7 if sock is dropping else 0)

@@ -16,11 +16,12 @@ from made_up_buses import bus_text, flat, robot_of, session
 from made_up_recordings import header, some_samples
 from urdfs import ARM, joint, urdf
 
+from acquisition.bus import Frame
 from acquisition.commands import main
 from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.importing import BagOptions, import_bag, import_recording, import_tables
 from acquisition.options import RecordOptions
-from acquisition.recording import RecordingWriter, read_recording
+from acquisition.recording import SENT, RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
 from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
@@ -308,6 +309,7 @@ def test_a_real_session_has_the_payload_too(tmp_path):
         tmp_path / "a.mcap", robot, "robot.toml", Role.FED, 0, Payload(2.0, (0.0, 0.0, 0.1))
     )
     try:
+        log.tap(Frame(10**9, 0x80, b"", SENT))
         log.finish(10**9)
     finally:
         log.close()

@@ -1,0 +1,267 @@
+"""A stop that nothing can stop: what shows or notes raises, at any SYNC and from then on."""
+
+import contextlib
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dry_sessions import FaultyDrives, connected, dry_session, enable, swing
+from made_up_buses import bus_text, robot_of
+
+from acquisition.bus import safe_stop
+from acquisition.commands.record import StatusLine
+from acquisition.errors import HeldBack
+from acquisition.protocol import Command, State
+from acquisition.session import InlineLog, Outcome, Recorder, Stop, Task
+
+SLOW = robot_of(bus_text(2, period_s=0.02).replace("s2 = 4000", "s2 = 1000"))
+TRACK = Task(reference=swing(2, seconds=0.5, period_s=0.02, amplitude=0.1))
+ERRORS = (OSError(5, "Input/output error"), ValueError("of a callback"), KeyboardInterrupt())
+EVERY = int(os.environ.get("HOOK_STEP", "13"))  # 1 tries each SYNC
+
+
+@dataclass(kw_only=True)
+class Raising:
+    """Raises `error` in the calls from number `first` on, and counts them."""
+
+    error: BaseException
+    first: int
+    calls: int = 0
+
+    def __call__(self, *_: object) -> None:
+        self.calls += 1
+        if self.calls > self.first:
+            raise self.error
+
+
+class Log(InlineLog):
+    """Calls `raising` before each call of the method `hook`; `on_status` is called every time."""
+
+    def __init__(self, recorder: Recorder, hook: str, raising: Raising) -> None:
+        super().__init__(recorder)
+        self._hook, self._raising = hook, raising
+
+    def _call(self, hook: str) -> None:
+        if hook == self._hook:
+            self._raising()
+
+    def event(self, stamp_ns, kind, text):
+        self._call("event")
+        super().event(stamp_ns, kind, text)
+
+    def poll(self, stamp_ns):
+        status = super().poll(stamp_ns)
+        self._call("poll")  # as its `on_status` does, which shows the status
+        return status
+
+    def ended(self):
+        self._call("ended")
+
+
+def session_with(path: Path, hook: str, raising: Raising, **how: object):
+    path.unlink(missing_ok=True)
+    log_of = partial(Log, hook=hook, raising=raising)
+    return dry_session(path, TRACK, robot=SLOW, log_of=log_of, **how)
+
+
+@pytest.mark.parametrize("hook", ["poll", "event", "ended"])
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_a_hook_that_raises_from_any_sync_on_leaves_every_drive_disabled(tmp_path, hook, error):
+    whole = Raising(error=error, first=10**9)
+    session = session_with(tmp_path / "a.mcap", hook, whole)
+    assert list(session.phases) == [
+        "configure", "enable", "approach", "track", "stop", "disable"
+    ]  # fmt: skip
+    assert session.outcome.reason == "finished"
+    for first in range(0, whole.calls, EVERY if hook == "poll" else 1):
+        session = session_with(tmp_path / "a.mcap", hook, Raising(error=error, first=first))
+        (announced,) = session.announced
+        assert announced.unconfirmed == ()
+        if isinstance(error, Exception) and session.raised is None:  # held back: all was done
+            assert session.outcome.reason == "finished"
+            assert hook == "event" or session.events("warning")[-1].endswith(str(error))
+        else:
+            assert session.raised is error
+        if hook != "event":
+            assert (session.events("disabled") or not session.sent.size) != []
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("confirms", [True, False])
+def test_an_announcement_that_raises_is_in_the_events(tmp_path, error, confirms):
+    """Drive 2 does not confirm where it falls silent."""
+    raising, announced = Raising(error=error, first=0), list[Outcome]()
+
+    def announce(outcome: Outcome) -> None:
+        announced.append(outcome)
+        raising()
+
+    class Silent(FaultyDrives):
+        def _answer(self, i, now_ns):
+            frames = super()._answer(i, now_ns)
+            if self._answered[1] > 60:
+                self.silent = {1}
+            return frames
+
+    session = dry_session(
+        tmp_path / "a.mcap",
+        TRACK,
+        robot=SLOW,
+        announce=announce,
+        simulated=FaultyDrives if confirms else Silent,
+    )
+    assert [outcome.unconfirmed for outcome in announced] == [() if confirms else (2,)]
+    kind = "disabled" if confirms else "not disabled"
+    assert [text.split(":")[0] for text in session.events(kind)] == [
+        "every drive confirmed" if confirms else "NOT DISABLED"
+    ]
+    if isinstance(error, Exception):
+        (warning,) = session.events("warning")[-1:]
+        assert warning == (
+            f"held back while the drives were stopped: {type(error).__name__}: {error}"
+        )
+        assert session.raised is None
+    else:
+        assert session.raised is error
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_whatever_a_link_raises_the_stop_goes_on(monkeypatch, error):
+    """A driver raises in every third call for 0.2 s; an interrupt is kept for afterwards."""
+    run, master = connected()
+    enable(master)
+    calls, real, until_ns = iter(range(10**9)), run.receive, run.now_ns() + 200_000_000
+
+    def receive(at_ns):
+        if next(calls) % 3 == 2 and run.now_ns() < until_ns:
+            raise error
+        return real(at_ns)
+
+    monkeypatch.setattr(run, "receive", receive)
+    held = HeldBack()
+    assert safe_stop(master, held) == []
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    if isinstance(error, Exception):
+        assert held.problem == f"{type(error).__name__}: {error}"
+        held.raise_interrupt()
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            held.raise_interrupt()
+
+
+@pytest.mark.parametrize("reacts", [False, True])
+def test_a_node_in_nmt_stopped_is_woken_and_stopped(monkeypatch, reacts):
+    """It takes neither PDO nor SDO there. By 6007h = 0 it goes on with what it was told last."""
+    run, master = connected()
+    enable(master)
+    node = run.drives.nodes[0]
+    node.values[0x6007, 0] = int(reacts)
+    run.send(0, bytes([2, 1]))  # by another master
+    master.wait(run.now_ns() + 1)
+    assert (node.nmt, node.state is State.OPERATION_ENABLED) == (4, not reacts)
+    master.wait(run.now_ns() + 300_000_000)  # its heartbeat says so
+    assert master.by_node[1].nmt == 4
+    sent, real = [], run.send
+    monkeypatch.setattr(run, "send", lambda *frame: (sent.append(frame), real(*frame)))
+    since_ns = run.now_ns()
+    assert safe_stop(master, HeldBack()) == []
+    assert run.now_ns() - since_ns < 200_000_000
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    quick_stop = (
+        0x601,
+        bytes.fromhex("2B406000") + Command.QUICK_STOP.controlword.to_bytes(4, "little"),
+    )
+    assert sent.index((0, bytes([128, 1]))) < sent.index(quick_stop)
+    assert (0, bytes([128, 2])) not in sent
+
+
+@pytest.mark.parametrize(
+    ("at", "cut_short"), [("enable", True), ("track", True), ("stop", False), (None, False)]
+)
+def test_a_reference_that_was_not_followed_to_its_end_is_cut_short(tmp_path, at, cut_short):
+    stop = Stop()
+
+    class Stopping(InlineLog):
+        def event(self, stamp_ns, kind, text):
+            super().event(stamp_ns, kind, text)
+            if (kind, text) == ("phase", at):
+                stop.reason = "stopped by SIGTERM"
+
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=SLOW, stop=stop, log_of=Stopping)
+    assert (session.outcome.fault, session.outcome.cut_short) == (False, cut_short)
+
+
+def test_the_status_line_of_a_terminal_that_is_gone_does_nothing(monkeypatch):
+    controller, terminal = os.openpty()
+    with open(terminal, "w") as stderr:
+        monkeypatch.setattr(sys, "stderr", stderr)
+        line = StatusLine()
+        line.show(("recording", False))
+        os.close(controller)
+        line.show(("recording", False))
+        line.show(("\udcff", False))
+        os.close(line._terminal)
+        line.show(("recording", False))
+        line.show()
+        with contextlib.suppress(OSError):
+            stderr.flush()
+
+
+@pytest.mark.parametrize("how", ["file", "folder", "renamed"])
+def test_a_recording_that_was_deleted_goes_on_under_a_new_name(tmp_path, how):
+    """Its last name is gone, but not its descriptor; the folder may be gone too. A file that was
+    only renamed is the recording all the same.
+    """
+    path = tmp_path / "session" / "a.mcap"
+    path.parent.mkdir()
+    (path.parent / "a-2.mcap").write_bytes(b"another")
+    whole = dry_session(tmp_path / "whole.mcap", TRACK, robot=SLOW)
+
+    class Deleted(InlineLog):
+        def event(self, stamp_ns, kind, text):
+            super().event(stamp_ns, kind, text)
+            if (kind, text) == ("phase", "track"):
+                if how == "folder":
+                    shutil.rmtree(path.parent)
+                elif how == "file":
+                    path.unlink()
+                else:
+                    path.rename(tmp_path / "b.mcap")
+
+    read = (
+        tmp_path / "b.mcap"
+        if how == "renamed"
+        else path.with_stem("a-2" if how == "folder" else "a-3")
+    )
+    session = dry_session(path, TRACK, robot=SLOW, log_of=Deleted, read_from=read)
+    if how == "renamed":
+        assert session.outcome.reason == "finished"
+        assert len(session.frames) == len(whole.frames)
+        return
+    assert session.outcome.reason == f"a.mcap was deleted: it is now {read}"
+    assert (session.outcome.fault, session.outcome.cut_short) == (False, True)
+    assert session.recorded.path == read
+    assert not session.recording.cut
+    assert session.events("disabled") == ["every drive confirmed"]
+    before = whole.frames["time_ns"] < session.phases["track"]
+    np.testing.assert_array_equal(session.frames[: before.sum()], whole.frames[before])
+    assert len(session.frames) > before.sum()
+
+
+def test_a_session_without_frames_leaves_no_file(tmp_path):
+    path, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    recorder = Recorder(path, SLOW, source="a test", place="robot.toml")
+    recorder.event(1, "fault", "no bus")
+    found = recorder.finish(2)
+    assert (found.frames, found.path, path.exists()) == (0, None, False)
+    recorder.close()
+    recorder = Recorder(other, SLOW, source="a test", place="robot.toml")
+    other.unlink()
+    other.write_bytes(b"of somebody else")
+    recorder.close()
+    assert other.read_bytes() == b"of somebody else"
