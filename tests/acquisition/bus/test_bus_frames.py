@@ -404,6 +404,16 @@ def test_times_go_on_where_the_clock_is_set(step_ns, seen_after):
     assert clock.shift_ns == step_ns
 
 
+@pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
+def test_times_go_on_where_the_clock_was_set_before_the_first_frame(step_ns):
+    true_ns, wall = 10**9 + 2_000_000 * np.arange(100), [0]
+    clock = WallClock(lambda: 10**9 + wall[0], lambda: 10**9, offset_ns=0)
+    wall[0] = step_ns
+    assert clock.step_ns() == step_ns
+    found = [clock.continued(part + step_ns) for part in np.split(true_ns, [50])]
+    assert np.concatenate(found).tolist() == true_ns.tolist()
+
+
 def test_an_adapter_with_a_clock_of_its_own_keeps_it():
     wall = [0]
     clock = WallClock(lambda: wall[0], lambda: 0, offset_ns=0)

@@ -189,6 +189,24 @@ def test_a_late_sync_of_the_stop_is_made_up_for_by_the_next_one_alone_if_at_all(
     assert steps.min() >= 1_000_000
 
 
+def test_where_the_bus_takes_no_sync_for_a_while_the_orders_of_a_stop_go_on_period_by_period():
+    run, master, sent = moving(lambda t: 1.0)
+    again_ns = run.now_ns() + 80_000_000
+
+    class NoSync(Through):
+        def send(self, can_id, data):
+            if can_id == 0x80 and self.now_ns() < again_ns:
+                raise RobotIdimError("bus: frame cannot be sent: transmit buffer full")
+            super().send(can_id, data)
+
+    master.link = NoSync(link=run)
+    assert safe_stop(master, HeldBack()) == []
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    orders_ns = np.unique([t for t, can_id, _ in sent if can_id == 0x201])
+    assert len(orders_ns) > 40
+    assert set(np.diff(orders_ns)) == {2_000_000}
+
+
 def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2), extra='sync_producer = "other"')
     master.link = SyncOfAnother(link=run, next_ns=run.now_ns() + 2_000_000)

@@ -3,14 +3,31 @@ what check tells of them.
 """
 
 import itertools
+from contextlib import nullcontext
 
 import msgspec
 import pytest
-from dry_sessions import at_boot, connected, dry_session, enable, findings, swing
+from dry_sessions import (
+    SyncOfAnother,
+    at_boot,
+    connected,
+    dry_session,
+    enable,
+    findings,
+    swing,
+)
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
+from acquisition.bus import (
+    Master,
+    MasterHeartbeat,
+    refuse_slow_ramps,
+    refuse_unsupervised,
+    second_stop,
+    supervision_of,
+)
 from acquisition.bus.supervision import free_entry, timeout_ms
+from acquisition.errors import RefusedError
 from acquisition.protocol import State
 from acquisition.session import Task
 from acquisition.simulated import LockStepLink
@@ -98,6 +115,32 @@ def test_an_unsupervised_drive_notices_nothing():
     assert run.drives.states == [State.OPERATION_ENABLED] * 2
 
 
+def test_the_sync_of_another_producer_carries_the_heartbeat_and_counts_who_is_silent():
+    run, master = connected(robot_of(bus_text(2, extra='sync_producer = "other"')))
+    MasterHeartbeat(master).request()
+    enable(master)
+    master.link = SyncOfAnother(link=run, next_ns=run.now_ns() + 2 * MS)
+    for _ in range(201):  # 0.4 s: the time-out is 0.3 s
+        assert master.wait_for_sync(run.now_ns() + 4 * MS)
+        master.wait(run.now_ns() + MS)
+        run.drives.silent.add(1)  # after its first answer; the last SYNC is not yet judged
+    assert run.drives.states[0] is State.OPERATION_ENABLED
+    assert [watch.silent_syncs for watch in master.nodes] == [0, 199]
+
+
+def test_a_boot_up_is_a_restart_and_a_heartbeat_is_none():
+    run, master = connected()
+    run.drives.set_heartbeats(100)  # after a restart too
+    enable(master)
+    restarted = []
+    for command in (None, 129, None):  # 129: reset node (CiA 301, 7.2.8.3.1)
+        if command:
+            master.nmt(command, 1)
+        master.wait(run.now_ns() + 300 * MS)
+        restarted.append([watch.booted for watch in master.nodes])
+    assert restarted == [[False, False], [True, False], [True, False]]
+
+
 def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
     other, ours = 5 << 16 | 700, 127 << 16 | 300
 
@@ -136,9 +179,18 @@ def test_the_time_out_is_three_heartbeats_or_periods():
     )
 
 
+RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
+HELD = {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in RAMPS.items()}
+OFF = {0: "voltage off at once, the motor coasts", -1: "manufacturer-specific"}
+OFF |= {k: f"{ramp}, then off" for k, ramp in RAMPS.items()}
+
+
 @pytest.mark.parametrize(
     ("values", "missing", "expected"),
     [
+        *(({(index, 0): k % 2**16}, (), f"{index:04X} = {k}: {words}")
+          for index, options in ((0x605A, OFF | HELD), (0x605E, OFF))
+          for k, words in options.items()),
         ({(0x6007, 0): 0}, (), "6007 = 0: a lost heartbeat has no effect"),
         ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; --track writes 0x007F012C (node "
                                           "127, 300 ms) to sub-index 2"),
@@ -147,7 +199,6 @@ def test_the_time_out_is_three_heartbeats_or_periods():
         ({}, (0x1016,), "1016 = not there: the drive does not detect the loss of the master"),
         ({(0x1029, 1): 0}, (), "1029:1 = 0: pre-operational"),
         ({(0x1400, 5): 0}, (), "1400:5 = 0: a missing PDO to the drive has no effect"),
-        ({(0x605A, 0): 0}, (), "quick stop 605A = 0: voltage off at once, the motor coasts"),
         ({}, (0x605E,), "fault reaction 605E = not there"),
         ({(0x6065, 0): 2**32 - 1}, (), "following error 6065 = 0xFFFFFFFF: off"),
         ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error above 900 of the drive's "
@@ -162,6 +213,35 @@ def test_supervision_in_words(values, missing, expected):
     node.values = {key: value for key, value in node.values.items() if key[0] not in missing}
     shown = [" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0])]
     assert any(expected in line for line in shown)
+
+
+HALF = 18_204_444  # of 4000 deg/s² at a ratio of 50 and 65536 counts a turn, in whole counts/s²
+UNLIMITED = bus_text(2).replace("acceleration_deg_s2 = 4000\n", "")
+OFF_6065 = {0x6065: 2**32 - 1}
+
+
+@pytest.mark.parametrize(
+    ("refuse", "values", "text", "words"),
+    [
+        (refuse_slow_ramps, {0x605A: 2, 0x6085: HALF}, bus_text(2), ()),
+        (refuse_slow_ramps, {0x605A: 2, 0x6085: HALF - 1}, bus_text(2),
+         ("quick stop ramp 2000 deg/s², 0.1 s from", "expected 2000 at least")),
+        (refuse_slow_ramps, {0x605A: 2, 0x6085: 1}, UNLIMITED, ()),
+        (refuse_slow_ramps, {0x605A: 3}, bus_text(2), ()),  # unknown
+        (refuse_unsupervised, {}, bus_text(2), ()),
+        (refuse_unsupervised, OFF_6065, bus_text(2), ("none of the following error (6065",)),
+        (refuse_unsupervised, OFF_6065 | {0x1016: 0, 0x6007: 0}, bus_text(2),
+         ("none of the master (no free 1016", "none of the following error (6065")),
+    ],
+)  # fmt: skip
+def test_motion_is_refused_where_a_drive_stops_too_slowly_or_does_not_supervise_itself(
+    refuse, values, text, words
+):
+    run, master = connected(robot_of(text))
+    run.drives.nodes[1].values |= {(index, 0): value for index, value in values.items()}
+    with pytest.raises(RefusedError) if words else nullcontext() as caught:
+        refuse(master)
+    assert all(word in str(caught.value) for word in words and ("node 2 (motor_2)", *words))
 
 
 def test_check_shows_it_and_where_there_is_no_second_stop():

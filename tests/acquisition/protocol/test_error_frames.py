@@ -34,6 +34,41 @@ def test_words(can_id, data, words):
     assert error_frame_words(can_id, bytes.fromhex(data)) == words
 
 
+PLACES = {
+    0x02: "identifier bits 28 to 21", 0x03: "start of frame", 0x04: "bit SRTR", 0x05: "bit IDE",
+    0x06: "identifier bits 20 to 18", 0x07: "identifier bits 17 to 13", 0x08: "checksum",
+    0x09: "reserved bit 0", 0x0A: "data", 0x0B: "length", 0x0C: "bit RTR", 0x0D: "reserved bit 1",
+    0x0E: "identifier bits 4 to 0", 0x0F: "identifier bits 12 to 5", 0x12: "intermission",
+    0x18: "checksum delimiter", 0x19: "acknowledgement", 0x1A: "end of frame",
+    0x1B: "acknowledgement delimiter",
+}  # fmt: skip
+
+
+def test_every_place_in_a_frame_has_its_code():
+    found = {code: error_frame_words(0x008, bytes([0, 0, 0, code])) for code in range(256)}
+    assert found == {
+        code: f"protocol: in {PLACES[code]}" if code in PLACES else "protocol" for code in found
+    }
+
+
+@pytest.mark.parametrize(
+    ("can_id", "at", "name", "words"),
+    [
+        (0x004, 1, "controller",
+         ("receive overflow", "transmit overflow", "warning level of receive errors",
+          "warning level of transmit errors", "error passive by receive errors",
+          "error passive by transmit errors", "error active again")),
+        (0x008, 2, "protocol",
+         ("single bit", "frame format", "bit stuffing", "dominant bit could not be sent",
+          "recessive bit could not be sent", "overload", "active error announced",
+          "while sending")),
+    ],
+)  # fmt: skip
+def test_every_bit_of_a_detail_has_its_words(can_id, at, name, words):
+    found = [error_frame_words(can_id, bytes(at) + bytes([1 << k])) for k in range(len(words))]
+    assert found == [f"{name}: {word}" for word in words]
+
+
 def test_states_of_the_wires():
     states = {4: "no wire", 5: "short to battery", 6: "short to supply", 7: "short to ground"}
     for code, words in states.items():

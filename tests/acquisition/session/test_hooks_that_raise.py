@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shutil
+import signal
 import sys
 from dataclasses import dataclass
 from functools import partial
@@ -10,13 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dry_sessions import FaultyDrives, connected, dry_session, enable, swing
+from dry_sessions import Fault, FaultyDrives, connected, dry_session, enable, swing
 from made_up_buses import bus_text, robot_of
 
-from acquisition.bus import safe_stop
+import acquisition.bus.stopping as stopping
+from acquisition.bus import Frame, block_of, safe_stop, stop_drives
+from acquisition.commands import main
 from acquisition.commands.record import StatusLine
-from acquisition.errors import HeldBack
+from acquisition.errors import BusFaultError, HeldBack
 from acquisition.protocol import Command, State
+from acquisition.recording import read_recording
 from acquisition.session import InlineLog, Outcome, Recorder, Stop, Task
 
 SLOW = robot_of(bus_text(2, period_s=0.02).replace("s2 = 4000", "s2 = 1000"))
@@ -30,7 +34,7 @@ class Raising:
     """Raises `error` in the calls from number `first` on, and counts them."""
 
     error: BaseException
-    first: int
+    first: int = 0
     calls: int = 0
 
     def __call__(self, *_: object) -> None:
@@ -130,19 +134,35 @@ def test_an_announcement_that_raises_is_in_the_events(tmp_path, error, confirms)
         assert session.raised is error
 
 
+@pytest.mark.parametrize("step", ["make_safe", "leave", "reports"])
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-def test_whatever_a_link_raises_the_stop_goes_on(monkeypatch, error):
+def test_a_step_of_the_end_that_raises_leaves_the_others(tmp_path, monkeypatch, step, error):
+    """Drives that nobody could stop are named: here they are disabled, and nobody has asked."""
+    monkeypatch.setattr(f"acquisition.session.session._Session.{step}", Raising(error=error))
+    fault = [Fault(kind="emergency", node=1, sync=40)] * (step == "reports")
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=SLOW, faults=fault)
+    unknown = step == "make_safe"
+    assert [outcome.unconfirmed for outcome in session.announced] == [(1, 2) if unknown else ()]
+    assert len(session.events("not disabled" if unknown else "disabled")) == 1
+    assert session.raised is (None if isinstance(error, Exception) else error)
+
+
+@pytest.mark.parametrize("where", ["receive", "send", "_collect"])
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_whatever_a_link_raises_the_stop_goes_on(monkeypatch, error, where):
     """A driver raises in every third call for 0.2 s; an interrupt is kept for afterwards."""
     run, master = connected()
     enable(master)
-    calls, real, until_ns = iter(range(10**9)), run.receive, run.now_ns() + 200_000_000
+    calls, until_ns = iter(range(10**9)), run.now_ns() + 200_000_000
+    place = stopping if where == "_collect" else run
+    real = getattr(place, where)
 
-    def receive(at_ns):
+    def raising(*arguments):
         if next(calls) % 3 == 2 and run.now_ns() < until_ns:
             raise error
-        return real(at_ns)
+        return real(*arguments)
 
-    monkeypatch.setattr(run, "receive", receive)
+    monkeypatch.setattr(place, where, raising)
     held = HeldBack()
     assert safe_stop(master, held) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
@@ -154,29 +174,68 @@ def test_whatever_a_link_raises_the_stop_goes_on(monkeypatch, error):
             held.raise_interrupt()
 
 
-@pytest.mark.parametrize("reacts", [False, True])
-def test_a_node_in_nmt_stopped_is_woken_and_stopped(monkeypatch, reacts):
-    """It takes neither PDO nor SDO there. By 6007h = 0 it goes on with what it was told last."""
+def test_an_interrupt_of_the_stop_by_another_process_is_raised_after_it(monkeypatch):
+    run, master = connected()
+    enable(master)
+    real, interrupts = run.receive, [KeyboardInterrupt()]
+
+    def receive(until_ns):
+        if interrupts:
+            raise interrupts.pop()
+        return real(until_ns)
+
+    monkeypatch.setattr(run, "receive", receive)
+    monkeypatch.setattr(stopping, "open_link", lambda *_, **__: closing_link(run))
+    with pytest.raises(KeyboardInterrupt):
+        stop_drives(master.bus)
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+
+
+def closing_link(run):
+    run.close = lambda: None
+    return run
+
+
+def test_what_is_held_back_first_is_kept():
+    held = HeldBack()
+    for error in (BusFaultError("expected"), OSError("first"), ValueError("second"), SystemExit(3)):
+        with held:
+            raise error
+    with held:
+        raise KeyboardInterrupt
+    assert held.problem == "OSError: first"
+    with pytest.raises(SystemExit, match="3"):
+        held.raise_interrupt()
+
+
+@pytest.mark.parametrize(("reacts", "known"), [(False, True), (True, True), (False, False)])
+def test_a_node_in_nmt_stopped_is_woken_and_stopped(monkeypatch, reacts, known):
+    """It takes neither PDO nor SDO there. By 6007h = 0 it goes on with what it was told last. That
+    it is there may be `known` when the stop begins, or be heard after its requests were lost.
+    """
     run, master = connected()
     enable(master)
     node = run.drives.nodes[0]
     node.values[0x6007, 0] = int(reacts)
-    run.send(0, bytes([2, 1]))  # by another master
-    master.wait(run.now_ns() + 1)
-    assert (node.nmt, node.state is State.OPERATION_ENABLED) == (4, not reacts)
-    master.wait(run.now_ns() + 300_000_000)  # its heartbeat says so
-    assert master.by_node[1].nmt == 4
+    if known:
+        run.send(0, bytes([2, 1]))  # by another master
+        master.wait(run.now_ns() + 300_000_000)  # its heartbeat says so
+        assert master.by_node[1].nmt == 4
+    node.nmt = 4
+    assert (node.state is State.OPERATION_ENABLED) is not reacts
     sent, real = [], run.send
     monkeypatch.setattr(run, "send", lambda *frame: (sent.append(frame), real(*frame)))
     since_ns = run.now_ns()
     assert safe_stop(master, HeldBack()) == []
-    assert run.now_ns() - since_ns < 200_000_000
+    assert run.now_ns() - since_ns < (80_000_000 if known else 180_000_000)
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     quick_stop = (
         0x601,
         bytes.fromhex("2B406000") + Command.QUICK_STOP.controlword.to_bytes(4, "little"),
     )
-    assert sent.index((0, bytes([128, 1]))) < sent.index(quick_stop)
+    if known:
+        assert sent.index((0, bytes([128, 1]))) < sent.index(quick_stop)
+    assert sent.count((0, bytes([128, 1]))) == 1
     assert (0, bytes([128, 2])) not in sent
 
 
@@ -251,6 +310,41 @@ def test_a_recording_that_was_deleted_goes_on_under_a_new_name(tmp_path, how):
     before = whole.frames["time_ns"] < session.phases["track"]
     np.testing.assert_array_equal(session.frames[: before.sum()], whole.frames[before])
     assert len(session.frames) > before.sum()
+
+
+def test_a_recording_that_was_deleted_after_its_last_status_is_found_at_the_end(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap", SLOW, source="a test", place="robot.toml")
+    recorder.add(block_of([Frame(1, 0x80, b"")]))
+    (tmp_path / "a.mcap").unlink()
+    assert recorder.finish(2).path == tmp_path / "a-2.mcap"
+    assert not read_recording(tmp_path / "a-2.mcap").cut
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGTERM, 1), (signal.SIGHUP, 1), (signal.SIGINT, 0), (None, 0)]
+)
+def test_the_exit_status_of_a_reference_that_was_cut_short(
+    tmp_path, monkeypatch, capsys, number, status
+):
+    """By signals that come with the first status of a dry run."""
+    (tmp_path / "robot.toml").write_bytes(SLOW.files["robot.toml"])
+    rows = np.column_stack([np.arange(len(TRACK.reference)) * 0.02, TRACK.reference])
+    np.savetxt(tmp_path / "r.csv", rows, "%.17g", ",", header="time_s,joint_1,joint_2", comments="")
+
+    def line(*_):
+        if number is not None:
+            signal.raise_signal(number)
+        return []
+
+    monkeypatch.setattr("acquisition.commands.record.live_line", line)
+    out = tmp_path / "a.mcap"
+    command = ["record", tmp_path / "robot.toml", "--track", tmp_path / "r.csv", "--dry-run"]
+    assert main([str(word) for word in (*command, "-o", out)]) == status
+    errors = [x for x in capsys.readouterr().err.splitlines() if x.startswith("robot-acquire")]
+    assert errors == [
+        f"robot-acquire: {out}: the session was cut short: stopped by {name}"
+        for name in ([] if status == 0 else [number.name])
+    ]
 
 
 def test_a_session_without_frames_leaves_no_file(tmp_path):

@@ -1,4 +1,4 @@
-"""What a session tells while it goes on."""
+"""What a session tells while it goes on, and when a passive one ends."""
 
 import fcntl
 import os
@@ -8,11 +8,31 @@ import sys
 import termios
 import threading
 import time
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
+from dry_sessions import dry_session, swing
 from made_up_buses import bus_text, robot_of
 
+import acquisition.session.running as running
+from acquisition.bus import Frame
 from acquisition.commands.record import StatusLine, live_line
-from acquisition.session import Status
+from acquisition.errors import BusFaultError
+from acquisition.recording import read_recording
+from acquisition.robot import Robot
+from acquisition.session import (
+    InlineLog,
+    Recorder,
+    RecordOptions,
+    Status,
+    Stop,
+    Task,
+    UserInterface,
+    record,
+)
 
 
 def test_everything_that_matters_is_on_the_line():
@@ -51,3 +71,73 @@ def test_the_line_is_written_without_waiting_and_without_a_thread(monkeypatch):
         assert time.monotonic() - started_s < 5
         assert threading.active_count() == threads
     os.close(controller)
+
+
+def test_a_dry_run_writes_its_frames_while_it_goes_on(tmp_path):
+    """Every 2 ms SYNC and the answers of two drives: 1500 frames/s, written by the tenth of a
+    second.
+    """
+    out, shown = tmp_path / "a.mcap", list[tuple[int, int]]()
+
+    def show(status: Status, left_s: float) -> None:
+        shown.append((len(read_recording(out).frames["test"]), status.frames))
+
+    options, operator = RecordOptions(dry_run=True, duration_s=1.6), UserInterface(show=show)
+    record(robot_of(bus_text(2)), "robot.toml", out, options, operator)
+    before, after = shown[1:3]
+    assert (before[0], after[0]) == (before[1], after[1])
+    assert after[0] - before[0] == pytest.approx(750, abs=200)
+
+
+def test_a_mapping_of_the_traffic_is_known_from_then_on(tmp_path):
+    task = Task(reference=swing(2, seconds=0.2, amplitude=0.02))
+    session, shown = dry_session(tmp_path / "active.mcap", task), []
+    robot = robot_of(bus_text(2, drive='mapping = "traffic"'))
+    recorder = Recorder(tmp_path / "a.mcap", robot, source="test", place="robot.toml")
+    for part in np.array_split(session.frames, 4):  # only the first has the mapping
+        recorder.add(part)
+        status = recorder.tick(int(part["time_ns"][-1]), 0, now=True)
+        shown.append((*status.lowest, *status.highest))
+    recorder.close()
+    q = session.recording.samples["position"]
+    assert shown[-1] == pytest.approx((*q.min(axis=0), *q.max(axis=0)), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "fault", "until_s", "event"),
+    [
+        (1.0, "", 1.0, ("end", "finished")),
+        (None, "", 2.0, ("end", "stopped by SIGINT")),
+        (1.0, "bus: gone", 0.0, ("fault", "bus: gone")),
+    ],
+)
+def test_a_passive_recording_ends_after_its_time_or_at_ctrl_c_and_holds_its_fault(
+    tmp_path, monkeypatch, duration_s, fault, until_s, event
+):
+    """Its recorder is in this process; time passes only where it sleeps; Ctrl-C comes at 2 s."""
+    now_ms, stop, out = [0], Stop(), tmp_path / "a.mcap"
+
+    def sleep(seconds: float) -> None:
+        now_ms[0] += round(seconds * 1000)
+        stop.reason = "stopped by SIGINT" if now_ms[0] >= 2000 else ""
+
+    def poll(log: InlineLog, stamp_ns: int) -> None:
+        if fault:
+            raise BusFaultError(fault)
+
+    def inline(path: Path, robot: Robot, place: str, *_: object) -> InlineLog:
+        log = InlineLog(Recorder(path, robot, source="test", place=place))
+        log.tap(Frame(0, 0x80, b""))
+        log._write()
+        return log
+
+    clock = {"monotonic": lambda: now_ms[0] / 1000, "monotonic_ns": lambda: 0, "sleep": sleep}
+    monkeypatch.setattr(running, "time", SimpleNamespace(**clock))
+    monkeypatch.setattr(running, "ProcessLog", inline)
+    monkeypatch.setattr(InlineLog, "poll", poll)
+    options, operator = RecordOptions(passive=True, duration_s=duration_s), UserInterface(stop=stop)
+    with pytest.raises(BusFaultError) if fault else nullcontext():
+        record(robot_of(bus_text(1)), "robot.toml", out, options, operator)
+    assert now_ms == [until_s * 1000]
+    events = [(found.kind, found.text) for found in read_recording(out).events]
+    assert [found for found in events if found[0] in ("end", "fault")] == [event]

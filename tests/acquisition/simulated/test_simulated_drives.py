@@ -8,11 +8,12 @@ import re
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import connected, dry_session, findings, swing
+from dry_sessions import connected, dry_session, enable, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.recording import sample_dtype
 from acquisition.session import Task
-from acquisition.simulated import SimulatedDrives
+from acquisition.simulated import DrivenPlant, SimulatedDrives, TablePlant, cascaded_loops
 
 DEMAND = 'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42'
 VENDORS = {  # keys of the drive, and where its effort comes from
@@ -109,6 +110,31 @@ def test_a_drive_states_its_units_limits_and_modes():
     assert stated(2, (0x607D, 1), (0x607D, 2)) == [2**32 + 100 - 136533, 136633]
     master.nmt(129, 1)  # reset node
     assert stated(1, (0x608F, 1), (0x1018, 0)) == [65536, 4]
+
+
+def test_a_table_goes_by_a_row_at_each_sync_and_brakes_hold_what_is_not_enabled_or_stops():
+    """Each row is 0.01 rad further than the one before."""
+    samples = np.zeros(9, sample_dtype(2, reference=False))
+    samples["position"] = 0.01 * np.arange(9)[:, None]
+    held, robot = [], robot_of(bus_text(2))
+
+    class Table(TablePlant):
+        def step(self, effort, brakes, duration_s):
+            held.append(brakes.tolist())
+            super().step(effort, brakes, duration_s)
+
+    plant = DrivenPlant(plant=Table(samples, 500.0), loops=cascaded_loops(robot, np.ones(2)))
+    run, master = connected(robot, SimulatedDrives, mechanism=plant)
+    found = []
+    master.configure()
+    for begin in (master.start, lambda: enable(master), lambda: master.write(1, 0x6040, 0, 2, 2)):
+        begin()
+        for _ in range(2):
+            master.sync()
+            master.wait(run.now_ns() + 2_000_000)
+            found.append(master.nodes[1].counts)
+    assert found == [round(0.01 * k * 50 * 65536 / (2 * np.pi)) for k in range(6)]
+    assert held[::2] == [[True, True], [False, False], [True, False]]
 
 
 def test_a_boot_up_counts_as_the_first_heartbeat():
