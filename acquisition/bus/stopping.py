@@ -147,8 +147,7 @@ def safe_stop(
         with held:
             for one in drives:
                 _command(master, one)
-        with held:
-            next_ns = _sync(master, next_ns, held)
+        next_ns = _sync(master, next_ns, held)
         with held:
             after_sync()
         with held:

@@ -37,7 +37,7 @@ class Raising:
     first: int = 0
     calls: int = 0
 
-    def __call__(self, *_: object) -> None:
+    def __call__(self, *_: object, **__: object) -> None:
         self.calls += 1
         if self.calls > self.first:
             raise self.error
@@ -189,6 +189,16 @@ def test_an_interrupt_of_the_stop_by_another_process_is_raised_after_it(monkeypa
     with pytest.raises(KeyboardInterrupt):
         stop_drives(master.bus)
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+
+
+@pytest.mark.parametrize(("error", "status"), [(ERRORS[0], 1), (KeyboardInterrupt(), 130)])
+def test_drives_that_could_not_be_disabled_are_named_first(
+    tmp_path, monkeypatch, capsys, error, status
+):
+    (tmp_path / "robot.toml").write_bytes(SLOW.files["robot.toml"])
+    monkeypatch.setattr(stopping, "open_link", Raising(error=error))
+    assert main(["disable", str(tmp_path / "robot.toml")]) == status
+    assert capsys.readouterr().err.startswith("NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n")
 
 
 def closing_link(run):

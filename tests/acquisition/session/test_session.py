@@ -216,11 +216,13 @@ def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path)
     assert session.outcome.reason == "finished"
 
 
-def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
+@pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
+def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch, task):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1, 1, 0))
-    session = dry_session(tmp_path / "a.mcap", TRACK)
+    session = dry_session(tmp_path / "a.mcap", task)
     assert (session.outcome.reason, session.outcome.fault) == ("disk nearly full", False)
+    assert session.outcome.cut_short
     assert session.recorded.samples > 0
 
 
