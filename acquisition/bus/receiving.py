@@ -161,7 +161,7 @@ class WallClock:
             return stamps
         shifts: Ints = np.full(len(stamps), self.shift_ns)
         if self._pending_ns:
-            before = self._last_ns if self._last_ns is not None else stamps[0] - self._pending_ns
+            before = self.now_ns() if self._last_ns is None else self._last_ns
             jumps = np.diff(stamps, prepend=before) * (1 if self._pending_ns > 0 else -1)
             k = int(np.argmax(jumps))
             if jumps[k] > abs(self._pending_ns) / 2:

@@ -404,6 +404,16 @@ def test_times_go_on_where_the_clock_is_set(step_ns, seen_after):
     assert clock.shift_ns == step_ns
 
 
+@pytest.mark.parametrize("step_ns", [3_600_000_000_000, -3_600_000_000_000, -60_000_000])
+def test_times_go_on_where_the_clock_is_set_within_the_first_block(step_ns):
+    true_ns, wall = 10**13 + 2_000_000 * np.arange(6), [0]
+    clock = WallClock(lambda: int(true_ns[-1]) + wall[0], lambda: int(true_ns[-1]), offset_ns=0)
+    wall[0] = step_ns
+    assert clock.step_ns() == step_ns
+    stamps = true_ns + step_ns * (np.arange(6) >= 2)
+    assert clock.continued(stamps).tolist() == true_ns.tolist()
+
+
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
 def test_times_go_on_where_the_clock_was_set_before_the_first_frame(step_ns):
     true_ns, wall = 10**9 + 2_000_000 * np.arange(100), [0]
