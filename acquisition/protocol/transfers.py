@@ -8,6 +8,7 @@ scan reads in segments.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from ..errors import NoAnswerError, Place, SdoAbortedError
 from .objects import BITS, ObjectEntry
@@ -15,6 +16,8 @@ from .objects import BITS, ObjectEntry
 NOT_VALID = 1 << 31
 MAX_PDO_BITS, MAX_PDOS = 64, 0x200
 ON_SYNC = 1  # transmission type: at every SYNC
+Key: TypeAlias = tuple[int, int]  # index and sub-index
+Values: TypeAlias = Mapping[Key, int | str]  # numbers, or words that say why one is not known
 # Communication and mapping parameters by direction: from the drive, to the drive.
 PARAMETERS = {"tpdo": (0x1800, 0x1A00), "rpdo": (0x1400, 0x1600)}
 USUAL_CAN_ID = {"tpdo": 0x180, "rpdo": 0x200}  # of the first; 0x100 more for each of the next three
@@ -93,29 +96,39 @@ def configuration(direction: str, pdo: Pdo) -> Iterator[tuple[int, int, int, int
 
 def pdos_of(
     direction: str,
-    values: Mapping[tuple[int, int], int],
-    types: Mapping[tuple[int, int], str],
+    values: Values,
+    types: Mapping[Key, str],
     place: str,
 ) -> tuple[Pdo, ...]:
-    """PDOs that `values` of a dictionary's parameters describe, without disabled ones and
-    identifier 0; `types` by object.
+    """PDOs that `values` of a dictionary's parameters describe, without disabled ones, identifier 0
+    and those whose identifier or number of entries is not known; `types` by object.
+
+    Raises `BadInputError` with the sub-index of an entry that is not known, or that no PDO of
+    whole bytes can hold: the objects behind it would be at other bytes.
     """
     communication, mapping = PARAMETERS[direction]
     found = []
     for index in sorted({i for i, _ in values if communication <= i < communication + MAX_PDOS}):
         can_id, number = values.get((index, 1)), index - communication + 1
         count = values.get((mapping + number - 1, 0), 0)
-        if can_id is None or can_id & NOT_VALID or not can_id & _IDENTIFIER or not count:
+        if (
+            not (count and isinstance(count, int) and isinstance(can_id, int))
+            or can_id & NOT_VALID
+            or not can_id & _IDENTIFIER
+        ):
             continue
         entries = []
         for k in range(1, count + 1):
-            word = values.get((mapping + number - 1, k))
+            word = values.get((mapping + number - 1, k), "is not known")
+            at = f"{direction} {number}: {mapping + number - 1:04X}:{k}"
+            if isinstance(word, str):
+                Place(place).refuse(text=f"{at} {word}", expected=f"all {count} entries")
             if not word:
                 continue
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
             if BITS.get(kind) != word & 0xFF:
-                problem = f"{direction} {number}: {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
+                problem = f"{at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
                 Place(place).refuse(text=problem, expected="whole bytes of its own type")
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))

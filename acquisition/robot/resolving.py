@@ -65,9 +65,9 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         number = parse_object(name)
         listed = dictionary is None or number in dictionary.entries or number in written
         if number not in types or not listed:
-            why = (
-                f"{file.dictionary} does not contain it" if dictionary else "its type is not known"
-            )
+            found = dictionary.entries.get(number) if dictionary is not None else None
+            why = (found and found.problem) or "its type is not known"
+            why = why if found or dictionary is None else f"{file.dictionary} does not contain it"
             at.refuse(key, name, "an object of the drive, or one in objects", text=why)
         return cia.ObjectEntry(index=number[0], sub=number[1], type=types[number])
 
@@ -80,13 +80,15 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
             at.refuse(key, getattr(file, key), POSITION_TYPE, text=f"is {found.type}")
     extras = tuple(entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
     measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
+    source: cia.Values = {}
     if file.mapping == "table":
         tpdos = _pdos("tpdo", file, tuple(dict.fromkeys((status, *measured))), entry, at)
         rpdos = _pdos("rpdo", file, (control, target), entry, at)
     else:
         source = (traffic or {}).get(file.node, {})
         if file.mapping == "dictionary" and dictionary is not None:
-            source = {key: e.value for key, e in dictionary.entries.items() if e.value is not None}
+            read = ((key, e.problem or e.value) for key, e in dictionary.entries.items())
+            source = {key: value for key, value in read if value is not None}
         tpdos, rpdos = (
             cia.pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo")
         )
@@ -117,7 +119,13 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         if (traffic is not None or file.mapping != "traffic") and drive.carrier(
             needed, "tpdo"
         ) is None:
-            problem = f"{at.table}.mapping: no PDO from the drive carries {needed}"
+            unknown = [
+                f": {index:04X}:{sub} {text}"
+                for (index, sub), text in source.items()
+                if isinstance(text, str) and 0x1800 <= index < 0x1C00
+            ]
+            why = next(iter(unknown), "")
+            problem = f"{at.table}.mapping: no PDO from the drive carries {needed}{why}"
             Place(at.name).refuse(text=problem, expected=f"one ({file.mapping})")
     return drive
 
