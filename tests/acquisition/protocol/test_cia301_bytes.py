@@ -34,7 +34,7 @@ def data(text: str) -> bytes:
         ("42 00 10 00 92 01 02 80", "value", (0x1000, 0), 0x80020192),
         ("60 40 60 00 00 00 00 00", "written", (0x6040, 0), 0),
         ("80 00 20 00 00 00 02 06", "abort", (0x2000, 0), 0x06020000),
-        ("41 08 10 00 0A 00 00 00", "other", (0, 0), 0),  # 10 bytes, which follow
+        ("41 08 10 00 0A 00 00 00", "other", (0x1008, 0), 0),  # 10 bytes, which follow
     ],
 )
 def test_sdo_answers_read(text, kind, key, value):

@@ -10,7 +10,7 @@ from made_up_buses import bus_of, bus_text, refused, robot_of
 from made_up_dictionaries import DEVICE, EDS, SENT_OBJECTS, dictionary_and_text, found
 
 from acquisition.errors import BadInputError
-from acquisition.protocol import load_dictionary
+from acquisition.protocol import Confirmed, load_dictionary
 from acquisition.robot import load_robot, resolve
 from acquisition.simulated import SimulatedDrives
 
@@ -188,4 +188,4 @@ def test_pdos_of_traffic_are_looked_at_too():
     }
     robot = robot_of(bus_text(1, drive='mapping = "traffic"'))
     with pytest.raises(BadInputError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
-        resolve(robot, "r.toml", {1: values})
+        resolve(robot, "r.toml", {1: Confirmed(values=values)})
