@@ -122,7 +122,8 @@ def pdos_of(
             word = values.get((mapping + number - 1, k), "is not known")
             at = f"{direction} {number}: {mapping + number - 1:04X}:{k}"
             if isinstance(word, str):
-                Place(place).refuse(text=f"{at} {word}", expected=f"all {count} entries")
+                way_out = f"all {count} entries, or the PDOs in robot.toml (mapping = 'table')"
+                Place(place).refuse(text=f"{at} {word}", expected=way_out)
             if not word:
                 continue
             key = (word >> 16, word >> 8 & 0xFF)
