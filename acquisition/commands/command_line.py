@@ -54,7 +54,6 @@ PACKAGES = (
     "mcap",
     "rosbags",
     "python-can",
-    "canopen",
     "msgspec",
 )
 

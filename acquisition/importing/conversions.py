@@ -22,8 +22,8 @@ from ..recording import (
     decode,
     has_reference,
     read_recording,
+    resolve_mapped,
     rewrite,
-    written_by_master,
 )
 from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
@@ -176,7 +176,8 @@ def _select_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
 
 
 def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
-    decoded = decode(frames, robot, resolve(robot, place, written_by_master(frames)), name)
+    frames, bus = resolve_mapped(frames, robot, place)
+    decoded = decode(frames, robot, bus, name)
     # a view would hold its whole block
     q = np.concatenate([block["position"].copy() for block in decoded.blocks()])
     warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)

@@ -186,6 +186,8 @@ def _on_grid(
         warnings.append(
             "no reference: the targets are not mapped, or not in frames on their way out"
         )
+    if process.unanswered:
+        warnings.append("no answer of a slave is in it: what was written to map objects counts")
     if process.short:
         warnings.append(
             f"{process.short} cycles with a working counter below the full one are left out"

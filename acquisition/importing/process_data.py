@@ -15,7 +15,7 @@ from ..files import GrowingBytes, release_pages
 from ..recording import Block, in_parts, minimum_ahead
 from ..robot import Bus
 from .captures import Packets, datagrams, gather
-from .slaves import LRD, LRW, LWR, WRITES, Entries, Located, Slaves, spans
+from .slaves import FPRD, LRD, LRW, LWR, MAILBOX, WRITES, Entries, Located, Slaves, spans
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
 # rows of a segment, and those before and after it on which it may depend
@@ -75,12 +75,13 @@ class ProcessData:
     def add(self, given: Packets) -> Ints:
         """Add packets; the numbers of those of EtherCAT."""
         found = datagrams(given)
-        for one in found[np.isin(found["command"], WRITES)]:
+        mail = (found["command"] == FPRD) & (found["address"] >> 16 >= MAILBOX)
+        for one in found[np.isin(found["command"], WRITES) | mail]:
             content, back = (
                 given.data[one["at"] : one["at"] + one["length"]].tobytes(),
                 bool(one["counter"]),
             )
-            if self._slaves[back].write(int(one["command"]), int(one["address"]), content) and back:
+            if self._slaves[back].take(int(one["command"]), int(one["address"]), content) and back:
                 self._since = self._packets + int(one["packet"])  # rows before a change are dropped
                 self._fields, self._columns, self._seen = {}, {}, {}
         parts: dict[Part, Block] = {}
@@ -216,6 +217,11 @@ class ProcessData:
             for k, slave in enumerate(placed, 2)
         }
 
+    @property
+    def unanswered(self) -> bool:
+        """Whether the mapping is what the master wrote, in a capture without any answer."""
+        return bool(self._slaves[True].written) and not self._slaves[True].answered
+
     def rows(self) -> tuple[Block, bool]:
         """Stamp, time by distributed clocks (-1: none), position, effort and target (n,) of each
         cycle with full counters.
@@ -326,7 +332,7 @@ class ProcessData:
             expected = "a bus in operation, both directions: capture on the master's own interface"
         elif not self._fields:
             text, expected = (
-                f"{self._why}; it has {shown}",
+                f"{self._why}{self._slaves[True].problem}; it has {shown}",
                 f"a capture from the start of the bus, or {_MAPPING}",
             )
         self._place.refuse(text=text, expected=expected)

@@ -3,32 +3,38 @@ objects that they map (CoE).
 """
 
 import struct
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-APWR, BWR, WRITES = 2, 8, (2, 5, 8)  # commands
+from ..protocol import Confirmed, Key, answer_of, request_of
+
+APWR, FPRD, BWR, WRITES = 2, 4, 8, (2, 5, 8)  # commands
 LRD, LWR, LRW = 10, 11, 12
-_STATION, _FMMUS, _MANAGERS, _END, _MAILBOX = 0x10, 0x600, 0x800, 0x880, 0x1000  # registers
+_STATION, _FMMUS, _MANAGERS, _END, MAILBOX = 0x10, 0x600, 0x800, 0x880, 0x1000  # registers
 _FMMU = struct.Struct("<IHBBHBBB3x")
-_MAIL = struct.Struct("<5xBHBHBI")  # type; CoE service; command, index, sub-index and value of SDO
-_COE, _REQUEST = 3, 2
-Key: TypeAlias = tuple[int, int]  # index and sub-index
+_MAIL = struct.Struct("<5xBH8s")  # type; CoE service; SDO
+_COE, _SERVICES = 3, (2, 3)  # CoE: requests, and aborts; answers
 Entries: TypeAlias = Sequence[tuple[Key, int]]  # objects and their bits, in their order
 Located: TypeAlias = Mapping[Key, tuple[int, int]]  # logical address and bytes by object
 Way: TypeAlias = tuple[int, int, int]  # sync manager, object with its PDOs, bit of an FMMU's type
 INPUTS: Way = (3, 0x1C13, 1)
 OUTPUTS: Way = (2, 0x1C12, 2)
+_MAPPING = (INPUTS[1], OUTPUTS[1], *range(0x1600, 0x1800), *range(0x1A00, 0x1C00))
 
 
 class Slaves:
     """What datagrams of one direction wrote: stations in the order of the bus; by station
-    registers and mapping objects.
+    registers, mapping objects as written, and as confirmed by answers, if any is `answered`.
     """
 
     def __init__(self) -> None:
         self._places: dict[int, int] = {}
         self.registers: dict[int, bytearray] = {}
-        self.objects: dict[int, dict[Key, int]] = {}
+        self.written: dict[int, dict[Key, int]] = {}
+        self.confirmed = defaultdict[int, Confirmed](Confirmed)
+        self.answered, self.problem = False, ""
+        self._last: dict[int, bytes] = {}  # of a doubled frame the second one says nothing
 
     @property
     def mapped(self) -> list[bytes]:
@@ -54,7 +60,11 @@ class Slaves:
         placed = (self._places[k] for k in sorted(self._places, reverse=True))
         return list(dict.fromkeys([*placed, *sorted(self.registers)]))
 
-    def write(self, command: int, address: int, data: bytes) -> bool:
+    def objects(self, station: int) -> Mapping[Key, int | str]:
+        """Mapping objects: those that were confirmed, or written in a capture without answers."""
+        return self.confirmed[station].values if self.answered else self.written.get(station, {})
+
+    def take(self, command: int, address: int, data: bytes) -> bool:
         """Whether a datagram changed what process data mean."""
         slave, register = address & 0xFFFF, address >> 16
         before = self._state(slave)
@@ -64,21 +74,38 @@ class Slaves:
             for station in list(self.registers) if command == BWR else [slave]:
                 memory = self.registers.setdefault(station, bytearray(_END))
                 memory[register : register + len(data)] = data[: _END - register]
-        elif register >= _MAILBOX and len(data) >= _MAIL.size:
-            kind, service, sdo, index, sub, value = _MAIL.unpack_from(data)
-            mapping = (
-                index in (INPUTS[1], OUTPUTS[1])
-                or 0x1600 <= index < 0x1800
-                or 0x1A00 <= index < 0x1C00
-            )
-            # expedited download
-            if mapping and kind & 15 == _COE and service >> 12 == _REQUEST and sdo & 0xE2 == 0x22:
-                size = 4 - (sdo >> 2 & 3) if sdo & 1 else 4
-                self.objects.setdefault(slave, {})[index, sub] = value & (1 << 8 * size) - 1
+        elif register >= MAILBOX and len(data) >= _MAIL.size:
+            kind, service, sdo = _MAIL.unpack_from(data)
+            transfer = (answer_of if command == FPRD else request_of)(sdo)
+            coe = kind & 15 == _COE and service >> 12 in _SERVICES
+            if not coe or transfer.index not in _MAPPING or self._last.get(slave) == sdo:
+                return False
+            self._last[slave] = sdo
+            if command == FPRD:
+                first, self.answered = bool(self.written) and not self.answered, True
+                return self.confirmed[slave].answered(transfer) or first
+            self.confirmed[slave].asked(transfer)
+            if transfer.kind == "write":
+                key = transfer.index, transfer.sub
+                self.written.setdefault(slave, {})[key] = transfer.number
+            if self.answered:
+                return False
         return before != self._state(slave)
 
+    def _entries(self, station: int, way: Way) -> Entries:
+        """The objects that a slave maps, and their bits; none without a whole mapping, with the
+        `problem` where it has one.
+        """
+        objects, pdos = self.objects(station), _values(self.objects(station), way[1])
+        words = [w for p in pdos for w in (_values(objects, p) if isinstance(p, int) else [p])]
+        unknown = [word for word in words if isinstance(word, str)]
+        if unknown and (way[1], 0) in objects:
+            self.problem = self.problem or f": station {station}: {unknown[0]}"
+        known = (word for word in words if isinstance(word, int) and not unknown)
+        return [((word >> 16, word >> 8 & 0xFF), word & 0xFF) for word in known]
+
     def _state(self, station: int) -> tuple[bytes, dict[Key, int]]:
-        return bytes(self.registers.get(station, b"")), dict(self.objects.get(station, {}))
+        return bytes(self.registers.get(station, b"")), dict(self.written.get(station, {}))
 
     def contradicts(self, other: "Slaves") -> int | None:
         """A station of which the other direction has other contents or another
@@ -96,15 +123,13 @@ class Slaves:
         Raises `ValueError`: lengths differ.
         """
         further, found = iter(stated), dict[int, tuple[Located, Located]]()
+        self.problem = ""
         for station in self.stations:
-            objects, registers = (
-                self.objects.get(station, {}),
-                bytes(self.registers.get(station, bytes(_END))),
-            )
-            inputs = _entries(objects, INPUTS) or (
+            registers = bytes(self.registers.get(station, bytes(_END)))
+            inputs = self._entries(station, INPUTS) or (
                 next(further, []) if any(registers[_FMMUS:_MANAGERS]) else []
             )
-            outputs = _places(station, registers, _entries(objects, OUTPUTS), OUTPUTS)
+            outputs = _places(station, registers, self._entries(station, OUTPUTS), OUTPUTS)
             found[station] = _places(station, registers, inputs, INPUTS), outputs
         return found
 
@@ -120,12 +145,15 @@ def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
             yield logical, physical, size
 
 
-def _entries(objects: Mapping[Key, int], way: Way) -> Entries:
-    """The objects that a slave maps, and their bits; none without a whole mapping."""
-    pdos = [objects.get((way[1], k + 1), 0) for k in range(objects.get((way[1], 0), 0))]
-    words = [objects.get((pdo, k + 1), 0) for pdo in pdos for k in range(objects.get((pdo, 0), 0))]
-    whole = all(words) and all((pdo, 0) in objects for pdo in pdos)
-    return [((word >> 16, word >> 8 & 0xFF), word & 0xFF) for word in words] if whole else []
+def _values(objects: Mapping[Key, int | str], index: int) -> list[int | str]:
+    """The values of an object with as many sub-indices as it says; words for what is not known."""
+    count = objects.get((index, 0))
+    subs = range(1, (count & 0xFF) + 1) if isinstance(count, int) else [0]
+    values = ((sub, objects.get((index, sub), "was not seen")) for sub in subs)
+    return [
+        value if value and isinstance(value, int) else f"{index:04X}:{sub} {value or 'is 0'}"
+        for sub, value in values
+    ]
 
 
 def spans(entries: Entries) -> Iterator[tuple[Key, int, int]]:

@@ -2,6 +2,7 @@
 PDO, object dictionaries.
 """
 
+from .dictionaries import IDENTITY, ObjectDictionary, load_dictionary
 from .objects import (
     ABORT_CONNECTION,
     BITS,
@@ -16,7 +17,6 @@ from .objects import (
     FOLLOWING_ERROR_WINDOW,
     HEARTBEAT,
     HEARTBEAT_TIME,
-    IDENTITY,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
     MOTION_LIMITS,
@@ -37,12 +37,10 @@ from .objects import (
     TEXTS,
     VELOCITY_ACTUAL,
     EffortCodec,
-    ObjectDictionary,
     ObjectEntry,
     PositionCodec,
     Rule,
     interpolation_period,
-    load_dictionary,
     object_type,
     position_units_per_turn,
     quick_stop_ramp,
@@ -76,13 +74,18 @@ from .transfers import (
     NOT_VALID,
     PARAMETERS,
     REQUEST,
+    SDO_OBJECTS,
+    Confirmed,
+    Key,
     Pdo,
     Transfer,
+    Values,
     abort_answer,
     answer_of,
     bus_load,
     check_answer,
     configuration,
+    contradicted,
     frame_bits,
     pdos_of,
     read_request,

@@ -1,19 +1,12 @@
-"""Objects of CiA 301 and CiA 402: indices, types, codecs between raw integers and SI, object
-dictionaries (EDS, DCF).
-"""
+"""Objects of CiA 301 and CiA 402: indices, types, codecs between raw integers and SI."""
 
-import configparser
-import io
-import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import BadInputError, Place
+from ..errors import BadInputError
 
 # Types of dictionaries by their number in CiA 301.
 INTEGERS = {2: "I8", 3: "I16", 4: "I32", 5: "U8", 6: "U16", 7: "U32"}
@@ -260,103 +253,4 @@ def interpolation_period(period_s: float) -> tuple[int, int]:
     expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
     raise BadInputError(
         problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected
-    )
-
-
-IDENTITY = 0x1018
-MAX_DICTIONARY_BYTES = 4 * 2**20
-# Keys of [DeviceInfo] that some files leave empty; the importer fails on an empty number.
-_EMPTY = re.compile(
-    r"^(VendorNumber|ProductNumber|RevisionNumber|NrOf[RT]XPDO|BaudRate_\d+|SimpleBootUp(?:Master|Slave)|Granularity"
-    r"|DynamicChannelsSupported|GroupMessaging|LSS_Supported)[ \t]*=[ \t]*(?=(?:;.*)?\r?$)",
-    re.IGNORECASE | re.MULTILINE,
-)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DictionaryEntry:
-    """An entry: `type` is I8 to U32, or empty if no PDO can carry it; `value` is the
-    DCF's value or the default.
-    """
-
-    type: str
-    writable: bool
-    value: int | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObjectDictionary:
-    """Entries by (index, sub-index), the identity in the file (0 if not stated), and warnings."""
-
-    entries: Mapping[tuple[int, int], DictionaryEntry]
-    vendor: int
-    product: int
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def identity(self) -> list[tuple[int, str, int]]:
-        """Vendor and product, if stated in 1018h or [DeviceInfo]: sub-index, name, number."""
-        found = []
-        for sub, name, number in ((1, "vendor", self.vendor), (2, "product", self.product)):
-            entry = self.entries.get((IDENTITY, sub))
-            if entry is not None and (entry.value or number):
-                found.append((sub, name, entry.value or number))
-        return found
-
-
-@lru_cache(maxsize=32)
-def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
-    """Types, access and values of an object dictionary (EDS or DCF, CiA 306)
-    by index and sub-index.
-
-    `data` is the file's content, `node` replaces `$NODEID`. Raises `BadInputError` with
-    `place`, the file's name, and the line: the file cannot be read, holds an entry
-    twice, or holds no objects.
-    """
-    import logging
-
-    import canopen
-    from canopen import objectdictionary
-
-    file = Place(place)
-    # Its warnings about readable files would be printed between our own output.
-    logging.getLogger("canopen").addHandler(logging.NullHandler())
-    if len(data) > MAX_DICTIONARY_BYTES:
-        file.refuse(text=f"{len(data)} bytes", expected=f"{MAX_DICTIONARY_BYTES} at most")
-    text = data.decode("utf-8-sig", errors="replace")
-    empty = [(text.count("\n", 0, found.start()) + 1, found[1]) for found in _EMPTY.finditer(text)]
-    source = io.StringIO(_EMPTY.sub(r"\g<0>0x0 ", text))
-    source.name = "dictionary.eds"  # the importer selects the format by the suffix
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = canopen.import_od(source, node)
-    except (configparser.DuplicateOptionError, configparser.DuplicateSectionError) as error:
-        option = getattr(error, "option", None)
-        problem = f"[{error.section}] {'is there' if option is None else f'holds {option!r}'} twice"
-        Place(f"{place}: line {error.lineno}").refuse(text=problem, expected="once; remove one")
-    except Exception as error:  # on a damaged file the importer raises errors of any kind
-        problem = str(error) or type(error).__name__
-        file.refuse(text=f"not a readable EDS or DCF: {problem[:200]}")
-    entries = {}
-    for item in found.values():
-        parts = [item] if isinstance(item, objectdictionary.ODVariable) else list(item.values())
-        for part in parts:
-            value = part.value if part.value is not None else part.default
-            entries[part.index, part.subindex] = DictionaryEntry(
-                type=INTEGERS.get(part.data_type or 0, ""),
-                writable="w" in (part.access_type or ""),
-                value=value if isinstance(value, int) else None,
-            )
-    if not entries:
-        file.refuse(text="holds no objects", expected="an EDS or DCF")
-    about = found.device_information
-    return ObjectDictionary(
-        entries=entries,
-        vendor=about.vendor_number or 0,
-        product=about.product_number or 0,
-        warnings=tuple(
-            f"{place}: line {line}: {key} is empty: read as 0, which is not checked"
-            for line, key in empty
-        ),
     )

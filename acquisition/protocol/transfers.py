@@ -7,7 +7,8 @@ scan reads in segments.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 from ..errors import NoAnswerError, Place, SdoAbortedError
 from .objects import BITS, ObjectEntry
@@ -15,6 +16,8 @@ from .objects import BITS, ObjectEntry
 NOT_VALID = 1 << 31
 MAX_PDO_BITS, MAX_PDOS = 64, 0x200
 ON_SYNC = 1  # transmission type: at every SYNC
+Key: TypeAlias = tuple[int, int]  # index and sub-index
+Values: TypeAlias = Mapping[Key, int | str]  # numbers, or words that say why one is not known
 # Communication and mapping parameters by direction: from the drive, to the drive.
 PARAMETERS = {"tpdo": (0x1800, 0x1A00), "rpdo": (0x1400, 0x1600)}
 USUAL_CAN_ID = {"tpdo": 0x180, "rpdo": 0x200}  # of the first; 0x100 more for each of the next three
@@ -93,33 +96,61 @@ def configuration(direction: str, pdo: Pdo) -> Iterator[tuple[int, int, int, int
 
 def pdos_of(
     direction: str,
-    values: Mapping[tuple[int, int], int],
-    types: Mapping[tuple[int, int], str],
+    values: Values,
+    types: Mapping[Key, str],
     place: str,
 ) -> tuple[Pdo, ...]:
-    """PDOs that `values` of a dictionary's parameters describe, without disabled ones and
-    identifier 0; `types` by object.
+    """PDOs that `values` of a dictionary's parameters describe, without disabled ones, identifier 0
+    and those whose identifier or number of entries is not known; `types` by object.
+
+    Raises `BadInputError` with the sub-index of an entry that is not known, or that no PDO of
+    whole bytes can hold: the objects behind it would be at other bytes.
     """
     communication, mapping = PARAMETERS[direction]
     found = []
     for index in sorted({i for i, _ in values if communication <= i < communication + MAX_PDOS}):
         can_id, number = values.get((index, 1)), index - communication + 1
         count = values.get((mapping + number - 1, 0), 0)
-        if can_id is None or can_id & NOT_VALID or not can_id & _IDENTIFIER or not count:
+        if (
+            not (count and isinstance(count, int) and isinstance(can_id, int))
+            or can_id & NOT_VALID
+            or not can_id & _IDENTIFIER
+        ):
             continue
         entries = []
         for k in range(1, count + 1):
-            word = values.get((mapping + number - 1, k))
+            word = values.get((mapping + number - 1, k), "is not known")
+            at = f"{direction} {number}: {mapping + number - 1:04X}:{k}"
+            if isinstance(word, str):
+                way_out = f"all {count} entries, or the PDOs in robot.toml (mapping = 'table')"
+                Place(place).refuse(text=f"{at} {word}", expected=way_out)
             if not word:
                 continue
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
             if BITS.get(kind) != word & 0xFF:
-                problem = f"{direction} {number}: {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
+                problem = f"{at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
                 Place(place).refuse(text=problem, expected="whole bytes of its own type")
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
     return tuple(found)
+
+
+def contradicted(direction: str, pdo: Pdo, values: Values) -> list[tuple[Key, int]]:
+    """Return the mapping parameters of `values` that say something else of the PDO with its
+    identifier.
+    """
+    communication, mapping = PARAMETERS[direction]
+    stated = (len(pdo.entries), *(entry.mapping for entry in pdo.entries))
+    keys = [
+        (index - communication + mapping, k)
+        for (index, sub), value in values.items()
+        if communication <= index < communication + MAX_PDOS and sub == 1
+        if isinstance(value, int) and value & (NOT_VALID | _IDENTIFIER) == pdo.can_id
+        for k in range(len(stated))
+    ]
+    found = ((key, values.get(key)) for key in keys)
+    return [(key, n) for key, n in found if isinstance(n, int) and n != stated[key[1]]]
 
 
 def frame_bits(length: int) -> int:
@@ -228,15 +259,71 @@ def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
     return answer.number
 
 
+# What says what a device has mapped: parameters of PDOs, their storage and their defaults, both by
+# sub-index 1 of all parameters and 2 of those of communication.
+STORE, RESTORE = 0x1010, 0x1011
+SDO_OBJECTS = (STORE, RESTORE, *range(0x1400, 0x1C00))
+
+
+@dataclass(kw_only=True)
+class Confirmed:
+    """Values of a device by (index, sub-index) as its answers to another client say (CiA 301,
+    7.2.4); words where a value is not known, and why.
+
+    A write counts with its positive answer, and until the next start of the device unless it was
+    `stored`. `refused`: what it refused last, in words.
+    """
+
+    values: dict[Key, int | str] = field(default_factory=dict)
+    refused: str = ""
+    stored: dict[Key, int | str] = field(default_factory=dict)
+    # what was written without an answer so far, and what was there before
+    _asked: dict[Key, tuple[int | str, int | str]] = field(default_factory=dict)
+
+    def asked(self, request: Transfer) -> None:
+        """Take a request: what it writes is not known before its answer."""
+        key, several = (request.index, request.sub), "was written in several frames"
+        if request.kind in ("write", "other"):
+            written = request.number if request.kind == "write" else several
+            self._asked[key] = written, self.values.get(key, "was not seen")
+            self.values[key] = "was written, but no answer was seen"
+
+    def answered(self, answer: Transfer) -> bool:
+        """Take an answer; whether the device has another value from then on."""
+        key, unseen = (answer.index, answer.sub), "was written, but the write was not seen"
+        now = self.values.get(key, "was not seen")
+        written, before = self._asked.pop(key, (unseen, now))
+        if answer.kind == "abort":
+            refusal = f"was refused by the drive (0x{answer.number:08X})"
+            self.refused = f"{key[0]:04X}:{key[1]} {refusal}"
+            now = before if isinstance(before, int) else refusal
+        self.values[key] = {"written": written, "value": answer.number}.get(answer.kind, now)
+        if answer.kind == "written" and key[0] in (STORE, RESTORE) and key[1] in (1, 2):
+            self.stored = dict(self.values) if key[0] == STORE else {}
+        # What is read for the first time has been there before.
+        known = answer.kind == "written" or isinstance(before, int)
+        return known and self.values[key] != before and key[0] not in (STORE, RESTORE)
+
+    def started(self) -> bool:
+        """Take a start of the device; whether it has other values from then on."""
+        before, self.values, self._asked = self.values, dict(self.stored), {}
+        return before != self.values
+
+
 def _frame(command: int, index: int, sub: int, data: bytes) -> bytes:
     return bytes((command, index & 0xFF, index >> 8, sub)) + data.ljust(4, b"\0")
 
 
 def _read(data: bytes, kinds: dict[int, str]) -> Transfer:
-    kind = kinds.get(data[0] >> 5, "other") if len(data) == 8 else "other"
-    if kind == "other" or (kind in ("write", "value") and not data[0] & 2):
+    if len(data) != 8:
         return Transfer(kind="other")
-    index, sub = int.from_bytes(data[1:3], "little"), data[3]
+    kind, index, sub = (
+        kinds.get(data[0] >> 5, "other"),
+        int.from_bytes(data[1:3], "little"),
+        data[3],
+    )
+    if kind in ("write", "value") and not data[0] & 2:
+        return Transfer(kind="other", index=index, sub=sub)
     if kind in ("write", "value"):
         size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
         return Transfer(kind=kind, index=index, sub=sub, data=data[4 : 4 + size])

@@ -2,6 +2,7 @@
 
 from .decoding import Decoded, decode, joint_samples, refuse_period
 from .following import RecordingFollower
+from .mapped import resolve_mapped
 from .marks import add_mark, take_marks
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
 from .rows import (
@@ -17,7 +18,6 @@ from .rows import (
     gaps,
     in_parts,
     sample_dtype,
-    written_by_master,
 )
 from .summary import as_tables, overview
 from .sync_grid import minimum_ahead

@@ -14,8 +14,9 @@ from ..errors import BadInputError, Place
 from ..robot import resolve, robot_from_files
 from .content import GrowingContent
 from .decoding import decode
+from .mapped import resolve_mapped
 from .reader import READ_TOPICS, Event, Health, check_metadata, events_of, rows_of
-from .rows import FRAME, Block, Traffic, written_by_master
+from .rows import FRAME, Block, Traffic
 from .sync_grid import MAX_RUN_SYNCS, MIN_PAUSE_PERIODS
 from .writer import FRAMES_TOPIC
 
@@ -88,7 +89,7 @@ class RecordingFollower:
         )
         if self._bus is None:
             with suppress(BadInputError):  # the master has not mapped all drives yet
-                self._bus = resolve(self.robot, str(self._path), written_by_master(self._frames))
+                self._frames, self._bus = resolve_mapped(self._frames, self.robot, str(self._path))
         elif first > 0:
             self._frames, sync_ns = self._frames[sync_rows[first] :], sync_ns[first:]
         if self._bus is None or len(sync_ns) < 2:

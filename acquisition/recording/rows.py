@@ -2,7 +2,7 @@
 checks; frames by PDO.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..arrays import Ints
 from ..errors import Place
 from ..files import release_pages
-from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
+from ..protocol import ObjectEntry, Pdo
 
 # One raw CAN frame; `data` beyond `length` is zero.
 CAPTURE_TOPIC = "/ethercat/frames"
@@ -190,23 +190,6 @@ class Traffic:
             values[part] = column[rows[part]]
             release_pages(self.frames)
         return values
-
-
-def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]:
-    """Values that a master wrote to communication and mapping parameters (1400h to 1BFFh), by node;
-    the last write counts.
-    """
-    values: dict[int, dict[tuple[int, int], int]] = {}
-    ids = Traffic(frames).ids
-    low, high = min(p[0] for p in PARAMETERS.values()), 0x1BFF
-    requests = frames[np.flatnonzero((ids > REQUEST) & (ids < REQUEST + 128))]
-    for row in requests[requests["length"] == 8]:
-        transfer = request_of(row["data"].tobytes())
-        if transfer.kind == "write" and low <= transfer.index <= high:
-            values.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = (
-                transfer.number
-            )
-    return values
 
 
 def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:

@@ -106,7 +106,7 @@ class DriveFile(TomlTable, frozen=True):
         note("what shows that the drive is homed: a set bit, 6041.8, or an object not 0, 2000:1"),
     ] = None
     mapping: Annotated[
-        Mapping, note("source of the PDOs: this table, a DCF, or the master's SDO writes")
+        Mapping, note("source of the PDOs: this table, a DCF, or what the drives confirmed by SDO")
     ] = "table"
     tpdo: Annotated[
         tuple[PdoFile, ...], note("PDOs from the drive (default: status, position, effort)")

@@ -16,8 +16,6 @@ FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs hav
 # of the position and of its target; codecs and the unwrapping of counters depend on it
 POSITION_TYPE = "I32"
 
-Values = Mapping[tuple[int, int], int]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
@@ -61,10 +59,11 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bus:
-    """The bus and its drives, in the order of the motors."""
+    """The bus and its drives, in the order of the motors; `notes` are warnings about their PDOs."""
 
     file: BusFile
     drives: tuple[Drive, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def period_ns(self) -> int:
@@ -79,11 +78,9 @@ class Bus:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about the drives' dictionaries."""
-        dictionaries = [drive.dictionary for drive in self.drives if drive.dictionary is not None]
-        return tuple(
-            dict.fromkeys(text for dictionary in dictionaries for text in dictionary.warnings)
-        )
+        """Warnings about the drives' dictionaries and PDOs."""
+        texts = [drive.dictionary.warnings for drive in self.drives if drive.dictionary is not None]
+        return tuple(dict.fromkeys((*(text for some in texts for text in some), *self.notes)))
 
     @property
     def provenance(self) -> str:

@@ -1,5 +1,6 @@
 """Resolves `[bus]` and the object dictionaries to PDOs and codecs of every drive."""
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -8,23 +9,32 @@ from .. import protocol as cia
 from ..errors import Place
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
-from .drives import POSITION_TYPE, Bus, Drive, Values, effort_scale, refuse_counts, refuse_pdos
+from .drives import POSITION_TYPE, Bus, Drive, effort_scale, refuse_counts, refuse_pdos
 from .robot import Robot
 
 Entry = Callable[[str, str], cia.ObjectEntry]  # from a key of the description and an object's name
 
 
-def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
+def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | None = None) -> Bus:
     """The drives of `robot` with their PDOs and codecs.
 
-    `traffic` are values that another master wrote, by node and (index, sub), for drives with
-    `mapping = "traffic"`.
+    `traffic` is what the drives of a log confirmed, by node: for drives with `mapping = "traffic"`,
+    and for a warning where another mapping is not that.
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")
-    bus = Bus(
-        file=robot.bus, drives=tuple(_drive(robot, i, place, traffic) for i in range(robot.n))
+    seen = defaultdict(cia.Confirmed, traffic or {})
+    drives = tuple(_drive(robot, i, place, traffic) for i in range(robot.n))
+    contradictions = tuple(
+        f"bus.drive[{i}]: {drive.name} confirmed {index:04X}:{sub} = 0x{number:X}, which is not "
+        f"{way} {pdo.number} (0x{pdo.can_id:X}) by mapping = {robot.bus.drive[i].mapping!r}: "
+        "correct it"
+        for i, drive in enumerate(drives)
+        for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos))
+        for pdo in pdos
+        for (index, sub), number in cia.contradicted(way, pdo, seen[drive.node].values)
     )
+    bus = Bus(file=robot.bus, drives=drives, notes=contradictions)
     refuse_pdos(bus, place)
     for i, file in enumerate(robot.bus.drive):
         refuse_counts(robot, i, file, Place(place, f"bus.drive[{i}]"))
@@ -43,7 +53,7 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
     return float(sum(r * value for r, value in moved))
 
 
-def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | None) -> Drive:
+def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed] | None) -> Drive:
     assert robot.bus is not None
     file, motor, files, at = (
         robot.bus.drive[i],
@@ -52,6 +62,7 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         Place(place, f"bus.drive[{i}]"),
     )
     dictionary, types = None, dict(cia.STANDARD)
+    confirmed = (traffic or {}).get(file.node, cia.Confirmed())
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)
         if label not in files:
@@ -65,9 +76,9 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         number = parse_object(name)
         listed = dictionary is None or number in dictionary.entries or number in written
         if number not in types or not listed:
-            why = (
-                f"{file.dictionary} does not contain it" if dictionary else "its type is not known"
-            )
+            found = dictionary.entries.get(number) if dictionary is not None else None
+            why = (found and found.problem) or "its type is not known"
+            why = why if found or dictionary is None else f"{file.dictionary} does not contain it"
             at.refuse(key, name, "an object of the drive, or one in objects", text=why)
         return cia.ObjectEntry(index=number[0], sub=number[1], type=types[number])
 
@@ -80,13 +91,14 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
             at.refuse(key, getattr(file, key), POSITION_TYPE, text=f"is {found.type}")
     extras = tuple(entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
     measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
+    source = confirmed.values if file.mapping == "traffic" else {}
     if file.mapping == "table":
         tpdos = _pdos("tpdo", file, tuple(dict.fromkeys((status, *measured))), entry, at)
         rpdos = _pdos("rpdo", file, (control, target), entry, at)
     else:
-        source = (traffic or {}).get(file.node, {})
         if file.mapping == "dictionary" and dictionary is not None:
-            source = {key: e.value for key, e in dictionary.entries.items() if e.value is not None}
+            read = ((key, e.problem or e.value) for key, e in dictionary.entries.items())
+            source = {key: value for key, value in read if value is not None}
         tpdos, rpdos = (
             cia.pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo")
         )
@@ -117,7 +129,13 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         if (traffic is not None or file.mapping != "traffic") and drive.carrier(
             needed, "tpdo"
         ) is None:
-            problem = f"{at.table}.mapping: no PDO from the drive carries {needed}"
+            unknown = [
+                f": {index:04X}:{sub} {text}"
+                for (index, sub), text in source.items()
+                if isinstance(text, str) and 0x1800 <= index < 0x1C00
+            ]
+            why = next(iter(unknown), confirmed.refused and f": {confirmed.refused}")
+            problem = f"{at.table}.mapping: no PDO from the drive carries {needed}{why}"
             Place(at.name).refuse(text=problem, expected=f"one ({file.mapping})")
     return drive
 

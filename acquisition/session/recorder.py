@@ -155,7 +155,7 @@ class Recorder:
         )
         with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
-                self._bus = resolve(self._robot, self._place, recording.written_by_master(recent))
+                recent, self._bus = recording.resolve_mapped(recent, self._robot, self._place)
             decoded = recording.decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
             q = decoded.samples["position"]
             low = tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist())
@@ -228,9 +228,8 @@ def write_decoded(
     why there are no samples.
     """
     try:
-        decoded = recording.decode(
-            frames, robot, resolve(robot, place, recording.written_by_master(frames)), place
-        )
+        mapped, bus = recording.resolve_mapped(frames, robot, place)
+        decoded = recording.decode(mapped, robot, bus, place)
     except BadInputError as error:
         writer.event(stamp_ns, "warning", f"{recording.NO_SAMPLES}{error.args[0]}")
         return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=error.args[0])

@@ -34,7 +34,7 @@ from ..recording import (
     Block,
     Recording,
     read_recording,
-    written_by_master,
+    resolve_mapped,
 )
 from ..robot import (
     FILL_IN,
@@ -374,7 +374,7 @@ def from_drives(recording: Recording, place: str) -> Block:
     if not recording.frames:
         raise BadInputError("holds no CAN frames", place=place, expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    bus = resolve(recording.robot, f"{place}: robot.toml", written_by_master(frames))
+    _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")
     ids = [bus.file.sync_can_id]
     for drive in bus.drives:
         ids += [pdo.can_id for pdo in drive.tpdos]

@@ -182,6 +182,8 @@ class SimulatedNode:
                     value & 0xFF
                 ):
                     return "object cannot be mapped to a PDO"
+                if not sub and any((index, k) not in self.values for k in range(1, value + 1)):
+                    return "value out of range"
                 bits = (
                     sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1))
                     if not sub

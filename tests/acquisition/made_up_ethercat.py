@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-APWR, FPWR, LRD, LWR, LRW, ARMW, FRMW = 2, 5, 10, 11, 12, 13, 14
+APWR, FPRD, FPWR, LRD, LWR, LRW, ARMW, FRMW = 2, 4, 5, 10, 11, 12, 13, 14
 INPUTS = [(0x6041, 16), (0x6061, 8), (0, 8), (0x6064, 32), (0x6077, 16)]
 OUTPUTS = [(0x6040, 16), (0x607A, 32), (0x6060, 8), (0, 8)]
 # of cycle 0, by the capture and by distributed clocks
@@ -26,6 +26,7 @@ class Bus:
     clock: int = 0  # bytes of the distributed clocks' time that each cycle reads
     transfer: bool = True  # of the mapping, by SDO
     couplers: int = 0  # slaves without process data before the drives
+    answers: bool = True  # to SDO, which the master reads out of the mailbox
     silent: range = range(0)  # cycles in which the last drive does not answer
     stations: list[int] = field(default_factory=list)
 
@@ -111,17 +112,30 @@ class Bus:
                     yield struct.pack("<BHBI", 0x2B if size == 2 else 0x23, index, k + 1, value)
                 yield struct.pack("<BHBI", 0x2F, index, 0, len(values))
 
+    def answer(self, station: int, sdo: bytes) -> bytes | None:
+        """Of a slave to a write by SDO; None: it is not in the capture."""
+        return b"\x60" + sdo[1:4] + bytes(4) if self.answers else None
+
+    def datagrams(self) -> Iterable[tuple[int, int, bytes, bytes]]:
+        """Command, address and data, out and back, of those that configure the bus."""
+        for command, address, data in self.writes():
+            yield command, address, data, data
+            station, sdo = address & 0xFFFF, data[8:16]
+            answer = self.answer(station, sdo) if address >> 16 == 0x1000 else None
+            if answer is not None:
+                abort = answer[0] == 0x80  # which CoE calls a request
+                mail = struct.pack("<HHBBH", 10, 0, 0, 0x13, (2 if abort else 3) << 12) + answer
+                yield FPRD, station | 0x1080 << 16, bytes(128), mail.ljust(128, b"\0")
+
     def start(self) -> list[Packet]:
         """The configuration, out and back."""
         packets, time_ns = [], BEGIN_NS - 10**9
-        for index, (command, address, data) in enumerate(self.writes()):
+        for index, (command, address, data, got) in enumerate(self.datagrams()):
             back = address
             if command == APWR:
                 back = address & ~0xFFFF | ((address & 0xFFFF) + len(self.stations)) & 0xFFFF
             packets.append((time_ns, self.frame(True, [(command, address, data, 0)], index)))
-            packets.append(
-                (time_ns + BACK_NS, self.frame(False, [(command, back, data, 1)], index))
-            )
+            packets.append((time_ns + BACK_NS, self.frame(False, [(command, back, got, 1)], index)))
             time_ns += 100_000
         return packets
 

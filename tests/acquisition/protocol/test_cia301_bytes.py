@@ -34,7 +34,7 @@ def data(text: str) -> bytes:
         ("42 00 10 00 92 01 02 80", "value", (0x1000, 0), 0x80020192),
         ("60 40 60 00 00 00 00 00", "written", (0x6040, 0), 0),
         ("80 00 20 00 00 00 02 06", "abort", (0x2000, 0), 0x06020000),
-        ("41 08 10 00 0A 00 00 00", "other", (0, 0), 0),  # a segmented answer begins: 10 bytes
+        ("41 08 10 00 0A 00 00 00", "other", (0x1008, 0), 0),  # 10 bytes, which follow
     ],
 )
 def test_sdo_answers_read(text, kind, key, value):
@@ -124,7 +124,7 @@ def test_pdos_that_are_switched_off(change):
 
 
 def test_objects_in_pdos_by_their_bits():
-    unknown = {(0x1800, 1): 0x185, (0x1A00, 0): 2, (0x1A00, 1): 0x20000120}
+    unknown = {(0x1800, 1): 0x185, (0x1A00, 0): 2, (0x1A00, 1): 0x20000120, (0x1A00, 2): 0}
     (pdo,) = pdos_of("tpdo", unknown, {}, "x")
     # the second place is empty
     assert pdo.entries == (ObjectEntry(index=0x2000, sub=1, type="U32"),)

@@ -15,9 +15,8 @@ from acquisition.recording import (
     Decoded,
     decode,
     gaps,
-    written_by_master,
+    resolve_mapped,
 )
-from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
 BUS = bus_of(ROBOT)
@@ -169,7 +168,8 @@ def test_traffic_of_a_third_party_is_decoded_exactly():
         "65536", "6553600"
     )
     robot = robot_of(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
-    bus = resolve(robot, "robot.toml", written_by_master(frames))
+    frames, bus = resolve_mapped(frames, robot, "robot.toml")
+    assert bus.warnings == ()
     found, k = decode(frames, robot, bus, "log"), np.arange(1, 300)
     for i, (node, drive) in enumerate(zip((5, 6), bus.drives, strict=True)):
         w = 2 * np.pi * (0.2 + 0.05 * node)
