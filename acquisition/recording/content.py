@@ -3,6 +3,9 @@ meaning of its content.
 
 mcap's own readers are not used: they raise the same errors for a cut and for damage, do not check
 the CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
+
+Other programs write recordings again (`mcap recover`, `filter`, `merge`, `compress`): chunks may be
+compressed by zstd or lz4 or not at all, and messages may stand outside of chunks.
 """
 
 import hashlib
@@ -12,7 +15,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO, NoReturn, TypeAlias
 
 import mcap.records
 import zstandard
@@ -29,9 +32,30 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 # bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
 _MAX_CHUNK_BYTES = 64 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
+# Records that stand in chunks, or outside of them.
+_OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
 Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
-_DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
+# lz4 raises RuntimeError
+_DAMAGE = (
+    McapError,
+    zstandard.ZstdError,
+    RuntimeError,
+    struct.error,
+    ValueError,
+    MemoryError,
+    OverflowError,
+)
+
+
+class _ForeignError(ValueError):
+    """What another program may write, and is neither a recording of ours nor damage."""
+
+
+def _told(error: Exception, at: int) -> str:
+    """What is wrong with the record at byte `at`."""
+    text = str(error) or type(error).__name__
+    return text if isinstance(error, _ForeignError) else f"damaged at byte {at}: {text}"
 
 
 class Messages:
@@ -99,9 +123,7 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
                 # the last record of a cut file: incomplete, followed by nothing or by
                 # unwritten disk space
                 break
-            raise BadInputError(
-                f"damaged at byte {at}: {str(error) or type(error).__name__}", place=place
-            ) from error
+            raise BadInputError(_told(error, at), place=place) from error
     if records.has_end and not found.complete:
         raise BadInputError(
             "damaged: it has an end, but the records before do not lead to it", place=place
@@ -133,17 +155,19 @@ class _Found:
             record = mcap.records.Metadata.read(_stream(content))
             if record.name == self._name:
                 if self.metadata is not None:
-                    raise ValueError(f"a second metadata record {self._name!r}")
+                    _refuse_twice(f"metadata record {self._name!r}")
                 self.metadata = dict(record.metadata)
                 self._accept(self.metadata, self._place)
         elif opcode == Opcode.ATTACHMENT:
             record = mcap.records.Attachment.read(_stream(content))
             _check_crc(zlib.crc32(content[:-4]), content[-4:])
             if record.name in self.attachments:
-                raise ValueError(f"a second attachment {record.name!r}")
+                _refuse_twice(f"attachment {record.name!r}")
             self.attachments[record.name] = record.data
         elif opcode == Opcode.CHUNK:
             self.chunks.add(mcap.records.Chunk.read(_stream(content)))
+        elif opcode in _OF_CHUNKS:
+            self.chunks.add_record(opcode, content, 0, len(content))
         elif opcode == Opcode.DATA_END:
             if crc_before is not None:
                 _check_crc(crc_before, content[:4])
@@ -185,9 +209,7 @@ class GrowingContent:
             try:
                 self.found.add(opcode, data[begin:end])
             except _DAMAGE as error:
-                raise BadInputError(
-                    f"damaged at byte {before + begin}: {error}", place=place
-                ) from error
+                raise BadInputError(_told(error, before + begin), place=place) from error
             self._at = before + end
         return self._at > before
 
@@ -287,33 +309,55 @@ class _Chunks:
         if self._size > _MAX_TOTAL_BYTES:
             raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
         for opcode, begin, end in _records(content):
-            if opcode == Opcode.MESSAGE:
-                number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
-                if number not in self._channels:
-                    raise ValueError(f"a message on channel {number}, which is not described")
-                topic = self._channels[number]
-                if topic is not None:
-                    self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
-            elif opcode == Opcode.SCHEMA:
-                schema = mcap.records.Schema.read(_stream(content[begin:end]))
-                self._schemas[schema.id] = schema.data.decode()
-            elif opcode == Opcode.CHANNEL:
-                channel = mcap.records.Channel.read(_stream(content[begin:end]))
-                layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
-                if self._wanted(channel.topic):
-                    self._channels[channel.id] = channel.topic
-                    if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
-                        raise ValueError(f"{channel.topic} changes its layout")
+            self.add_record(opcode, content, begin, end)
+
+    def add_record(self, opcode: int, content: bytes, begin: int, end: int) -> None:
+        """Add the record that is the part of `content` from `begin` to `end`."""
+        if opcode == Opcode.MESSAGE:
+            number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
+            if number not in self._channels:
+                raise ValueError(f"a message on channel {number}, which is not described")
+            topic = self._channels[number]
+            if topic is not None:
+                self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
+        elif opcode == Opcode.SCHEMA:
+            schema = mcap.records.Schema.read(_stream(content[begin:end]))
+            self._schemas[schema.id] = schema.data.decode(errors="replace")  # bytes of other topics
+        elif opcode == Opcode.CHANNEL:
+            channel = mcap.records.Channel.read(_stream(content[begin:end]))
+            layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
+            if self._wanted(channel.topic):
+                self._channels[channel.id] = channel.topic
+                if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
+                    raise _ForeignError(
+                        f"{channel.topic} changes its layout: expected one recording, not merged "
+                        "with other files"
+                    )
+
+
+def _refuse_twice(what: str) -> NoReturn:
+    raise _ForeignError(f"has a second {what}: expected one recording, not several merged ones")
 
 
 def _unpack(chunk: Any) -> bytes:
-    if chunk.compression != "zstd":
-        raise ValueError(f"compression {chunk.compression!r}: expected 'zstd'")
-    size = zstandard.get_frame_parameters(chunk.data).content_size
-    if size != chunk.uncompressed_size or size > _MAX_CHUNK_BYTES:
-        raise ValueError(
-            f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)}"
-        )
-    content: bytes = zstandard.decompress(chunk.data)
+    """The records of a chunk.
+
+    Neither format need state its size, so no more is unpacked than the chunk does.
+    """
+    size, content = chunk.uncompressed_size, chunk.data
+    if size > _MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk of {size} bytes: expected {_MAX_CHUNK_BYTES} at most")
+    if chunk.compression == "zstd":
+        unpacked = zstandard.ZstdDecompressor().stream_reader(content, read_across_frames=True)
+        content = unpacked.read(size + 1)
+    elif chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        content = LZ4FrameDecompressor().decompress(content, max_length=size + 1)
+    elif chunk.compression:
+        text = f"has chunks compressed by {chunk.compression!r}"
+        raise _ForeignError(f"{text}: expected 'zstd', 'lz4' or none: `mcap compress` writes zstd")
+    if len(content) != size:
+        raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
-    return content
+    return bytes(content)

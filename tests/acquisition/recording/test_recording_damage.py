@@ -216,14 +216,14 @@ def test_files_that_are_no_recording_are_refused_in_one_line(
     ("change", "message"),
     [
         (lambda writer: writer.add_metadata("recording", GOOD),
-         "damaged at byte .* a second metadata record 'recording'"),
+         "has a second metadata record 'recording': expected one recording, not several"),
         (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""),
-         r"a second attachment 'robot\.toml'"),
+         r"has a second attachment 'robot\.toml'"),
         (lambda writer: writer.add_message(7, 0, b"", 0),
          "a message on channel 7, which is not described"),
     ],
 )  # fmt: skip
-def test_what_stands_twice_or_belongs_to_nothing_is_damage(tmp_path, robot, change, message):
+def test_what_stands_twice_or_belongs_to_nothing_is_refused(tmp_path, robot, change, message):
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = described(file, GOOD, robot.files)
         change(writer)
