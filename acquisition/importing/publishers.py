@@ -1,9 +1,11 @@
 """Two publishers of one topic: states that alternate between two sources."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import Place
+from ..files import BLOCK_ROWS, by_rows
 from .stamps import smallest_difference
 
 WINDOW = 16  # rows
@@ -20,10 +22,8 @@ def refuse_several_publishers(
     """Refuse alternating states of two publishers: single rows without effort, or every other row
     far from its neighbours.
     """
-    zero = np.asarray(~effort.any(axis=1))
-    large = np.asarray(
-        (np.abs(effort) > MIN_PUBLISHER_QUANTA * smallest_difference(effort)).any(axis=1)
-    )
+    least, zero = MIN_PUBLISHER_QUANTA * smallest_difference(effort), ~effort.any(axis=1)
+    large = by_rows(lambda x: (np.abs(x) > least).any(axis=1), effort) > 0
     single = zero[1:-1] & large[:-2] & large[2:]
     expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
     if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
@@ -50,19 +50,26 @@ def _alternating_share(x: Array) -> Array:
     Rounded values sometimes alternate by one quantum, so several quanta are required. Values held
     for a row, as of an encoder slower than the log, do not alternate.
     """
-    rows = max(0, len(x) - 2) // WINDOW * WINDOW
-    steps, windows = (
-        np.diff(x, n=n, axis=0)[:rows].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2)
-    )
-    if not len(windows):
+    count, least = max(0, len(x) - 2) // WINDOW, smallest_difference(x)
+
+    def alternating(first: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Whether the windows from the rows `first` on alternate."""
+        rows = x[first[0] : first[-1] + WINDOW + 2]
+        steps, windows = (
+            np.diff(rows, n=n, axis=0)[: len(first) * WINDOW].reshape(-1, WINDOW, x.shape[1])
+            for n in (1, 2)
+        )
+        energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
+        half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
+        large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * least
+        return np.asarray(
+            large
+            & ((steps == 0).mean(axis=1) < 0.4)
+            & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
+        )
+
+    if not count:
         return np.zeros(x.shape[1])
-    energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
-    half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
-    large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * smallest_difference(x)
-    alternating = (
-        large
-        & ((steps == 0).mean(axis=1) < 0.4)
-        & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
-    )
+    found = by_rows(alternating, WINDOW * np.arange(count), at_once=BLOCK_ROWS // WINDOW)
     # two may be chance
-    return np.asarray(np.maximum(alternating.sum(axis=0) - 2, 0) / len(windows))
+    return np.asarray(np.maximum(found.sum(axis=0) - 2, 0) / count)

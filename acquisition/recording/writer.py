@@ -23,8 +23,9 @@ from typing import Any, Self
 import msgspec
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import Place
+from ..files import BLOCK_ROWS
 from ..robot import EffortTiming, Payload, Robot
 from .rows import CAPTURE_TOPIC, FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
 
@@ -213,6 +214,20 @@ class RecordingWriter:
             self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
             if "reference" in (part.dtype.names or ()):
                 self._joint_states("/joint_states/reference", shown, "reference", False)
+
+    def columns(self, stamp_ns: Array | Ints, values: Mapping[str, Array]) -> None:
+        """Add samples at stamps (N,) of `values` (N, n) by field, block by block: hours of them do
+        not fit in memory.
+        """
+        reference = "reference" in values
+        layout = sample_dtype(self._robot.n, reference=reference, optional=values)
+        for first in range(0, len(stamp_ns), BLOCK_ROWS):
+            part = slice(first, first + BLOCK_ROWS)
+            rows = np.empty(len(stamp_ns[part]), layout)
+            rows["stamp_ns"] = stamp_ns[part]
+            for name, column in values.items():
+                rows[name] = column[part]
+            self.samples(rows)
 
     def frames(self, channel: str, block: Block) -> None:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""

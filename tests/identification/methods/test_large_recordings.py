@@ -14,7 +14,7 @@ from identification.regression import Overrides
 @pytest.fixture
 def everything_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", 1000)
-    monkeypatch.setattr(on_disk, "_BLOCK_ROWS", 999)
+    monkeypatch.setattr(on_disk, "BLOCK_ROWS", 999)
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
 
 
