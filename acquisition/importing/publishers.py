@@ -22,7 +22,8 @@ def refuse_several_publishers(
     """Refuse alternating states of two publishers: single rows without effort, or every other row
     far from its neighbours.
     """
-    least, zero = MIN_PUBLISHER_QUANTA * smallest_difference(effort), ~effort.any(axis=1)
+    least = MIN_PUBLISHER_QUANTA * smallest_difference(effort)
+    zero = np.asarray(~effort.any(axis=1))
     large = by_rows(lambda x: (np.abs(x) > least).any(axis=1), effort) > 0
     single = zero[1:-1] & large[:-2] & large[2:]
     expected = "one publisher: record the topic of the arm's own driver, or stop the other node"

@@ -5,15 +5,12 @@ The library of the format's authors reads and writes them here.
 
 import struct
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import lz4.frame
 import pytest
 import zstandard
 from made_up_buses import bus_text, flat, robot_of, session
-from made_up_recordings import attempt, header, same, write
-from mcap.reader import make_reader
+from made_up_recordings import attempt, header, same, write, written_again
 from mcap.writer import CompressionType, Writer
 
 from acquisition.commands import main
@@ -22,31 +19,6 @@ from acquisition.importing import import_recording
 from acquisition.recording import RecordingFollower, RecordingWriter, read_recording
 
 EVENTS, SAMPLES = "/events", "/samples"
-
-
-def nothing_more(writer: Writer) -> None:
-    """Nothing else stands in the file."""
-
-
-def again(path: Path, out: Path, more: Callable[[Writer], None] = nothing_more, **how: Any) -> Path:
-    """The content of a recording as another program writes it, and `more` before its end."""
-    with path.open("rb") as file, out.open("wb") as other:
-        reader, writer, channels = make_reader(file), Writer(other, **how), dict[int, int]()
-        writer.start("", "another program")
-        for record in reader.iter_metadata():
-            writer.add_metadata(record.name, dict(record.metadata))
-        for one in reader.iter_attachments():
-            writer.add_attachment(one.create_time, one.log_time, one.name, "", one.data)
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "", number)
-            writer.add_message(
-                channels[channel.id], message.log_time, message.data, message.publish_time
-            )
-        more(writer)
-        writer.finish()
-    return out
 
 
 def with_chunks(data: bytes, compression: str, compress: Callable[[bytes], bytes]) -> bytes:
@@ -83,7 +55,7 @@ def test_what_another_program_wrote_again_is_read(
     tmp_path, whole, compression, chunked, chunk_bytes
 ):
     how = {"compression": compression, "use_chunking": chunked, "chunk_size": chunk_bytes}
-    path = again(whole, tmp_path / "a.mcap", **how)
+    path = written_again(whole, tmp_path / "a.mcap", **how)
     assert same(read_recording(path), read_recording(whole))
 
 
@@ -131,7 +103,7 @@ def message(topic: str, data: bytes, schema: bytes) -> Callable[[Writer], None]:
 
 def test_topics_of_others_stand_beside_ours(tmp_path, whole):
     """A schema of protobuf is no text."""
-    path = again(whole, tmp_path / "a.mcap", message("/camera", b"\xff" * 9, b"\n\xff\xfe"))
+    path = written_again(whole, tmp_path / "a.mcap", message("/camera", b"\xff" * 9, b"\n\xff\xfe"))
     assert same(read_recording(path), read_recording(whole))
 
 
@@ -145,7 +117,7 @@ def test_topics_of_others_stand_beside_ours(tmp_path, whole):
     ],
 )
 def test_recordings_merged_with_others_are_not_called_damaged(tmp_path, whole, more, problem):
-    told = attempt(again(whole, tmp_path / "a.mcap", more))
+    told = attempt(written_again(whole, tmp_path / "a.mcap", more))
     assert isinstance(told, str)
     assert problem in told
     assert "damaged" not in told
@@ -153,7 +125,7 @@ def test_recordings_merged_with_others_are_not_called_damaged(tmp_path, whole, m
 
 @pytest.mark.parametrize("share", [0.4, 0.7])
 def test_what_stands_outside_of_chunks_is_read_up_to_a_cut(tmp_path, whole, share):
-    data = again(whole, tmp_path / "a.mcap", use_chunking=False).read_bytes()
+    data = written_again(whole, tmp_path / "a.mcap", use_chunking=False).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(share * len(data))])
     cut, full = read_recording(tmp_path / "cut.mcap"), read_recording(whole)
     assert cut.cut
@@ -165,7 +137,7 @@ def test_a_file_without_chunks_is_followed(tmp_path):
     robot, frames = robot_of(bus_text(2)), flat(session(syncs=60))
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.frames("can0", frames)
-    data = again(tmp_path / "a.mcap", tmp_path / "b.mcap", use_chunking=False).read_bytes()
+    data = written_again(tmp_path / "a.mcap", tmp_path / "b.mcap", use_chunking=False).read_bytes()
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) // 2])
     follower, rows = RecordingFollower(path), []
