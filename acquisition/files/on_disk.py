@@ -2,7 +2,6 @@
 computes them block by block.
 """
 
-import math
 import mmap
 import os
 import tempfile
@@ -47,7 +46,7 @@ def allocate(shape: tuple[int, ...], *, many: int = 1) -> NDArray[np.float64]:
     """An uninitialised array, in an unnamed temporary file if `many` of its size are larger
     than `MAX_BYTES_IN_MEMORY`. Raises `OSError` where the disk is full.
     """
-    size = 8 * math.prod(shape)
+    size = 8 * int(np.prod(shape))
     if many * size <= MAX_BYTES_IN_MEMORY:
         return np.empty(shape)
     with tempfile.TemporaryFile() as file:
@@ -57,25 +56,24 @@ def allocate(shape: tuple[int, ...], *, many: int = 1) -> NDArray[np.float64]:
 
 
 def by_rows(
-    rule: Callable[..., NDArray[Any]],
-    *arrays: NDArray[Any],
-    beside: int = 0,
-    at_once: int | None = None,
+    rule: Callable[..., NDArray[Any]], *arrays: NDArray[Any], beside: int = 0
 ) -> NDArray[Any]:
-    """`rule(*arrays)` block by block, on disk if there are several blocks and they are large.
+    """`rule(*arrays)` block by block; of several blocks on disk if they are large.
 
     `arrays`: (N, ...), of which a row of the result (N - beside, ...) needs the same row and the
-    `beside` next ones; `at_once`: rows of a block.
+    `beside` next ones.
     """
-    count, at_once = len(arrays[0]) - beside, at_once or BLOCK_ROWS
-    if count <= at_once:
+    count = len(arrays[0]) - beside
+    if count <= BLOCK_ROWS:
         return rule(*arrays)
-    for first in range(0, count, at_once):
-        last = min(count, first + at_once)
-        part = rule(*(x[first : last + beside] for x in arrays))
+    for first in range(0, count, BLOCK_ROWS):
+        part = rule(*(x[first : min(count, first + BLOCK_ROWS) + beside] for x in arrays))
         if first == 0:
-            whole = allocate((count, *part.shape[1:]), many=8)
-        whole[first:last] = part
+            kind = part.dtype if part.dtype.itemsize == 8 else np.float64
+            whole = allocate((count, *part.shape[1:]), many=8).view(kind)
+        whole[first : first + BLOCK_ROWS] = part
+        for x in (*arrays, whole):
+            release_pages(x)
     return whole
 
 
@@ -88,15 +86,8 @@ def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
     """A field of rows; a copy on disk if the rows are larger than
     `MAX_BYTES_IN_MEMORY`, made in one pass.
     """
-    x = rows[name]
-    if rows.nbytes <= MAX_BYTES_IN_MEMORY:
-        return x
-    field = allocate(x.shape).view(x.dtype)
-    for first in range(0, len(x), BLOCK_ROWS):
-        field[first : first + BLOCK_ROWS] = x[first : first + BLOCK_ROWS]
-        release_pages(rows)
-    release_pages(field)
-    return field
+    large = rows.nbytes > MAX_BYTES_IN_MEMORY
+    return by_rows(lambda part: part[name], rows) if large else rows[name]
 
 
 def release_pages(x: NDArray[np.generic]) -> None:

@@ -1,8 +1,7 @@
 """Imports the joint states of a ROS 2 bag into a recording."""
 
 import re
-import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -217,14 +216,14 @@ def _storage(path: Path) -> Path:
     """The only file of a folder without metadata.yaml, as `ros2 bag record` leaves it that was
     killed; of others the path itself.
     """
-    if not path.is_dir() or (path / "metadata.yaml").exists():
-        return path
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
-    if len(files) != 1:
-        found = f"cannot be read: no metadata.yaml; {listed([x.name for x in files]) or 'no bag'}"
-        expected = f"`ros2 bag reindex {path}` first, or the name of one file in it"
-        Place(str(path)).refuse(text=found, expected=expected)
-    return files[0]
+    whole = not path.is_dir() or (path / "metadata.yaml").exists()
+    files = [] if whole else sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
+    if len(files) > 1:
+        Place(str(path)).refuse(
+            text=f"cannot be read: no metadata.yaml; it has {listed([x.name for x in files])}",
+            expected=f"`ros2 bag reindex {path}` first, or the name of one of them",
+        )
+    return files[0] if files else path
 
 
 def _read(
@@ -258,10 +257,12 @@ def _read(
             ):
                 if connection.topic == topic:
                     parts.add(received_ns, reader.deserialize(raw, connection.msgtype))
-                else:
+                elif (states := controllers[connection.topic]).refused is None:
                     decode = begin.deserialize_cdr_le if raw[1] else begin.deserialize_cdr_be
-                    states = controllers[connection.topic]
-                    states.add_unless_refused(received_ns, decode(raw[4:], 0, begin.cls, store)[0])
+                    try:
+                        states.add(received_ns, decode(raw[4:], 0, begin.cls, store)[0])
+                    except BadInputError as error:
+                        states.refused = error
     except BadInputError:
         raise
     except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
@@ -298,20 +299,12 @@ class _Parts:
         self._rows, self._without = GrowingBytes(), np.full(len(joints), np.nan).tobytes()
         self._given = dict.fromkeys(KINDS, 0)
         self.count, self._others, self._changes, self.publishers = 0, 0, 0, 1
-        self._refused: BadInputError | None = None
+        self.refused: BadInputError | None = None
 
     @property
     def names(self) -> list[str]:
         """All names in the messages."""
         return sorted({name for _, names in self._places for name in names})
-
-    def add_unless_refused(self, received_ns: int, message: Any) -> None:
-        """Add a message; `states` refuses them all if this one is refused."""
-        try:
-            if self._refused is None:
-                self.add(received_ns, message)
-        except BadInputError as error:
-            self._refused = error
 
     def add(self, received_ns: int, message: Any) -> None:
         """Add a message."""
@@ -325,7 +318,7 @@ class _Parts:
             return
         self._changes += self._source not in (None, source)
         self._source, stamp = source, message.header.stamp
-        row = struct.pack("<qq", received_ns, stamp.sec * 1_000_000_000 + stamp.nanosec)
+        row = np.array([received_ns, stamp.sec * 10**9 + stamp.nanosec], "<i8").tobytes()
         for kind in KINDS:
             content = np.asarray(getattr(message, kind, ()), "<f8")
             if len(content) not in (0, len(source[1])) or (kind == "position" and not len(content)):
@@ -359,8 +352,8 @@ class _Parts:
         """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
         arrays (N, n); warnings.
         """
-        if self._refused is not None:
-            raise self._refused
+        if self.refused is not None:
+            raise self.refused
         rows = np.frombuffer(self._rows.whole(), self._layout)
         if not len(rows):
             problem = f"has {listed(self.names)}" if self.names else "has no messages"
@@ -388,22 +381,19 @@ class _Parts:
         if self._changes > 1 + MAX_CHANGES * count:
             problem = f"the names or their order change {self._changes} times in {count} messages"
             self.place.refuse(expected=ONE_PUBLISHER, text=problem)
+        doubts = {
+            "headers have no stamps: times are those of reception, which jitter more": received,
+            f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it "
+            "with one": self.publishers > 1,
+            f"{self._others} messages without any of the joints are left out": self._others,
+            f"the names or their order change {self._changes} times: joints go by their "
+            "names": self._changes,
+            f"{first} states at the start are left out: a position or an effort is nan "
+            "there": first,
+        }
         return (
             (rows["received"].astype(np.int64) if received else stamps)[first:],
             received,
             {kind: x[first:] for kind, x in arrays.items()},
-            list(self._warnings(topic, received, first)),
+            [text for text, holds in doubts.items() if holds],
         )
-
-    def _warnings(self, topic: str, received: bool, first: int) -> Iterator[str]:
-        if received:
-            yield "headers have no stamps: times are those of reception, which jitter more"
-        if self.publishers > 1:
-            publishers = f"{self.publishers} publishers (connections or QoS profiles)"
-            yield f"{topic} has {publishers}: record it with one"
-        if self._others:
-            yield f"{self._others} messages without any of the joints are left out"
-        if self._changes:
-            yield f"the names or their order change {self._changes} times: joints go by their names"
-        if first:
-            yield f"{first} states at the start are left out: a position or an effort is nan there"

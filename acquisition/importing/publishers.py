@@ -1,14 +1,13 @@
 """Two publishers of one topic: states that alternate between two sources."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import Place
 from ..files import BLOCK_ROWS, by_rows
 from .stamps import smallest_difference
 
-WINDOW = 16  # rows
+WINDOW = 16  # rows; a divisor of `BLOCK_ROWS`
 # of energies at and at half the Nyquist frequency; noise and motion rarely exceed it
 MIN_NYQUIST_RATIO = 100.0
 # of the windows, of the rows; more are of two publishers
@@ -51,26 +50,26 @@ def _alternating_share(x: Array) -> Array:
     Rounded values sometimes alternate by one quantum, so several quanta are required. Values held
     for a row, as of an encoder slower than the log, do not alternate.
     """
-    count, least = max(0, len(x) - 2) // WINDOW, smallest_difference(x)
-
-    def alternating(first: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether the windows from the rows `first` on alternate."""
-        rows = x[first[0] : first[-1] + WINDOW + 2]
-        steps, windows = (
-            np.diff(rows, n=n, axis=0)[: len(first) * WINDOW].reshape(-1, WINDOW, x.shape[1])
-            for n in (1, 2)
-        )
-        energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
-        half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
-        large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * least
-        return np.asarray(
-            large
-            & ((steps == 0).mean(axis=1) < 0.4)
-            & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
-        )
-
-    if not count:
-        return np.zeros(x.shape[1])
-    found = by_rows(alternating, WINDOW * np.arange(count), at_once=BLOCK_ROWS // WINDOW)
+    least, rows = smallest_difference(x), max(0, len(x) - 2) // WINDOW * WINDOW
+    found = [
+        _alternating(x[first : min(first + BLOCK_ROWS, rows) + 2], least)
+        for first in range(0, rows, BLOCK_ROWS)
+    ]
     # two may be chance
-    return np.asarray(np.maximum(found.sum(axis=0) - 2, 0) / count)
+    return np.maximum(sum(found, np.zeros(x.shape[1])) - 2, 0) / max(1, rows // WINDOW)
+
+
+def _alternating(x: Array, least: Array) -> Array:
+    """Number (n,) of the windows in x (N + 2, n) that alternate."""
+    steps, windows = (
+        np.diff(x, n=n, axis=0)[: len(x) - 2].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2)
+    )
+    energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
+    half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
+    large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * least
+    alternating = (
+        large
+        & ((steps == 0).mean(axis=1) < 0.4)
+        & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
+    )
+    return np.asarray(alternating.sum(axis=0))

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -172,12 +171,13 @@ def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
     from scipy.interpolate import CubicSpline
 
     values = allocate((len(at_s), x.shape[1]), many=8)
-    edges = np.searchsorted(at_s, time_s[::BLOCK_ROWS])
-    edges[0] = 0
-    for k, (begin, end) in enumerate(pairwise([*edges, len(at_s)])):
-        first = k * BLOCK_ROWS
-        rows = slice(max(0, first - _SPLINE_REACH), first + BLOCK_ROWS + _SPLINE_REACH)
-        values[begin:end] = CubicSpline(time_s[rows], x[rows])(at_s[begin:end])
+    edges = np.searchsorted(at_s, time_s[BLOCK_ROWS::BLOCK_ROWS])
+    for k, (at, part) in enumerate(
+        zip(np.split(at_s, edges), np.split(values, edges), strict=True)
+    ):
+        first = max(0, k * BLOCK_ROWS - _SPLINE_REACH)
+        rows = slice(first, (k + 1) * BLOCK_ROWS + _SPLINE_REACH)
+        part[:] = CubicSpline(time_s[rows], x[rows])(at)
     return values
 
 
@@ -194,9 +194,8 @@ def rows_to_interpolate(
     if len(time_s) < 4:
         place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
     report = time_report(time_s, doubled)
-    rows = np.arange(len(time_s))
-    if POSITION in parts:
-        rows = np.flatnonzero(rows_in_time(time_s, parts[POSITION]))
+    in_time = POSITION not in parts or rows_in_time(time_s, parts[POSITION])
+    rows = np.flatnonzero(np.broadcast_to(in_time, len(time_s)))
     time_s, parts = time_s[rows], {name: taken(x, rows) for name, x in parts.items()}
     steps = np.diff(time_s)
     k = int(np.argmax(steps))

@@ -15,10 +15,11 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 import mcap.records
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -36,6 +37,15 @@ _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
 _OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
 Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
+_ONE = "expected one recording, not merged with others"
+# At most so many bytes of a chunk, by its compression.
+_UNPACKED: Mapping[str, Callable[[bytes, int], bytes]] = {
+    "": lambda data, most: data,
+    "zstd": lambda data, most: (
+        zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(most)
+    ),
+    "lz4": lambda data, most: LZ4FrameDecompressor().decompress(data, max_length=most),
+}
 # lz4 raises RuntimeError
 _DAMAGE = (
     McapError,
@@ -50,12 +60,6 @@ _DAMAGE = (
 
 class _ForeignError(ValueError):
     """What another program may write, and is neither a recording of ours nor damage."""
-
-
-def _told(error: Exception, at: int) -> str:
-    """What is wrong with the record at byte `at`."""
-    text = str(error) or type(error).__name__
-    return text if isinstance(error, _ForeignError) else f"damaged at byte {at}: {text}"
 
 
 class Messages:
@@ -123,7 +127,10 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
                 # the last record of a cut file: incomplete, followed by nothing or by
                 # unwritten disk space
                 break
-            raise BadInputError(_told(error, at), place=place) from error
+            damage = "" if isinstance(error, _ForeignError) else f"damaged at byte {at}: "
+            raise BadInputError(
+                f"{damage}{str(error) or type(error).__name__}", place=place
+            ) from error
     if records.has_end and not found.complete:
         raise BadInputError(
             "damaged: it has an end, but the records before do not lead to it", place=place
@@ -155,14 +162,14 @@ class _Found:
             record = mcap.records.Metadata.read(_stream(content))
             if record.name == self._name:
                 if self.metadata is not None:
-                    _refuse_twice(f"metadata record {self._name!r}")
+                    raise _ForeignError(f"has a second metadata record {self._name!r}: {_ONE}")
                 self.metadata = dict(record.metadata)
                 self._accept(self.metadata, self._place)
         elif opcode == Opcode.ATTACHMENT:
             record = mcap.records.Attachment.read(_stream(content))
             _check_crc(zlib.crc32(content[:-4]), content[-4:])
             if record.name in self.attachments:
-                _refuse_twice(f"attachment {record.name!r}")
+                raise _ForeignError(f"has a second attachment {record.name!r}: {_ONE}")
             self.attachments[record.name] = record.data
         elif opcode == Opcode.CHUNK:
             self.chunks.add(mcap.records.Chunk.read(_stream(content)))
@@ -209,7 +216,9 @@ class GrowingContent:
             try:
                 self.found.add(opcode, data[begin:end])
             except _DAMAGE as error:
-                raise BadInputError(_told(error, before + begin), place=place) from error
+                raise BadInputError(
+                    f"damaged at byte {before + begin}: {error}", place=place
+                ) from error
             self._at = before + end
         return self._at > before
 
@@ -329,14 +338,7 @@ class _Chunks:
             if self._wanted(channel.topic):
                 self._channels[channel.id] = channel.topic
                 if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
-                    raise _ForeignError(
-                        f"{channel.topic} changes its layout: expected one recording, not merged "
-                        "with other files"
-                    )
-
-
-def _refuse_twice(what: str) -> NoReturn:
-    raise _ForeignError(f"has a second {what}: expected one recording, not several merged ones")
+                    raise _ForeignError(f"{channel.topic} changes its layout: {_ONE}")
 
 
 def _unpack(chunk: Any) -> bytes:
@@ -344,20 +346,14 @@ def _unpack(chunk: Any) -> bytes:
 
     Neither format need state its size, so no more is unpacked than the chunk does.
     """
-    size, content = chunk.uncompressed_size, chunk.data
+    size = chunk.uncompressed_size
     if size > _MAX_CHUNK_BYTES:
         raise ValueError(f"a chunk of {size} bytes: expected {_MAX_CHUNK_BYTES} at most")
-    if chunk.compression == "zstd":
-        unpacked = zstandard.ZstdDecompressor().stream_reader(content, read_across_frames=True)
-        content = unpacked.read(size + 1)
-    elif chunk.compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
-
-        content = LZ4FrameDecompressor().decompress(content, max_length=size + 1)
-    elif chunk.compression:
+    if chunk.compression not in _UNPACKED:
         text = f"has chunks compressed by {chunk.compression!r}"
         raise _ForeignError(f"{text}: expected 'zstd', 'lz4' or none: `mcap compress` writes zstd")
+    content = _UNPACKED[chunk.compression](chunk.data, size + 1)
     if len(content) != size:
         raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
-    return bytes(content)
+    return content

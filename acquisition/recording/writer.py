@@ -219,14 +219,11 @@ class RecordingWriter:
         """Add samples at stamps (N,) of `values` (N, n) by field, block by block: hours of them do
         not fit in memory.
         """
-        reference = "reference" in values
-        layout = sample_dtype(self._robot.n, reference=reference, optional=values)
+        layout = sample_dtype(self._robot.n, reference="reference" in values, optional=values)
         for first in range(0, len(stamp_ns), BLOCK_ROWS):
-            part = slice(first, first + BLOCK_ROWS)
-            rows = np.empty(len(stamp_ns[part]), layout)
-            rows["stamp_ns"] = stamp_ns[part]
-            for name, column in values.items():
-                rows[name] = column[part]
+            rows = np.empty(min(BLOCK_ROWS, len(stamp_ns) - first), layout)
+            for name, column in {"stamp_ns": stamp_ns, **values}.items():
+                rows[name] = column[first : first + BLOCK_ROWS]
             self.samples(rows)
 
     def frames(self, channel: str, block: Block) -> None:

@@ -216,7 +216,7 @@ def test_files_that_are_no_recording_are_refused_in_one_line(
     ("change", "message"),
     [
         (lambda writer: writer.add_metadata("recording", GOOD),
-         "has a second metadata record 'recording': expected one recording, not several"),
+         "has a second metadata record 'recording': expected one recording, not merged"),
         (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""),
          r"has a second attachment 'robot\.toml'"),
         (lambda writer: writer.add_message(7, 0, b"", 0),
