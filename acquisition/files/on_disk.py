@@ -69,8 +69,9 @@ def by_rows(
     for first in range(0, count, BLOCK_ROWS):
         part = rule(*(x[first : min(count, first + BLOCK_ROWS) + beside] for x in arrays))
         if first == 0:
-            kind = part.dtype if part.dtype.itemsize == 8 else np.float64
-            whole = allocate((count, *part.shape[1:]), many=8).view(kind)
+            whole = allocate((count, *part.shape[1:]), many=8).view(
+                part.dtype if part.dtype.itemsize == 8 else np.float64
+            )
         whole[first : first + BLOCK_ROWS] = part
         for x in (*arrays, whole):
             release_pages(x)
@@ -86,8 +87,9 @@ def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
     """A field of rows; a copy on disk if the rows are larger than
     `MAX_BYTES_IN_MEMORY`, made in one pass.
     """
-    large = rows.nbytes > MAX_BYTES_IN_MEMORY
-    return by_rows(lambda part: part[name], rows) if large else rows[name]
+    return (
+        by_rows(lambda part: part[name], rows) if rows.nbytes > MAX_BYTES_IN_MEMORY else rows[name]
+    )
 
 
 def release_pages(x: NDArray[np.generic]) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..arrays import Array, Ints
 from ..errors import BadInputError, Place, listed
-from ..files import GrowingBytes, by_rows
+from ..files import GrowingBytes, by_rows, taken
 from ..recording import JOINT_STATE, Header
 from ..robot import Payload, Robot
-from .publishers import refuse_several_publishers
+from .publishers import ONE_PUBLISHER, refuse_several_publishers
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .time_base import (
     GridValues,
@@ -34,7 +34,6 @@ KINDS = ("position", "velocity", "effort")
 # of the messages, besides one: a controller that was started again names joints in another order;
 # more changes are of two publishers
 MAX_CHANGES = 1e-3
-ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
 # What to do about a reader's error.
 _WAYS_OUT = (
     ("metadata|YAML|Some database files", "a whole folder: `ros2 bag reindex FOLDER` repairs it"),
@@ -165,9 +164,8 @@ def _with_reference(
     if not inside.any():
         found = f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state"
         states.place.refuse("time", expected="some within the joint states", text=found)
-    # one stretch: slices need no memory
-    first, last = np.flatnonzero(inside)[[0, -1]]
-    time_s, kept = time_s[inside], {name: x[first : last + 1] for name, x in grid.parts.items()}
+    at = np.flatnonzero(inside)
+    time_s, kept = time_s[at], {name: taken(x, at) for name, x in grid.parts.items()}
     kept["reference"] = interpolate(own_s, rows["reference"], time_s)
     text = f"{topic}, {report.rows} rows at {1 / report.period_s:.4g} Hz, interpolated"
     text += f"; {(~inside).sum()} samples before and after it left out" * (not inside.all())
@@ -202,9 +200,10 @@ def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], pla
     finite = np.isfinite(x)
     for name, some in zip(joints, finite.T, strict=True):
         if not some.any():
-            expected = "measured positions and efforts"
             place.refuse(
-                f"{kind} of joint {name}", expected=expected, text="is no number in any row"
+                f"{kind} of joint {name}",
+                expected="measured positions and efforts",
+                text="is no number in any row",
             )
     if not finite[first:].all():
         row, joint = np.argwhere(~finite[first:])[0] + [first, 0]
@@ -268,8 +267,10 @@ def _read(
     except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
         after = f" after {parts.count} messages" if parts.count else ""
         told = (getattr(error, "strerror", None) or str(error) or type(error).__name__)[:200]
-        expected = next(way for pattern, way in _WAYS_OUT if re.search(pattern, told))
-        Place(str(path)).refuse(expected=expected, text=f"cannot be read{after}: {told}")
+        Place(str(path)).refuse(
+            expected=next(way for pattern, way in _WAYS_OUT if re.search(pattern, told)),
+            text=f"cannot be read{after}: {told}",
+        )
     return parts, controllers
 
 
@@ -379,8 +380,10 @@ class _Parts:
         for kind in needed:
             _refuse_infinite(kind, arrays[kind], first, self._joints, self.place)
         if self._changes > 1 + MAX_CHANGES * count:
-            problem = f"the names or their order change {self._changes} times in {count} messages"
-            self.place.refuse(expected=ONE_PUBLISHER, text=problem)
+            self.place.refuse(
+                expected=ONE_PUBLISHER,
+                text=f"the names or their order change {self._changes} times in {count} messages",
+            )
         doubts = {
             "headers have no stamps: times are those of reception, which jitter more": received,
             f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it "

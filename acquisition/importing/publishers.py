@@ -12,6 +12,7 @@ WINDOW = 16  # rows; a divisor of `BLOCK_ROWS`
 MIN_NYQUIST_RATIO = 100.0
 # of the windows, of the rows; more are of two publishers
 MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01
+ONE_PUBLISHER = "one publisher: record the topic of the arm's own driver, or stop the other node"
 MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
 
 
@@ -25,12 +26,11 @@ def refuse_several_publishers(
     zero = np.asarray(~effort.any(axis=1))
     large = by_rows(lambda x: (np.abs(x) > least).any(axis=1), effort) > 0
     single = zero[1:-1] & large[:-2] & large[2:]
-    expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
     if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
         problem = (
             f"{100 * single.mean():.2g} % of the rows have no effort, but both neighbours have"
         )
-        place.refuse("effort", expected=expected, text=problem)
+        place.refuse("effort", expected=ONE_PUBLISHER, text=problem)
     for key, x in (("position", position), ("effort", effort)):
         share = _alternating_share(x)
         if share.max() > MAX_ALTERNATING:
@@ -39,7 +39,9 @@ def refuse_several_publishers(
                 "the time"
             )
             place.refuse(
-                f"{key} of joint {joints[int(share.argmax())]}", expected=expected, text=problem
+                f"{key} of joint {joints[int(share.argmax())]}",
+                expected=ONE_PUBLISHER,
+                text=problem,
             )
 
 

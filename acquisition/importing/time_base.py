@@ -172,12 +172,9 @@ def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
 
     values = allocate((len(at_s), x.shape[1]), many=8)
     edges = np.searchsorted(at_s, time_s[BLOCK_ROWS::BLOCK_ROWS])
-    for k, (at, part) in enumerate(
-        zip(np.split(at_s, edges), np.split(values, edges), strict=True)
-    ):
-        first = max(0, k * BLOCK_ROWS - _SPLINE_REACH)
-        rows = slice(first, (k + 1) * BLOCK_ROWS + _SPLINE_REACH)
-        part[:] = CubicSpline(time_s[rows], x[rows])(at)
+    for k, part in enumerate(np.split(np.arange(len(at_s)), edges)):
+        rows = slice(max(0, k * BLOCK_ROWS - _SPLINE_REACH), (k + 1) * BLOCK_ROWS + _SPLINE_REACH)
+        values[part] = CubicSpline(time_s[rows], x[rows])(at_s[part])
     return values
 
 

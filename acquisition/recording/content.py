@@ -33,8 +33,6 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 # bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
 _MAX_CHUNK_BYTES = 64 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
-# Records that stand in chunks, or outside of them.
-_OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
 Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
 _ONE = "expected one recording, not merged with others"
@@ -127,9 +125,10 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
                 # the last record of a cut file: incomplete, followed by nothing or by
                 # unwritten disk space
                 break
-            damage = "" if isinstance(error, _ForeignError) else f"damaged at byte {at}: "
             raise BadInputError(
-                f"{damage}{str(error) or type(error).__name__}", place=place
+                f"{'' if isinstance(error, _ForeignError) else f'damaged at byte {at}: '}"
+                f"{str(error) or type(error).__name__}",
+                place=place,
             ) from error
     if records.has_end and not found.complete:
         raise BadInputError(
@@ -173,12 +172,12 @@ class _Found:
             self.attachments[record.name] = record.data
         elif opcode == Opcode.CHUNK:
             self.chunks.add(mcap.records.Chunk.read(_stream(content)))
-        elif opcode in _OF_CHUNKS:
-            self.chunks.add_record(opcode, content, 0, len(content))
         elif opcode == Opcode.DATA_END:
             if crc_before is not None:
                 _check_crc(crc_before, content[:4])
             self.complete = True
+        else:
+            self.chunks.add_record(opcode, content, 0, len(content))
 
 
 class GrowingContent:
@@ -321,7 +320,9 @@ class _Chunks:
             self.add_record(opcode, content, begin, end)
 
     def add_record(self, opcode: int, content: bytes, begin: int, end: int) -> None:
-        """Add the record that is the part of `content` from `begin` to `end`."""
+        """Add a record with a message, a schema or a channel, the part of `content` from `begin`
+        to `end`; others are skipped.
+        """
         if opcode == Opcode.MESSAGE:
             number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
             if number not in self._channels:
@@ -346,14 +347,14 @@ def _unpack(chunk: Any) -> bytes:
 
     Neither format need state its size, so no more is unpacked than the chunk does.
     """
-    size = chunk.uncompressed_size
-    if size > _MAX_CHUNK_BYTES:
-        raise ValueError(f"a chunk of {size} bytes: expected {_MAX_CHUNK_BYTES} at most")
     if chunk.compression not in _UNPACKED:
-        text = f"has chunks compressed by {chunk.compression!r}"
-        raise _ForeignError(f"{text}: expected 'zstd', 'lz4' or none: `mcap compress` writes zstd")
+        raise _ForeignError(
+            f"has chunks compressed by {chunk.compression!r}: expected 'zstd', 'lz4' or none, as "
+            "`mcap compress` writes them"
+        )
+    size = min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)
     content = _UNPACKED[chunk.compression](chunk.data, size + 1)
-    if len(content) != size:
+    if len(content) != size or chunk.uncompressed_size != size:
         raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
     return content

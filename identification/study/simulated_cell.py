@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.files import BLOCK_ROWS, allocate, atomic_write, by_rows
 from acquisition.recording import OPTIONAL, Header, RecordingWriter
@@ -65,14 +64,14 @@ class Noise(CellOptions):
         )
         level = 0.01 * np.sqrt(np.mean(np.square(tau, out=allocate(tau.shape, many=8)), axis=0))
 
-        def noisy(rows: NDArray[np.intp], tau: Array) -> Array:
+        def noisy(tau: Array, scale: Array) -> Array:
             white, slow = (rng.standard_normal(tau.shape) for rng in streams)
-            slow[rows > 0] *= np.sqrt(1 - AR**2)
-            slow, last[:] = lfilter([1], [1, -AR], slow, axis=0, zi=last)
-            noise = self.effort_percent * white + self.coloured_percent * slow
-            return np.asarray(tau + level * noise)
+            slow, last[:] = lfilter([1], [1, -AR], scale * slow, axis=0, zi=last)
+            return np.asarray(
+                tau + level * (self.effort_percent * white + self.coloured_percent * slow)
+            )
 
-        return by_rows(noisy, rows, tau)
+        return by_rows(noisy, tau, np.where(rows > 0, np.sqrt(1 - AR**2), 1.0)[:, None])
 
 
 def study_truth(robot: Robot) -> tuple[dynamics.BaseParameters, Array]:
@@ -151,15 +150,21 @@ def closed_loop(
         raise BadInputError(
             f"robot {robot.name}: controller.sample_rate_hz = {found}: expected {expected}"
         )
-    speeds = (np.abs(dq @ model.directions.T) for _, dq, _ in _spans(q_ref, sample_rate_hz))
-    fastest = np.max([x.max(axis=0, initial=0.0) for x in speeds], axis=0)
+    fastest = np.max(
+        [
+            np.abs(dq @ model.directions.T).max(axis=0, initial=0.0)
+            for _, dq, _ in _spans(q_ref, sample_rate_hz)
+        ],
+        axis=0,
+    )
     start, rng = differentiate(q_ref[:2], sample_rate_hz), np.random.default_rng([seed, _POSITION])
     follower = ClosedLoop(model, loop, (q_ref[0], start[0]), fastest=fastest, substeps=SUBSTEPS)
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     seen, held = (allocate(q_ref.shape, many=8) for _ in range(2))
     for rows, dq, ddq in _spans(q_ref, sample_rate_hz):
-        white = noise.position * rng.standard_normal(dq.shape)
-        encoder = Encoder(noise=white, step=noise.encoder_step)
+        encoder = Encoder(
+            noise=noise.position * rng.standard_normal(dq.shape), step=noise.encoder_step
+        )
         done, reason = follower.follow(Reference(q_ref[rows], dq, ddq, encoder=encoder), bound)
         if reason:
             raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")

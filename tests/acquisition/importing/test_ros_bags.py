@@ -172,7 +172,7 @@ def with_value(x, row, value):
     return x * np.where(np.arange(N) == row, value, 1)[:, None]
 
 
-ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
+ONE_PUBLISHER = "one publisher: record the topic of the arm's own driver"
 
 
 @pytest.mark.parametrize(

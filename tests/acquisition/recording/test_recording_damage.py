@@ -110,7 +110,7 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
-    with pytest.raises(BadInputError, match=r"a chunk of 7.* bytes: expected 67108864"):
+    with pytest.raises(BadInputError, match=r"a chunk of 67108865 bytes: expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
     monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
     with pytest.raises(BadInputError, match="more than 10000 bytes unpacked"):
