@@ -1,7 +1,9 @@
 """Long simulated recordings are computed span by span, and are those of one pass."""
 
 import errno
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
@@ -52,9 +54,15 @@ def in_one_pass(robot, q_ref):
 
 
 @pytest.mark.parametrize("rows", [3, 7, 100, 640, 1000])
-def test_spans_are_those_of_one_pass(monkeypatch, rows):
-    """Also those that leave one row for the last, and the velocity two at the beginning."""
+@pytest.mark.parametrize("structure", ["pd_velocity_feedforward", "computed_torque"])
+def test_spans_are_those_of_one_pass(monkeypatch, rows, structure):
+    """Also those that leave one row for the last; computed torque needs accelerations."""
     robot = robot_named("scara")
+    gains = {}
+    if structure == "computed_torque":
+        gains = {"position_gain": (1000.0, 1000.0), "velocity_gain": (50.0, 50.0)}
+    controller = msgspec.structs.replace(robot.controller, structure=structure, **gains)
+    robot = replace(robot, controller=controller)
     q_ref = random_reference(robot, duration_s=0.64, sample_rate_hz=RATE_HZ, seed=SEED)
     q, effort = in_one_pass(robot, q_ref)
     assert len(q) == 641
