@@ -31,8 +31,8 @@ CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 # ones call `desired`.
 BEGIN = "std_msgs/Header header\nstring[] name\nfloat64[] position"
 KINDS = ("position", "velocity", "effort")
-# of the messages, besides one: a controller that was started again names joints in another order;
-# more changes are of two publishers
+# of the messages, besides one: a controller that starts again may name joints in another order,
+# two publishers change it all the time
 MAX_CHANGES = 1e-3
 # What to do about a reader's error.
 _WAYS_OUT = (
@@ -71,8 +71,7 @@ class BagOptions:
 def import_bag(
     bag: Path, robot: Robot, out: Path, options: BagOptions, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from joint states of a ROS 2 bag; joints are assigned by
-    their names in robot.toml.
+    """Write the recording `out` from joint states of a ROS 2 bag; joints go by their names.
 
     Times are the headers' stamps, or those of reception if headers have none; values are
     interpolated to a uniform grid. The recording states that efforts were measured at these times,
@@ -212,9 +211,7 @@ def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], pla
 
 
 def _storage(path: Path) -> Path:
-    """The only file of a folder without metadata.yaml, as `ros2 bag record` leaves it that was
-    killed; of others the path itself.
-    """
+    """The only file of a folder without metadata.yaml (of a record that was killed), or `path`."""
     whole = not path.is_dir() or (path / "metadata.yaml").exists()
     files = [] if whole else sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
     if len(files) > 1:
@@ -228,9 +225,7 @@ def _storage(path: Path) -> Path:
 def _read(
     path: Path, options: BagOptions, joints: Sequence[str]
 ) -> tuple["_Parts", dict[str, "_Parts"]]:
-    """Joint states of the `joints`, by name, in the order of the bag; states of
-    trajectory controllers by topic.
-    """
+    """Joint states of the `joints`, in the order of the bag; states of controllers by topic."""
     topic, wanted = options.topic, options.reference_topic
     parts = _Parts(joints, Place(f"{path}: {topic}"))
     try:
@@ -296,7 +291,7 @@ class _Parts:
         self._source: tuple[str, tuple[str, ...]] | None = None
         columns = [(kind, "<f8", (len(joints),)) for kind in KINDS]
         self._layout = np.dtype([("received", "<i8"), ("stamp", "<i8"), *columns])
-        # Rows of `_layout`: as Python objects, messages take six times as much as in the bag.
+        # Rows of `_layout`: messages as Python objects are six times as large.
         self._rows, self._without = GrowingBytes(), np.full(len(joints), np.nan).tobytes()
         self._given = dict.fromkeys(KINDS, 0)
         self.count, self._others, self._changes, self.publishers = 0, 0, 0, 1
@@ -374,11 +369,11 @@ class _Parts:
                 problem = f"{kind} in {given} of {count} messages"
                 self.place.refuse(expected=f"{kind} in all or in none", text=problem)
         arrays = {kind: rows[kind] for kind, given in self._given.items() if given}
-        needed = [kind for kind in ("position", "effort") if kind in arrays]
-        known = np.all([~np.isnan(arrays[kind]).any(axis=1) for kind in needed], axis=0)
-        first = int(np.argmax(known))
-        for kind in needed:
-            _refuse_infinite(kind, arrays[kind], first, self._joints, self.place)
+        needed = {kind: x for kind, x in arrays.items() if kind != "velocity"}
+        # where none is known, the first one is refused
+        first = int(np.argmin(np.any([np.isnan(x).any(axis=1) for x in needed.values()], axis=0)))
+        for kind, x in needed.items():
+            _refuse_infinite(kind, x, first, self._joints, self.place)
         if self._changes > 1 + MAX_CHANGES * count:
             self.place.refuse(
                 expected=ONE_PUBLISHER,
