@@ -1,8 +1,12 @@
 """Recordings made up for tests, and what it means that two hold the same."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from acquisition.errors import RobotIdimError
 from acquisition.recording import (
@@ -69,6 +73,35 @@ def write(
             writer.health(k, {"kernel_drops": k, "jitter_s": 1e-5})
             writer.flush()
         writer.event(len(samples), "phase", "stop")
+
+
+def nothing_more(writer: Writer) -> None:
+    """Nothing else stands in the file."""
+
+
+def written_again(
+    path: Path, out: Path, more: Callable[[Writer], None] = nothing_more, **how: Any
+) -> Path:
+    """The content of an MCAP file as another program writes it, and `more` before its end."""
+    with path.open("rb") as file, out.open("wb") as other:
+        reader, writer, channels = make_reader(file), Writer(other, **how), dict[int, int]()
+        writer.start(reader.get_header().profile, "another program")
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, dict(record.metadata))
+        for one in reader.iter_attachments():
+            writer.add_attachment(one.create_time, one.log_time, one.name, "", one.data)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number, dict(channel.metadata)
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time
+            )
+        more(writer)
+        writer.finish()
+    return out
 
 
 def same(a: Recording, b: Recording) -> bool:

@@ -1,7 +1,11 @@
-"""Memory-mapped temporary arrays and bytes, for data that are too large for memory."""
+"""Memory-mapped temporary arrays and bytes, for data that are too large for memory, and what
+computes them block by block.
+"""
 
 import mmap
+import os
 import tempfile
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +13,7 @@ from numpy.typing import NDArray
 
 # of one array: an hour of six joints at 500 Hz has some five, which do not fit in 1 GB
 MAX_BYTES_IN_MEMORY = 2**26
-_BLOCK_ROWS = 100_000
+BLOCK_ROWS = 100_000  # of an array that are processed at a time
 
 
 class GrowingBytes:
@@ -38,31 +42,54 @@ class GrowingBytes:
         return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
 
 
-def allocate(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """An uninitialised array, in an unnamed temporary file if it is larger than
-    `MAX_BYTES_IN_MEMORY`.
+def allocate(shape: tuple[int, ...], *, many: int = 1) -> NDArray[np.float64]:
+    """An uninitialised array, in an unnamed temporary file if `many` of its size are larger
+    than `MAX_BYTES_IN_MEMORY`. Raises `OSError` where the disk is full.
     """
     size = 8 * int(np.prod(shape))
-    if size <= MAX_BYTES_IN_MEMORY:
+    if many * size <= MAX_BYTES_IN_MEMORY:
         return np.empty(shape)
     with tempfile.TemporaryFile() as file:
-        file.truncate(size)
+        # A file with holes would end the process where the disk becomes full.
+        os.posix_fallocate(file.fileno(), 0, size)
         return np.frombuffer(mmap.mmap(file.fileno(), size), np.float64).reshape(shape)
+
+
+def by_rows(
+    rule: Callable[..., NDArray[Any]], *arrays: NDArray[Any], beside: int = 0
+) -> NDArray[Any]:
+    """`rule(*arrays)` block by block; of several blocks on disk if they are large.
+
+    `arrays`: (N, ...), of which a row of the result (N - beside, ...) needs the same row and the
+    `beside` next ones.
+    """
+    count = len(arrays[0]) - beside
+    if count <= BLOCK_ROWS:
+        return rule(*arrays)
+    for first in range(0, count, BLOCK_ROWS):
+        part = rule(*(x[first : min(count, first + BLOCK_ROWS) + beside] for x in arrays))
+        if first == 0:
+            whole = allocate((count, *part.shape[1:]), many=8).view(
+                part.dtype if part.dtype.itemsize == 8 else np.float64
+            )
+        whole[first : first + BLOCK_ROWS] = part
+        for x in (*arrays, whole):
+            release_pages(x)
+    return whole
+
+
+def taken(x: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+    """Growing `rows` of x (N, ...), on disk if they are many."""
+    return x if len(rows) == len(x) else by_rows(lambda part: x[part], rows)
 
 
 def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
     """A field of rows; a copy on disk if the rows are larger than
     `MAX_BYTES_IN_MEMORY`, made in one pass.
     """
-    x = rows[name]
-    if rows.nbytes <= MAX_BYTES_IN_MEMORY:
-        return x
-    field = allocate(x.shape).view(x.dtype)
-    for first in range(0, len(x), _BLOCK_ROWS):
-        field[first : first + _BLOCK_ROWS] = x[first : first + _BLOCK_ROWS]
-        release_pages(rows)
-    release_pages(field)
-    return field
+    return (
+        by_rows(lambda part: part[name], rows) if rows.nbytes > MAX_BYTES_IN_MEMORY else rows[name]
+    )
 
 
 def release_pages(x: NDArray[np.generic]) -> None:

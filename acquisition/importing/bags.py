@@ -1,5 +1,6 @@
 """Imports the joint states of a ROS 2 bag into a recording."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,13 +10,15 @@ import numpy as np
 
 from ..arrays import Array, Ints
 from ..errors import BadInputError, Place, listed
+from ..files import GrowingBytes, by_rows, taken
 from ..recording import JOINT_STATE, Header
 from ..robot import Payload, Robot
-from .publishers import refuse_several_publishers
+from .publishers import ONE_PUBLISHER, refuse_several_publishers
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .time_base import (
     GridValues,
     ImportSummary,
+    interpolate,
     resample,
     rows_to_interpolate,
     with_warnings,
@@ -27,7 +30,21 @@ CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 # What the bytes of all its versions begin with: position is that of `reference`, which older
 # ones call `desired`.
 BEGIN = "std_msgs/Header header\nstring[] name\nfloat64[] position"
-Messages = list[tuple[int, Any]]  # with the times of reception, ns
+KINDS = ("position", "velocity", "effort")
+# of the messages, besides one: a controller that starts again may name joints in another order,
+# two publishers change it all the time
+MAX_CHANGES = 1e-3
+# What to do about a reader's error.
+_WAYS_OUT = (
+    ("metadata|YAML|Some database files", "a whole folder: `ros2 bag reindex FOLDER` repairs it"),
+    (
+        "end magic|Truncated|seems to be empty|footer|Invalid argument",
+        "a whole file: `mcap recover CUT.mcap -o WHOLE.mcap` keeps what was written",
+    ),
+    ("Profile is not", "a ROS 2 bag, which `mcap merge` makes with --profile ros2"),
+    ("database", "a whole file: `sqlite3 CUT.db3 .recover | sqlite3 WHOLE.db3` keeps what is left"),
+    ("", "a ROS 2 bag: a folder, .mcap or .db3"),
+)
 
 
 def is_bag(path: Path) -> bool:
@@ -54,13 +71,13 @@ class BagOptions:
 def import_bag(
     bag: Path, robot: Robot, out: Path, options: BagOptions, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from joint states of a ROS 2 bag; joints are assigned by
-    their names in robot.toml.
+    """Write the recording `out` from joint states of a ROS 2 bag; joints go by their names.
 
     Times are the headers' stamps, or those of reception if headers have none; values are
     interpolated to a uniform grid. The recording states that efforts were measured at these times,
     because a JointState has no commands. The reference is of a trajectory controller's states.
-    `bag`: a folder, .mcap or .db3; `payload`: what the robot carried.
+    `bag`: a folder, .mcap or .db3; `payload`: what the robot carried. States at the start are left
+    out as long as a position or an effort is nan: drivers publish it until they have read one.
 
     Raises `BadInputError`: the bag or its topic cannot be read, efforts are missing, zero,
     not finite or in other units than those of robot.toml, stamps do not grow or have gaps.
@@ -94,10 +111,9 @@ def import_bag(
     )
     try:
         if controller:
-            states = _Parts(joints, Place(f"{bag}: {controller}"))
-            for received_ns, message in controllers[controller]:
-                states.add(received_ns, message)
-            grid, reference["reference"] = _with_reference(grid, states, received, controller)
+            grid, reference["reference"] = _with_reference(
+                grid, controllers[controller], received, controller
+            )
     except BadInputError as error:
         if options.reference_topic:
             raise
@@ -115,14 +131,12 @@ def import_bag(
 
 
 def _only_controller(
-    controllers: Mapping[str, Messages], joints: Sequence[str], place: Place
+    controllers: Mapping[str, "_Parts"], joints: Sequence[str], place: Place
 ) -> str | None:
     """Topic of the controller of all joints; of one that lacks some if there is no
     other, None without any.
     """
-    found = [
-        topic for topic, rows in controllers.items() if rows and {*joints} <= {*rows[0][1].name}
-    ]
+    found = [topic for topic, states in controllers.items() if {*joints} <= {*states.names}]
     if len(found) > 1:
         place.refuse(
             expected="one of them in --topic, after a comma",
@@ -137,8 +151,6 @@ def _with_reference(
     """The part of the grid within the times of a controller's states, with its
     reference; what was done.
     """
-    from scipy.interpolate import CubicSpline
-
     stamps_ns, own_received, own, _ = states.states(topic)
     if own_received != received:
         states.place.refuse(
@@ -151,8 +163,9 @@ def _with_reference(
     if not inside.any():
         found = f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state"
         states.place.refuse("time", expected="some within the joint states", text=found)
-    time_s, kept = time_s[inside], {name: x[inside] for name, x in grid.parts.items()}
-    kept["reference"] = np.asarray(CubicSpline(own_s, rows["reference"])(time_s))
+    at = np.flatnonzero(inside)
+    time_s, kept = time_s[at], {name: taken(x, at) for name, x in grid.parts.items()}
+    kept["reference"] = interpolate(own_s, rows["reference"], time_s)
     text = f"{topic}, {report.rows} rows at {1 / report.period_s:.4g} Hz, interpolated"
     text += f"; {(~inside).sum()} samples before and after it left out" * (not inside.all())
     return replace(grid, parts=kept, start_s=float(time_s[0])), text
@@ -166,7 +179,9 @@ def _effort(
         place.refuse(
             expected="measured torques or currents in them", text="messages have no effort"
         )
-    _refuse_no_effort(robot, effort, place)
+    if not effort.any():
+        expected = "measured efforts; this driver does not publish them"
+        place.refuse("effort", expected=expected, text="is zero in all rows")
     given = tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1)
     units, factors = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
     at_joint = all(unit in ("N m", "N") for unit in units)
@@ -174,38 +189,43 @@ def _effort(
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
     side = effort_side(robot, units, "joint" if at_joint else None, "effort", place)
     what = f"{', '.join(effort_unit)} at the {side}"
-    joint_effort, rule = effort_at_joint(robot, effort * factors, side)
+    joint_effort = by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort)
+    rule = effort_at_joint(robot, effort[:1] * factors, side)[1]
     return joint_effort, f"effort of {place}: {what}, as stated; {rule}", what
 
 
-def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:
-    names = [joint.name for joint in robot.joints]
-    for name, x in zip(names, effort.T, strict=True):
-        if not np.isfinite(x).any():
+def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], place: Place) -> None:
+    """Refuse numbers that are not finite in x (N, n) from the row `first` on."""
+    finite = np.isfinite(x)
+    for name, some in zip(joints, finite.T, strict=True):
+        if not some.any():
             place.refuse(
-                f"effort of joint {name}",
-                expected="measured efforts",
+                f"{kind} of joint {name}",
+                expected="measured positions and efforts",
                 text="is no number in any row",
             )
-    _refuse_infinite("effort", effort, names, place)
-    if not effort.any():
-        expected = "measured efforts; this driver does not publish them"
-        place.refuse("effort", expected=expected, text="is zero in all rows")
-
-
-def _refuse_infinite(kind: str, x: Array, joints: Sequence[str], place: Place) -> None:
-    if not np.isfinite(x).all():
-        row, joint = np.argwhere(~np.isfinite(x))[0]
+    if not finite[first:].all():
+        row, joint = np.argwhere(~finite[first:])[0] + [first, 0]
         key = f"{kind} of joint {joints[joint]}"
         Place(f"{place}: state {row + 1}").refuse(key, float(x[row, joint]), "a finite number")
 
 
+def _storage(path: Path) -> Path:
+    """The only file of a folder without metadata.yaml (of a record that was killed), or `path`."""
+    whole = not path.is_dir() or (path / "metadata.yaml").exists()
+    files = [] if whole else sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
+    if len(files) > 1:
+        Place(str(path)).refuse(
+            text=f"cannot be read: no metadata.yaml; it has {listed([x.name for x in files])}",
+            expected=f"`ros2 bag reindex {path}` first, or the name of one of them",
+        )
+    return files[0] if files else path
+
+
 def _read(
     path: Path, options: BagOptions, joints: Sequence[str]
-) -> tuple["_Parts", dict[str, Messages]]:
-    """Joint states of the `joints`, by name, in the order of the bag; states of
-    trajectory controllers by topic.
-    """
+) -> tuple["_Parts", dict[str, "_Parts"]]:
+    """Joint states of the `joints`, in the order of the bag; states of controllers by topic."""
     topic, wanted = options.topic, options.reference_topic
     parts = _Parts(joints, Place(f"{path}: {topic}"))
     try:
@@ -215,7 +235,7 @@ def _read(
         store = get_typestore(Stores.ROS2_JAZZY)
         store.register(get_types_from_msg(BEGIN, CONTROLLER_STATE))
         begin = store.get_msgdef(CONTROLLER_STATE)
-        with AnyReader([path], default_typestore=store) as reader:
+        with AnyReader([_storage(path)], default_typestore=store) as reader:
             types = {c.topic: c.msgtype for c in reader.connections}
             _refuse_topic(topic, JOINT_STATE, types, Place(str(path)))
             if wanted:
@@ -225,25 +245,27 @@ def _read(
                 max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections
             )
             others = [c for c in reader.connections if c.msgtype == CONTROLLER_STATE]
-            controllers: dict[str, Messages] = {c.topic: [] for c in others}
+            controllers = {c.topic: _Parts(joints, Place(f"{path}: {c.topic}")) for c in others}
             for connection, received_ns, raw in reader.messages(
                 connections=[*connections, *others]
             ):
                 if connection.topic == topic:
                     parts.add(received_ns, reader.deserialize(raw, connection.msgtype))
-                else:
+                elif (states := controllers[connection.topic]).refused is None:
                     decode = begin.deserialize_cdr_le if raw[1] else begin.deserialize_cdr_be
-                    controllers[connection.topic].append(
-                        (received_ns, decode(raw[4:], 0, begin.cls, store)[0])
-                    )
+                    try:
+                        states.add(received_ns, decode(raw[4:], 0, begin.cls, store)[0])
+                    except BadInputError as error:
+                        states.refused = error
     except BadInputError:
         raise
-    except OSError as error:
-        Place(str(path)).refuse(text=f"cannot be read: {error.strerror or error}")
     except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
         after = f" after {parts.count} messages" if parts.count else ""
-        problem = f"cannot be read{after}: {(str(error) or type(error).__name__)[:200]}"
-        Place(str(path)).refuse(expected="a ROS 2 bag: a folder, .mcap or .db3", text=problem)
+        told = (getattr(error, "strerror", None) or str(error) or type(error).__name__)[:200]
+        Place(str(path)).refuse(
+            expected=next(way for pattern, way in _WAYS_OUT if re.search(pattern, told)),
+            text=f"cannot be read{after}: {told}",
+        )
     return parts, controllers
 
 
@@ -261,16 +283,24 @@ def _refuse_topic(topic: str, wanted: str, types: dict[str, str], place: Place) 
 
 
 class _Parts:
-    """Collects joint states. Messages of one publisher have one frame and one list of names."""
+    """Collects joint states. Messages of one publisher have one frame, and names of all joints."""
 
     def __init__(self, joints: Sequence[str], place: Place) -> None:
         self._joints, self.place = list(joints), place
         self._places: dict[tuple[str, tuple[str, ...]], list[int] | None] = {}
         self._source: tuple[str, tuple[str, ...]] | None = None
-        self._received: list[int] = []
-        self._stamps: list[int] = []
-        self._values: dict[str, list[Array]] = {"position": [], "velocity": [], "effort": []}
-        self.count, self._others, self.publishers = 0, 0, 1
+        columns = [(kind, "<f8", (len(joints),)) for kind in KINDS]
+        self._layout = np.dtype([("received", "<i8"), ("stamp", "<i8"), *columns])
+        # Rows of `_layout`: messages as Python objects are six times as large.
+        self._rows, self._without = GrowingBytes(), np.full(len(joints), np.nan).tobytes()
+        self._given = dict.fromkeys(KINDS, 0)
+        self.count, self._others, self._changes, self.publishers = 0, 0, 0, 1
+        self.refused: BadInputError | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """All names in the messages."""
+        return sorted({name for _, names in self._places for name in names})
 
     def add(self, received_ns: int, message: Any) -> None:
         """Add a message."""
@@ -282,16 +312,18 @@ class _Parts:
         if places is None:
             self._others += 1
             return
-        self._received.append(received_ns)
-        self._stamps.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
-        for kind, values in self._values.items():
-            content = getattr(message, kind, np.empty(0))
+        self._changes += self._source not in (None, source)
+        self._source, stamp = source, message.header.stamp
+        row = np.array([received_ns, stamp.sec * 10**9 + stamp.nanosec], "<i8").tobytes()
+        for kind in KINDS:
+            content = np.asarray(getattr(message, kind, ()), "<f8")
             if len(content) not in (0, len(source[1])) or (kind == "position" and not len(content)):
                 self._refuse_message(
                     f"{len(content)} values of {kind}", f"{len(source[1])}, one for each name"
                 )
-            if len(content):
-                values.append(content[places])
+            row += content[places].tobytes() if len(content) else self._without
+            self._given[kind] += len(content) > 0
+        self._rows.extend(row)
 
     def _checked(self, source: tuple[str, tuple[str, ...]]) -> list[int] | None:
         """Indices of the joints in messages of a source; None if it has none of them."""
@@ -304,15 +336,9 @@ class _Parts:
             self._refuse_message(
                 problem, "all joints of robot.toml in each message, by their names there"
             )
-        if self._source is not None:
-            apart = (
-                f"frame {source[0]!r} after {self._source[0]!r}"
-                if source[1] == self._source[1]
-                else "other names"
-            )
-            expected = "one publisher; record the topic of the arm's own driver"
-            self._refuse_message(f"messages of several publishers: {apart}", expected)
-        self._source = source
+        if self._source is not None and source[0] != self._source[0]:
+            apart = f"frame {source[0]!r} after {self._source[0]!r}"
+            self._refuse_message(f"messages of several publishers: {apart}", ONE_PUBLISHER)
         return [names.index(joint) for joint in self._joints]
 
     def _refuse_message(self, problem: str, expected: str) -> NoReturn:
@@ -322,13 +348,15 @@ class _Parts:
         """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
         arrays (N, n); warnings.
         """
-        if not self._stamps:
-            names = sorted({name for _, names in self._places for name in names})
-            problem = f"has {listed(names)}" if names else "has no messages"
+        if self.refused is not None:
+            raise self.refused
+        rows = np.frombuffer(self._rows.whole(), self._layout)
+        if not len(rows):
+            problem = f"has {listed(self.names)}" if self.names else "has no messages"
             self.place.refuse(
                 expected=f"the joints {listed(self._joints)} of robot.toml", text=problem
             )
-        stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
+        stamps, count = rows["stamp"].astype(np.int64), len(rows)
         received = not stamps.any()
         # a clock that begins at 0 gives the first stamp 0
         if not received and not stamps[1:].all():
@@ -336,29 +364,34 @@ class _Parts:
             place.refuse(
                 expected="stamps in all headers or in none", text="a header without a stamp"
             )
-        for kind, values in self._values.items():
-            if len(values) not in (0, count):
-                problem = f"{kind} in {len(values)} of {count} messages"
+        for kind, given in self._given.items():
+            if given not in (0, count):
+                problem = f"{kind} in {given} of {count} messages"
                 self.place.refuse(expected=f"{kind} in all or in none", text=problem)
-        arrays = {
-            kind: np.array(values, dtype=np.float64)
-            for kind, values in self._values.items()
-            if values
+        arrays = {kind: rows[kind] for kind, given in self._given.items() if given}
+        needed = {kind: x for kind, x in arrays.items() if kind != "velocity"}
+        # where none is known, the first one is refused
+        first = int(np.argmin(np.any([np.isnan(x).any(axis=1) for x in needed.values()], axis=0)))
+        for kind, x in needed.items():
+            _refuse_infinite(kind, x, first, self._joints, self.place)
+        if self._changes > 1 + MAX_CHANGES * count:
+            self.place.refuse(
+                expected=ONE_PUBLISHER,
+                text=f"the names or their order change {self._changes} times in {count} messages",
+            )
+        doubts = {
+            "headers have no stamps: times are those of reception, which jitter more": received,
+            f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it "
+            "with one": self.publishers > 1,
+            f"{self._others} messages without any of the joints are left out": self._others,
+            f"the names or their order change {self._changes} times: joints go by their "
+            "names": self._changes,
+            f"{first} states at the start are left out: a position or an effort is nan "
+            "there": first,
         }
-        _refuse_infinite("position", arrays["position"], self._joints, self.place)
-        warnings = (
-            ["headers have no stamps: times are those of reception, which jitter more"]
-            if received
-            else []
-        )
-        if self.publishers > 1:
-            publishers = f"{self.publishers} publishers (connections or QoS profiles)"
-            warnings.append(f"{topic} has {publishers}: record it with one")
-        if self._others:
-            warnings.append(f"{self._others} messages without any of the joints are left out")
         return (
-            np.array(self._received, dtype=np.int64) if received else stamps,
+            (rows["received"].astype(np.int64) if received else stamps)[first:],
             received,
-            arrays,
-            warnings,
+            {kind: x[first:] for kind, x in arrays.items()},
+            [text for text, holds in doubts.items() if holds],
         )

@@ -67,6 +67,10 @@ def import_recording(
 def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
     """Write what was read of a recording that was cut off."""
     samples = recording.samples
+    if samples is None and not recording.frames and not recording.capture:
+        Place(str(path)).refuse(
+            text="holds no samples and no frames before its cut: nothing can be repaired"
+        )
     summary = RecordedSummary(frames=0, samples=0 if samples is None else len(samples), warnings=())
 
     def write(writer: RecordingWriter) -> None:

@@ -4,13 +4,15 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
+from ..files import BLOCK_ROWS, by_rows
 from .stamps import smallest_difference
 
-WINDOW = 16  # rows
+WINDOW = 16  # rows; a divisor of `BLOCK_ROWS`
 # of energies at and at half the Nyquist frequency; noise and motion rarely exceed it
 MIN_NYQUIST_RATIO = 100.0
 # of the windows, of the rows; more are of two publishers
 MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01
+ONE_PUBLISHER = "one publisher: record the topic of the arm's own driver, or stop the other node"
 MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
 
 
@@ -20,17 +22,15 @@ def refuse_several_publishers(
     """Refuse alternating states of two publishers: single rows without effort, or every other row
     far from its neighbours.
     """
+    least = MIN_PUBLISHER_QUANTA * smallest_difference(effort)
     zero = np.asarray(~effort.any(axis=1))
-    large = np.asarray(
-        (np.abs(effort) > MIN_PUBLISHER_QUANTA * smallest_difference(effort)).any(axis=1)
-    )
+    large = by_rows(lambda x: (np.abs(x) > least).any(axis=1), effort) > 0
     single = zero[1:-1] & large[:-2] & large[2:]
-    expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
     if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
         problem = (
             f"{100 * single.mean():.2g} % of the rows have no effort, but both neighbours have"
         )
-        place.refuse("effort", expected=expected, text=problem)
+        place.refuse("effort", expected=ONE_PUBLISHER, text=problem)
     for key, x in (("position", position), ("effort", effort)):
         share = _alternating_share(x)
         if share.max() > MAX_ALTERNATING:
@@ -39,7 +39,9 @@ def refuse_several_publishers(
                 "the time"
             )
             place.refuse(
-                f"{key} of joint {joints[int(share.argmax())]}", expected=expected, text=problem
+                f"{key} of joint {joints[int(share.argmax())]}",
+                expected=ONE_PUBLISHER,
+                text=problem,
             )
 
 
@@ -50,19 +52,26 @@ def _alternating_share(x: Array) -> Array:
     Rounded values sometimes alternate by one quantum, so several quanta are required. Values held
     for a row, as of an encoder slower than the log, do not alternate.
     """
-    rows = max(0, len(x) - 2) // WINDOW * WINDOW
+    least, rows = smallest_difference(x), max(0, len(x) - 2) // WINDOW * WINDOW
+    found = [
+        _alternating(x[first : min(first + BLOCK_ROWS, rows) + 2], least)
+        for first in range(0, rows, BLOCK_ROWS)
+    ]
+    # two may be chance
+    return np.maximum(sum(found, np.zeros(x.shape[1])) - 2, 0) / max(1, rows // WINDOW)
+
+
+def _alternating(x: Array, least: Array) -> Array:
+    """Number (n,) of the windows in x (N + 2, n) that alternate."""
     steps, windows = (
-        np.diff(x, n=n, axis=0)[:rows].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2)
+        np.diff(x, n=n, axis=0)[: len(x) - 2].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2)
     )
-    if not len(windows):
-        return np.zeros(x.shape[1])
     energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
     half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
-    large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * smallest_difference(x)
+    large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * least
     alternating = (
         large
         & ((steps == 0).mean(axis=1) < 0.4)
         & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
     )
-    # two may be chance
-    return np.asarray(np.maximum(alternating.sum(axis=0) - 2, 0) / len(windows))
+    return np.asarray(alternating.sum(axis=0))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..files import by_rows, taken
 
 MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
 # of errors of time by stamps to those by row numbers: above it there is a warning
@@ -20,7 +21,7 @@ MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a s
 # of the noise of a step, that a joint moves in a tick, so that ticks can be counted
 MIN_TICK_DEVIATIONS = 5.0
 _PASSES = 4  # a wrong stamp hides its neighbours
-_MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
+MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 
 
 def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
@@ -31,7 +32,7 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
     times and once by the row numbers. The deviation over the speed is an error of time. Rows at
     uniform times, with stamps of a clock that was read late, are much smoother by their numbers.
     """
-    time_s, q = time_s[:_MAX_COMPARED_ROWS], q[:_MAX_COMPARED_ROWS]
+    time_s, q = time_s[:MAX_COMPARED_ROWS], q[:MAX_COMPARED_ROWS]
     steps = np.diff(time_s)
     period = float(np.median(steps))
     rows = row_numbers(time_s) * period
@@ -65,23 +66,39 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
     """
     rows, quantum = np.arange(len(time_s)), smallest_difference(q)
     for _ in range(_PASSES):
-        t, x = time_s[rows], q[rows]
+        t, x = time_s[rows], taken(q, rows)
         if len(t) < 20:
             break
-        steps = np.diff(t)
-        period = float(np.median(steps))
-        off, size = _neighbour_deviation(t, x)
-        speed = (x[3:-1] - x[1:-3]) / (t[3:-1] - t[1:-3])[:, None]
-        scatter = np.median(np.abs(off), axis=0) / 0.6745
-        weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
+        deviations, late = _late(t, x, quantum)
+        around = np.concatenate([[0.0], np.where(late, deviations, 0.0), [0.0]])
+        late &= (deviations >= around[:-2]) & (deviations > around[2:])
+        if not late.any():
+            break
+        rows = np.delete(rows, np.flatnonzero(late) + 2)
+    return np.isin(np.arange(len(time_s)), rows)
+
+
+def _late(t: Array, x: Array, quantum: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Of rows (N - 4,) with two neighbours on both sides: by how many deviations their stamps are
+    wrong, and whether they are.
+    """
+    period = float(np.median(np.diff(t)))
+    found = by_rows(lambda *rows: np.column_stack(_neighbour_deviation(*rows)), t, x, beside=4)
+    typical_size = np.median(found[:, -1])
+    scatter = np.array([np.median(np.abs(off)) for off in found.T[:-1]]) / 0.6745
+    weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
+
+    def judged(t: Array, x: Array, found: Array) -> Array:
+        off, size, steps = found[: len(t) - 4, :-1], found[: len(t) - 4, -1], np.diff(t)
+        between = t[3:-1] - t[1:-3]
+        speed = (x[3:-1] - x[1:-3]) / between[:, None]
         information = speed**2 @ weight
         error_s = np.divide(
             (speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0
         )
         # Next to a wrong stamp, nodes are so close together that errors grow.
-        deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
+        deviations = np.abs(error_s) * np.sqrt(information) / size * typical_size
         late = (deviations > MIN_STAMP_DEVIATIONS) & (np.abs(error_s) > MIN_STAMP_ERROR * period)
-        between = t[3:-1] - t[1:-3]
         deviation = np.abs(steps - period)
         regular = np.maximum(deviation[1:-2], deviation[2:-1]) < MAX_REGULAR_DEVIATION * period
         uneven = np.abs(steps / period - np.rint(steps / period)) > MAX_EVEN_DEVIATION
@@ -90,12 +107,10 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
         )
         late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]
         late &= (np.abs(speed * error_s[:, None]) >= MIN_QUANTA * quantum).any(axis=1)
-        around = np.concatenate([[0.0], np.where(late, deviations, 0.0), [0.0]])
-        late &= (deviations >= around[:-2]) & (deviations > around[2:])
-        if not late.any():
-            break
-        rows = np.delete(rows, np.flatnonzero(late) + 2)
-    return np.isin(np.arange(len(time_s)), rows)
+        return np.column_stack([deviations, late])
+
+    deviations, late = by_rows(judged, t, x, found, beside=4).T
+    return deviations, late > 0
 
 
 def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:

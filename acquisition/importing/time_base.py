@@ -8,16 +8,18 @@ import numpy as np
 
 from ..arrays import Array, Ints
 from ..errors import Place
-from ..files import atomic_write
-from ..recording import MAX_STAMP_NS, Header, RecordingWriter, sample_dtype
+from ..files import BLOCK_ROWS, allocate, atomic_write, taken
+from ..recording import MAX_STAMP_NS, Header, RecordingWriter
 from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
-from .stamps import MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
+from .stamps import MAX_COMPARED_ROWS, MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
 MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5  # times the rows' rate: grids outside give a warning
 MAX_LEFT_OUT = 0.02  # of the rows; more give a warning
 MAX_GAP_PERIODS = 3.0  # a longer step is not interpolated, unless the map allows it
 MAX_OVERSAMPLING = 100.0  # times the rows' rate: a finer grid is a mistake
+# A row acts on the spline that far away by less than rounding: 0.27 times as much per row.
+_SPLINE_REACH = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +106,7 @@ def with_warnings(
     """Add `clock` and the warnings about times (N,) of positions q (N, n) to a grid."""
     assert grid.report is not None
     report = replace(grid.report, clock=clock)
-    growing = np.concatenate([[True], np.diff(time_s) > 0])
+    growing = np.flatnonzero(np.diff(time_s, prepend=-np.inf) > 0)[:MAX_COMPARED_ROWS]
     warning = stamps_warning(time_s[growing], q[growing], way_out)
     return replace(
         grid, report=report, warnings=(*rate_warnings(report), *([warning] if warning else []))
@@ -146,8 +148,6 @@ def resample(
     than `largest_gap_periods` median ones, or the grid has less than two samples or over 100
     times as many as the rows.
     """
-    from scipy.interpolate import CubicSpline
-
     time_s, parts, report = rows_to_interpolate(time_s, parts, place, largest_gap_periods)
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
@@ -159,8 +159,23 @@ def resample(
         place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz)
-    interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
+    interpolated = {name: interpolate(time_s, x, grid) for name, x in parts.items()}
     return GridValues(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
+
+
+def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
+    """Cubic splines through x (N, n) at the growing times (N,), at the growing times at_s (M,).
+
+    Block by block: the rows of hours, with the coefficients of their splines, do not fit in memory.
+    """
+    from scipy.interpolate import CubicSpline
+
+    values = allocate((len(at_s), x.shape[1]), many=8)
+    edges = np.searchsorted(at_s, time_s[BLOCK_ROWS::BLOCK_ROWS])
+    for k, part in enumerate(np.split(np.arange(len(at_s)), edges)):
+        rows = slice(max(0, k * BLOCK_ROWS - _SPLINE_REACH), (k + 1) * BLOCK_ROWS + _SPLINE_REACH)
+        values[part] = CubicSpline(time_s[rows], x[rows])(at_s[part])
+    return values
 
 
 def rows_to_interpolate(
@@ -176,12 +191,9 @@ def rows_to_interpolate(
     if len(time_s) < 4:
         place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
     report = time_report(time_s, doubled)
-    in_time = (
-        rows_in_time(time_s, parts[POSITION])
-        if POSITION in parts
-        else np.ones(len(time_s), dtype=bool)
-    )
-    time_s, parts = time_s[in_time], {name: x[in_time] for name, x in parts.items()}
+    in_time = POSITION not in parts or rows_in_time(time_s, parts[POSITION])
+    rows = np.flatnonzero(np.broadcast_to(in_time, len(time_s)))
+    time_s, parts = time_s[rows], {name: taken(x, rows) for name, x in parts.items()}
     steps = np.diff(time_s)
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
@@ -196,7 +208,7 @@ def rows_to_interpolate(
             expected=f"{expected}and after it separately, or set time.largest_gap_periods",
             text=found,
         )
-    return time_s, parts, replace(report, off=int((~in_time).sum()))
+    return time_s, parts, replace(report, off=report.rows - len(rows))
 
 
 def _drop_repeated_rows(
@@ -222,8 +234,8 @@ def _drop_repeated_rows(
                 "one row for each time; if stamps are too coarse, name a counter in time.ticks"
             )
             place.refuse(f"row {row + 2}", expected=expected, text=problem)
-    keep = np.concatenate([[True], steps > 0])
-    return time_s[keep], {name: x[keep] for name, x in parts.items()}, len(same)
+    keep = np.flatnonzero(np.concatenate([[True], steps > 0]))
+    return time_s[keep], {name: taken(x, keep) for name, x in parts.items()}, len(same)
 
 
 def roundest_rate_hz(time_s: Array) -> float:
@@ -361,18 +373,14 @@ def write_samples(
         warnings += check_recorded_velocities(
             robot, parts["position"], parts["velocity"], grid.rate_hz, place
         )
-    rows = np.empty(len(t_s), sample_dtype(robot.n, reference="reference" in parts, optional=parts))
-    rows["stamp_ns"] = stamps
-    for name, part in parts.items():
-        rows[name] = part
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
-        writer.samples(rows)
+        writer.columns(stamps, parts)
         for text in warnings:
             writer.event(int(stamps[-1]), "warning", text)
     return ImportSummary(
         out=out,
         robot=robot.name,
-        samples=len(rows),
+        samples=len(stamps),
         sample_rate_hz=grid.rate_hz,
         has_reference="reference" in parts,
         effort_units=robot.effort_units,

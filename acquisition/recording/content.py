@@ -3,6 +3,9 @@ meaning of its content.
 
 mcap's own readers are not used: they raise the same errors for a cut and for damage, do not check
 the CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
+
+Other programs write recordings again (`mcap recover`, `filter`, `merge`, `compress`): chunks may be
+compressed by zstd or lz4 or not at all, and messages may stand outside of chunks.
 """
 
 import hashlib
@@ -16,6 +19,7 @@ from typing import Any, BinaryIO, TypeAlias
 
 import mcap.records
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -31,7 +35,29 @@ _MAX_CHUNK_BYTES = 64 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
 Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
-_DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
+_ONE = "expected one recording, not merged with others"
+# At most so many bytes of a chunk, by its compression.
+_UNPACKED: Mapping[str, Callable[[bytes, int], bytes]] = {
+    "": lambda data, most: data,
+    "zstd": lambda data, most: (
+        zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(most)
+    ),
+    "lz4": lambda data, most: LZ4FrameDecompressor().decompress(data, max_length=most),
+}
+# lz4 raises RuntimeError
+_DAMAGE = (
+    McapError,
+    zstandard.ZstdError,
+    RuntimeError,
+    struct.error,
+    ValueError,
+    MemoryError,
+    OverflowError,
+)
+
+
+class _ForeignError(ValueError):
+    """What another program may write, and is neither a recording of ours nor damage."""
 
 
 class Messages:
@@ -100,7 +126,9 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
                 # unwritten disk space
                 break
             raise BadInputError(
-                f"damaged at byte {at}: {str(error) or type(error).__name__}", place=place
+                f"{'' if isinstance(error, _ForeignError) else f'damaged at byte {at}: '}"
+                f"{str(error) or type(error).__name__}",
+                place=place,
             ) from error
     if records.has_end and not found.complete:
         raise BadInputError(
@@ -133,14 +161,14 @@ class _Found:
             record = mcap.records.Metadata.read(_stream(content))
             if record.name == self._name:
                 if self.metadata is not None:
-                    raise ValueError(f"a second metadata record {self._name!r}")
+                    raise _ForeignError(f"has a second metadata record {self._name!r}: {_ONE}")
                 self.metadata = dict(record.metadata)
                 self._accept(self.metadata, self._place)
         elif opcode == Opcode.ATTACHMENT:
             record = mcap.records.Attachment.read(_stream(content))
             _check_crc(zlib.crc32(content[:-4]), content[-4:])
             if record.name in self.attachments:
-                raise ValueError(f"a second attachment {record.name!r}")
+                raise _ForeignError(f"has a second attachment {record.name!r}: {_ONE}")
             self.attachments[record.name] = record.data
         elif opcode == Opcode.CHUNK:
             self.chunks.add(mcap.records.Chunk.read(_stream(content)))
@@ -148,6 +176,8 @@ class _Found:
             if crc_before is not None:
                 _check_crc(crc_before, content[:4])
             self.complete = True
+        else:
+            self.chunks.add_record(opcode, content, 0, len(content))
 
 
 class GrowingContent:
@@ -287,33 +317,44 @@ class _Chunks:
         if self._size > _MAX_TOTAL_BYTES:
             raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
         for opcode, begin, end in _records(content):
-            if opcode == Opcode.MESSAGE:
-                number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
-                if number not in self._channels:
-                    raise ValueError(f"a message on channel {number}, which is not described")
-                topic = self._channels[number]
-                if topic is not None:
-                    self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
-            elif opcode == Opcode.SCHEMA:
-                schema = mcap.records.Schema.read(_stream(content[begin:end]))
-                self._schemas[schema.id] = schema.data.decode()
-            elif opcode == Opcode.CHANNEL:
-                channel = mcap.records.Channel.read(_stream(content[begin:end]))
-                layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
-                if self._wanted(channel.topic):
-                    self._channels[channel.id] = channel.topic
-                    if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
-                        raise ValueError(f"{channel.topic} changes its layout")
+            self.add_record(opcode, content, begin, end)
+
+    def add_record(self, opcode: int, content: bytes, begin: int, end: int) -> None:
+        """Add a record with a message, a schema or a channel, the part of `content` from `begin`
+        to `end`; others are skipped.
+        """
+        if opcode == Opcode.MESSAGE:
+            number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
+            if number not in self._channels:
+                raise ValueError(f"a message on channel {number}, which is not described")
+            topic = self._channels[number]
+            if topic is not None:
+                self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
+        elif opcode == Opcode.SCHEMA:
+            schema = mcap.records.Schema.read(_stream(content[begin:end]))
+            self._schemas[schema.id] = schema.data.decode(errors="replace")  # bytes of other topics
+        elif opcode == Opcode.CHANNEL:
+            channel = mcap.records.Channel.read(_stream(content[begin:end]))
+            layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
+            if self._wanted(channel.topic):
+                self._channels[channel.id] = channel.topic
+                if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
+                    raise _ForeignError(f"{channel.topic} changes its layout: {_ONE}")
 
 
 def _unpack(chunk: Any) -> bytes:
-    if chunk.compression != "zstd":
-        raise ValueError(f"compression {chunk.compression!r}: expected 'zstd'")
-    size = zstandard.get_frame_parameters(chunk.data).content_size
-    if size != chunk.uncompressed_size or size > _MAX_CHUNK_BYTES:
-        raise ValueError(
-            f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)}"
+    """The records of a chunk.
+
+    Neither format need state its size, so no more is unpacked than the chunk does.
+    """
+    if chunk.compression not in _UNPACKED:
+        raise _ForeignError(
+            f"has chunks compressed by {chunk.compression!r}: expected 'zstd', 'lz4' or none, as "
+            "`mcap compress` writes them"
         )
-    content: bytes = zstandard.decompress(chunk.data)
+    size = min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)
+    content = _UNPACKED[chunk.compression](chunk.data, size + 1)
+    if len(content) != size or chunk.uncompressed_size != size:
+        raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
     return content

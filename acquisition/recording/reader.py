@@ -166,7 +166,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     note = " (the file is cut before its description)" if cut else ""
     expected = (
         "a recording of robot-acquire, which `robot-acquire import --topic NAME` makes of a "
-        "ROS 2 bag"
+        "ROS 2 bag, and `mcap filter` keeps with --include-metadata --include-attachments"
     )
     if metadata is None:
         place.refuse(text=f"holds no metadata record 'recording'{note}", expected=expected)

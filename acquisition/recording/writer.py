@@ -24,8 +24,9 @@ from typing import Any, Self
 import msgspec
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import Place
+from ..files import BLOCK_ROWS
 from ..robot import EffortTiming, Payload, Robot
 from .rows import CAPTURE_TOPIC, FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
 
@@ -214,6 +215,17 @@ class RecordingWriter:
             self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
             if "reference" in (part.dtype.names or ()):
                 self._joint_states("/joint_states/reference", shown, "reference", False)
+
+    def columns(self, stamp_ns: Array | Ints, values: Mapping[str, Array]) -> None:
+        """Add samples at stamps (N,) of `values` (N, n) by field, block by block: hours of them do
+        not fit in memory.
+        """
+        layout = sample_dtype(self._robot.n, reference="reference" in values, optional=values)
+        for first in range(0, len(stamp_ns), BLOCK_ROWS):
+            rows = np.empty(min(BLOCK_ROWS, len(stamp_ns) - first), layout)
+            for name, column in {"stamp_ns": stamp_ns, **values}.items():
+                rows[name] = column[first : first + BLOCK_ROWS]
+            self.samples(rows)
 
     def frames(self, channel: str, block: Block) -> None:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""

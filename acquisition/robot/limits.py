@@ -133,11 +133,13 @@ def check_recorded_velocities(
     and signs are refused.
     """
     h = 1 / rate_hz
-    travelled = np.concatenate(
-        [np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)]
-    )
     step = max(1, round(SPEED_WINDOW_S / h))
-    by_position, by_speed = np.diff(q[::step], axis=0), np.diff(travelled[::step], axis=0)
+    # joint by joint, as hours of all do not fit in memory
+    travelled = [np.cumsum(0.5 * h * (x[1:] + x[:-1]))[step - 1 :: step] for x in v.T]
+    by_position, by_speed = (
+        np.diff(q[::step], axis=0),
+        np.diff(np.stack(travelled, axis=1), axis=0, prepend=0.0),
+    )
     warnings = []
     for j, joint in enumerate(robot.joints):
         moved = float(by_position[:, j] @ by_position[:, j])

@@ -1,16 +1,17 @@
 """Recordings of a simulated robot whose parameters are known, those of `[parameters]`.
 
 It tracks a random exciting reference with the described controller, or else with a PD
-of the stated bandwidth.
+of the stated bandwidth. All is computed span by span, as hours of motion do not fit in memory.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from acquisition.files import atomic_write
-from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
+from acquisition.files import BLOCK_ROWS, allocate, atomic_write, by_rows
+from acquisition.recording import OPTIONAL, Header, RecordingWriter
 from acquisition.robot import FourierReference, Payload, Robot, fourier_reference
 
 from .. import model as dynamics
@@ -22,7 +23,8 @@ from ..regression import differentiate
 from ..simulation import ClosedLoop, Encoder, Reference, recorded_loop, surrogate_loop
 
 PERIOD_S = 10.0  # of the reference, about; a very long period would be slow and excite little
-MIN_SAMPLES, MAX_SAMPLES = 100, 1_000_000  # of a simulated recording
+# of a simulated recording; a day at 1 kHz has fewer, and takes an hour: more are a mistake
+MIN_SAMPLES, MAX_SAMPLES = 100, 10**8
 # of the plant per controller period; with more, motion and torque change by less than 0.1 %
 SUBSTEPS = 2
 AR = 0.98  # autocorrelation of coloured noise at lag 1
@@ -52,18 +54,24 @@ class Noise(CellOptions):
         """
         from scipy.signal import lfilter
 
-        at = np.maximum(np.arange(len(held)) - self.lag_samples, 0)
-        tau = 0.5 * (held[at] + held[np.maximum(at - 1, 0)])
-        level = 0.01 * np.sqrt(np.mean(tau**2, axis=0))
-        white, slow = (
-            np.random.default_rng([seed, k]).standard_normal(tau.shape)
-            for k in (_EFFORT, _COLOURED)
+        rows, last = np.arange(len(held)), np.zeros((1, held.shape[1]))
+        streams = [np.random.default_rng([seed, k]) for k in (_EFFORT, _COLOURED)]
+        tau = by_rows(
+            lambda rows: (
+                0.5 * sum(held[np.maximum(rows - self.lag_samples - k, 0)] for k in (0, 1))
+            ),
+            rows,
         )
-        slow[1:] *= np.sqrt(1 - AR**2)
-        slow = lfilter([1], [1, -AR], slow, axis=0)
-        return np.asarray(
-            tau + level * (self.effort_percent * white + self.coloured_percent * slow)
-        )
+        level = 0.01 * np.sqrt(np.mean(np.square(tau, out=allocate(tau.shape, many=8)), axis=0))
+
+        def noisy(tau: Array, scale: Array) -> Array:
+            white, slow = (rng.standard_normal(tau.shape) for rng in streams)
+            slow, last[:] = lfilter([1], [1, -AR], scale * slow, axis=0, zi=last)
+            return np.asarray(
+                tau + level * (self.effort_percent * white + self.coloured_percent * slow)
+            )
+
+        return by_rows(noisy, tau, np.where(rows > 0, np.sqrt(1 - AR**2), 1.0)[:, None])
 
 
 def study_truth(robot: Robot) -> tuple[dynamics.BaseParameters, Array]:
@@ -99,15 +107,17 @@ def random_reference(
     robot, at rest at both ends.
 
     The same seed gives the same reference. The length is a whole number of periods of
-    about `period_s`, one if it is shorter. Raises `BadInputError` for fewer than 100 or
-    more than 1 000 000 samples.
+    about `period_s`, one if it is shorter. Raises `BadInputError` for fewer than 100 samples,
+    and for more than a day of them.
     """
     samples = duration_s * sample_rate_hz
     if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
         found = f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples"
         raise BadInputError(f"{found}; expected {MIN_SAMPLES} to {MAX_SAMPLES}")
-    t_s = np.arange(round(samples) + 1) / sample_rate_hz
-    return periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s).at(t_s)[0]
+    reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
+    return by_rows(
+        lambda rows: reference.at(rows / sample_rate_hz)[0], np.arange(round(samples) + 1)
+    )
 
 
 def closed_loop(
@@ -140,26 +150,45 @@ def closed_loop(
         raise BadInputError(
             f"robot {robot.name}: controller.sample_rate_hz = {found}: expected {expected}"
         )
-    dq = differentiate(q_ref, sample_rate_hz)
-    fastest = np.abs(dq @ model.directions.T).max(axis=0, initial=0.0)
-    white = np.random.default_rng([seed, _POSITION]).standard_normal(q_ref.shape)
-    encoder = Encoder(noise=noise.position * white, step=noise.encoder_step)
-    reference = Reference(q_ref, dq, differentiate(dq, sample_rate_hz), encoder=encoder)
-    follower = ClosedLoop(model, loop, (q_ref[0], dq[0]), fastest=fastest, substeps=SUBSTEPS)
-    done, reason = follower.follow(reference, np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max()))
-    if reason:
-        raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")
+    fastest = np.max(
+        [
+            np.abs(dq @ model.directions.T).max(axis=0, initial=0.0)
+            for _, dq, _ in _spans(q_ref, sample_rate_hz)
+        ],
+        axis=0,
+    )
+    start, rng = differentiate(q_ref[:2], sample_rate_hz), np.random.default_rng([seed, _POSITION])
+    follower = ClosedLoop(model, loop, (q_ref[0], start[0]), fastest=fastest, substeps=SUBSTEPS)
+    bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
+    seen, held = (allocate(q_ref.shape, many=8) for _ in range(2))
+    for rows, dq, ddq in _spans(q_ref, sample_rate_hz):
+        encoder = Encoder(
+            noise=noise.position * rng.standard_normal(dq.shape), step=noise.encoder_step
+        )
+        done, reason = follower.follow(Reference(q_ref[rows], dq, ddq, encoder=encoder), bound)
+        if reason:
+            raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")
+        seen[rows], held[rows] = encoder.seen(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
-        q=encoder.seen(done[0, ::SUBSTEPS]),
+        q=seen,
         q_ref=q_ref,
-        effort=noise.on_effort(done[3, ::SUBSTEPS], seed),
+        effort=noise.on_effort(held, seed),
         sample_rate_hz=sample_rate_hz,
         robot=robot,
         recording="simulated",
         payload=payload,
         effort_timing="mean",
     )
+
+
+def _spans(q: Array, rate_hz: float) -> Iterator[tuple[slice, Array, Array]]:
+    """Rows, speeds and accelerations of the spans of a motion q (N, n)."""
+    for first in range(0, len(q), BLOCK_ROWS):
+        rows, before = slice(first, min(first + BLOCK_ROWS, len(q))), min(first, 2)
+        dq = differentiate(q[first - before : rows.stop + 2], rate_hz)
+        own = slice(before, before + rows.stop - first)
+        yield rows, dq[own], differentiate(dq, rate_hz)[own]
 
 
 def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | None = None) -> None:
@@ -175,11 +204,6 @@ def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | N
     given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
     given |= {name: getattr(signals, name) for name in OPTIONAL}
     columns = {name: values for name, values in given.items() if values is not None}
-    layout = sample_dtype(signals.robot.n, reference="reference" in columns, optional=columns)
-    samples = np.empty(len(signals.q), layout)
-    samples["stamp_ns"] = np.round(signals.t_s * 1e9)
-    for name, values in columns.items():
-        samples[name] = values
     header = Header(
         robot=signals.robot,
         source=source,
@@ -190,4 +214,4 @@ def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | N
         notes=notes,
     )
     with atomic_write(path) as partial, RecordingWriter(partial, header) as writer:
-        writer.samples(samples)
+        writer.columns(np.round(signals.t_s * 1e9), columns)

@@ -23,7 +23,8 @@ from made_up_bags import (
     bag,
     message,
 )
-from made_up_recordings import header
+from made_up_recordings import header, written_again
+from mcap.writer import CompressionType
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -36,7 +37,8 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from acquisition.commands import main
 from acquisition.errors import BadInputError
-from acquisition.importing import BagOptions, import_bag
+from acquisition.files import on_disk
+from acquisition.importing import BagOptions, import_bag, time_base
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import robot_from_files
 
@@ -161,11 +163,16 @@ def edited(count=40, **change):
         )
 
 
+def unread(x, rows):
+    """As a driver publishes values that it has not read."""
+    return np.where(np.isin(np.arange(N), rows)[:, None], np.nan, x)
+
+
 def with_value(x, row, value):
     return x * np.where(np.arange(N) == row, value, 1)[:, None]
 
 
-ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
+ONE_PUBLISHER = "one publisher: record the topic of the arm's own driver"
 
 
 @pytest.mark.parametrize(
@@ -184,8 +191,15 @@ ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
         ({"velocity": lambda k: None if k == 5 else DQ}, "", "", None,
          "velocity in all or in none"),
         ({"frame": lambda k: "" if k % 2 else "left"}, ": message 2", "", None, ONE_PUBLISHER),
-        ({"names": lambda k: NAMES if k % 2 else NAMES[::-1]}, ": message 2", "", None,
+        ({"names": lambda k: NAMES if k % 2 else NAMES[::-1]}, "", "", None, ONE_PUBLISHER),
+        ({"names": lambda k: NAMES if k % 20 else (*NAMES, "finger")}, "", "", None,
          ONE_PUBLISHER),
+        ({"effort": EFFORT * [1, np.nan]}, "", "effort of joint elbow", None,
+         "measured positions and efforts"),
+        ({"position": np.where(T < 0.05, np.inf, Q.T).T}, ": state 1",
+         "position of joint shoulder", np.inf, "a finite number"),
+        ({"effort": unread(EFFORT, [*range(5), 7])}, ": state 8", "effort of joint shoulder",
+         np.nan, "a finite number"),
         ({"stamp_ns": lambda k: FIRST_NS + (k - 30 * (k % 2)) * 10**7}, "", "row 2", None,
          "growing times of one source"),
         ({"stamp_ns": lambda k: FIRST_NS + (k // 2) * 10**7}, "", "row 2", None,
@@ -204,6 +218,35 @@ def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, v
         repr(value),
     )
     assert error.expected.startswith(expected)
+
+
+@pytest.mark.parametrize("names", [NAMES[::-1], ("finger", *NAMES), ("elbow", "f", "shoulder")])
+def test_a_controller_that_starts_again_may_change_the_order_of_its_names(tmp_path, names):
+    states = edited(N, names=lambda k: NAMES if k < 90 else names)
+    recording = imported(bag(tmp_path / "a", states), tmp_path / "out.mcap")
+    for name, true in (("position", Q), ("velocity", DQ), ("effort", EFFORT)):
+        assert recording.samples[name] == pytest.approx(true, abs=1e-12)
+    told = [event.text for event in recording.events]
+    assert told == ["the names or their order change 1 times: joints go by their names"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "change"),
+    [
+        (5, {"effort": unread(EFFORT, range(5))}),
+        (1, {"position": unread(Q, [0])}),
+        (30, {"effort": np.stack([EFFORT[:, 0], unread(EFFORT, range(30))[:, 1]], axis=1)}),
+        (7, {"position": unread(Q, range(3)), "effort": unread(EFFORT, range(7)),
+             "velocity": unread(DQ, range(6))}),
+    ],
+)  # fmt: skip
+def test_states_that_are_not_read_yet_are_left_out_and_counted(tmp_path, rows, change):
+    recording = imported(bag(tmp_path / "a", edited(N, **change)), tmp_path / "out.mcap")
+    for name, true in (("position", Q), ("velocity", DQ), ("effort", EFFORT)):
+        assert recording.samples[name] == pytest.approx(true[rows:], abs=1e-12)
+    assert recording.samples["stamp_ns"][0] == FIRST_NS + rows * 10_000_000
+    told = f"{rows} states at the start are left out: a position or an effort is nan there"
+    assert [event.text for event in recording.events] == [told]
 
 
 def in_turns(every=1, **other):
@@ -322,6 +365,21 @@ def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_state
     assert told in capsys.readouterr().out
 
 
+def test_a_reference_that_is_not_set_yet_is_left_out(tmp_path, robot):
+    """Up to 1 s; the samples begin with the reference, at 1.003 s."""
+
+    def reference(t):
+        return reversed_reference(t) if t > 1 else np.full(2, np.nan)
+
+    path = with_controllers(tmp_path / "a", {CONTROLLER: states_of(reference)})
+    found = import_bag(path, robot, tmp_path / "out.mcap", OPTIONS)
+    assert (found.has_reference, found.samples) == (True, 89)
+    samples = read_recording(tmp_path / "out.mcap").samples
+    at_s = 1e-9 * (samples["stamp_ns"] - FIRST_NS).astype(float)
+    assert at_s[0] == pytest.approx(1.01)
+    np.testing.assert_allclose(samples["reference"], reversed_reference(at_s).T[:, ::-1], atol=2e-6)
+
+
 def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_path, robot):
     gripper = {"/gripper/controller_state": states_of(reversed_reference, names=("finger",))}
     two = {
@@ -427,11 +485,94 @@ def test_files_that_are_no_bags(tmp_path, robot, capsys):
     ).glob("*.db3")
     with closing(sqlite3.connect(spoilt)) as database, database:
         database.execute("UPDATE messages SET data = x'00' WHERE id > 10")
-    for name in ("folder", "text.mcap", "text.db3", "own.mcap", "cut", "missing.mcap", "spoilt"):
+    for name, way_out in (
+        ("folder", "ros2 bag reindex"),
+        ("text.mcap", "a ROS 2 bag: a folder"),
+        ("text.db3", "sqlite3 CUT.db3 .recover"),
+        ("own.mcap", "--profile ros2"),
+        ("cut", "mcap recover CUT.mcap"),
+        ("missing.mcap", "a ROS 2 bag: a folder"),
+        ("spoilt", "a ROS 2 bag: a folder"),
+    ):
         assert run(tmp_path / name, tmp_path / "out.mcap") == 1
         err = capsys.readouterr().err
+        assert way_out in err
         assert (
             f"{tmp_path / name}: cannot be read{' after 9 messages' * (name == 'spoilt')}: " in err
         )
         assert err.count("\n") == 1
         assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_of_a_folder_without_metadata_its_only_file_is_read(tmp_path, storage):
+    path = bag(tmp_path / "a", map(message, range(N)), storage=storage)
+    (path / "metadata.yaml").unlink()
+    assert imported(path, tmp_path / "out.mcap").samples["position"] == pytest.approx(Q, abs=1e-12)
+
+
+def test_a_folder_that_is_not_whole_is_refused_with_the_way_out(tmp_path, capsys):
+    """Of several files, cut in the only one, at its end, in its head and of nothing, without
+    one, and with other metadata.
+    """
+    made = {name: bag(tmp_path / name, map(message, range(N))) for name in "abcdefg"}
+    files = {name: path / f"{name}.mcap" for name, path in made.items()}
+    for name in "abcde":
+        (made[name] / "metadata.yaml").unlink()
+    (made["a"] / "a_2.mcap").write_bytes(files["a"].read_bytes())
+    for name, size in (("b", 20_000), ("c", -1), ("d", 20), ("e", 0)):
+        files[name].write_bytes(files[name].read_bytes()[:size])
+    files["f"].unlink()
+    (made["g"] / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    ways_out = {"a": f"`ros2 bag reindex {made['a']}` first", "f": "reindex", "g": "reindex"}
+    for name, path in made.items():
+        assert run(path, tmp_path / "out.mcap") == 1
+        err = capsys.readouterr().err
+        assert ways_out.get(name, "`mcap recover CUT.mcap -o WHOLE.mcap`") in err, err
+        assert err.count("\n") == 1
+    cut = bag(tmp_path / "h", map(message, range(N)), storage=StoragePlugin.SQLITE3) / "h.db3"
+    cut.write_bytes(cut.read_bytes()[:20_000])
+    assert run(cut, tmp_path / "out.mcap") == 1
+    assert "sqlite3 CUT.db3 .recover" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("compression", [*CompressionType])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_bags_that_another_program_wrote_again_are_read(tmp_path, whole, compression, chunked):
+    (file,) = whole.glob("*.mcap")
+    path = written_again(
+        file, tmp_path / "a.mcap", compression=compression, use_chunking=chunked, chunk_size=3000
+    )
+    recording = imported(path, tmp_path / "out.mcap")
+    assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
+
+
+def test_a_long_bag_is_read_block_by_block(tmp_path, monkeypatch, whole):
+    """Its states lie on disk, and those beside a block count as in one."""
+    monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", 100)
+    monkeypatch.setattr(on_disk, "BLOCK_ROWS", 61)
+    monkeypatch.setattr(time_base, "BLOCK_ROWS", 61)
+    monkeypatch.setattr("acquisition.recording.writer.BLOCK_ROWS", 61)
+    late = np.zeros(N, int)
+    late[[17, 61, 122, 150]] = 3_000_000  # which the motion contradicts
+    uneven = np.random.default_rng(4).integers(0, 100_000, N)
+    stamps = FIRST_NS + np.arange(N) * 10_000_000
+    states = (message(k, stamp_ns=int(s)) for k, s in enumerate(stamps + uneven + late))
+    recording = imported(bag(tmp_path / "a", states), tmp_path / "out.mcap")
+    assert (
+        "4 rows left out whose header stamps the motion contradicts" in recording.metadata["times"]
+    )
+    at_s = 1e-9 * (recording.samples["stamp_ns"] - FIRST_NS).astype(float)
+    true = np.stack([0.5 * np.sin(2 * at_s), 0.3 * np.sin(3 * at_s)], axis=1)
+    # by a clock that is uneven by 0.1 ms
+    np.testing.assert_allclose(recording.samples["position"], true, atol=3e-4)
+    assert np.abs(np.diff(recording.samples["position"], n=2, axis=0)).max() < 5e-4
+    for key, other in (
+        ("position", {"position": np.roll(Q, 3, axis=0)}),
+        ("effort", {"effort": 0.9 * EFFORT}),
+    ):
+        path = bag(tmp_path / f"two_{key}", in_turns(**other))
+        with pytest.raises(BadInputError) as refused:
+            import_bag(path, robot_named("scara"), tmp_path / "two.mcap", OPTIONS)
+        assert refused.value.key.startswith(key)

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from conftest import robot_named
 from jittered_time import MAP
+from scipy.interpolate import CubicSpline
 
 from acquisition.errors import BadInputError, Place
 from acquisition.importing import import_tables
 from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
-from acquisition.importing.time_base import rate_warnings, resample, time_report
+from acquisition.importing.time_base import interpolate, rate_warnings, resample, time_report
 from acquisition.recording import read_recording
 
 RNG = np.random.default_rng(5)
@@ -45,6 +46,16 @@ def test_values_are_interpolated_at_their_times():
     off = np.abs(found.parts["q"] - motion(t))[20:-20].max(axis=0)
     assert (off < 5 / 384 * 0.013**4 * np.array([40.5, 125])).all()
     assert off.max() > 1e-10  # of a line through the rows it is a thousand times as much
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 93.0, 1000.0])
+@pytest.mark.parametrize("block", [61, 100, 399, 1000])
+def test_splines_of_blocks_are_that_of_all_rows(monkeypatch, rate_hz, block):
+    """Of scipy, and of noise, on which a row acts furthest; before and after the rows too."""
+    monkeypatch.setattr("acquisition.importing.time_base.BLOCK_ROWS", block)
+    noise, at_s = RNG.normal(size=(400, 2)), np.arange(-0.01, UNEVEN[-1] + 0.01, 1 / rate_hz)
+    whole = CubicSpline(UNEVEN, noise)(at_s)
+    np.testing.assert_allclose(interpolate(UNEVEN, noise, at_s), whole, atol=1e-13)
 
 
 def test_the_report_by_hand():

@@ -110,7 +110,7 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
-    with pytest.raises(BadInputError, match=r"a chunk of 7.* bytes: expected 67108864"):
+    with pytest.raises(BadInputError, match=r"a chunk of 67108865 bytes: expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
     monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
     with pytest.raises(BadInputError, match="more than 10000 bytes unpacked"):
@@ -216,14 +216,14 @@ def test_files_that_are_no_recording_are_refused_in_one_line(
     ("change", "message"),
     [
         (lambda writer: writer.add_metadata("recording", GOOD),
-         "damaged at byte .* a second metadata record 'recording'"),
+         "has a second metadata record 'recording': expected one recording, not merged"),
         (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""),
-         r"a second attachment 'robot\.toml'"),
+         r"has a second attachment 'robot\.toml'"),
         (lambda writer: writer.add_message(7, 0, b"", 0),
          "a message on channel 7, which is not described"),
     ],
 )  # fmt: skip
-def test_what_stands_twice_or_belongs_to_nothing_is_damage(tmp_path, robot, change, message):
+def test_what_stands_twice_or_belongs_to_nothing_is_refused(tmp_path, robot, change, message):
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = described(file, GOOD, robot.files)
         change(writer)

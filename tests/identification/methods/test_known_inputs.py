@@ -269,6 +269,16 @@ def test_speeds_of_joints_that_stand_are_not_judged():
         check_recorded_velocities(scara, q, v, 400.0, "log")
 
 
+@pytest.mark.parametrize("count", [1001, 1010, 1020])
+def test_a_velocity_is_compared_with_the_steps_of_its_position(count):
+    """Of a constant acceleration, whose speed is summed up without an error, times 1.5."""
+    t, scara = np.arange(count)[:, None] / 400, robot_named("scara")
+    told = check_recorded_velocities(scara, 0.01 * t**2 * [1, 2], 0.03 * t * [1, 2], 400.0, "")
+    for name, text in zip(("shoulder", "elbow"), told, strict=True):
+        start = f"velocity of joint {name} = 1.5 x the derivative of its position"
+        assert text == f"{start}, off by 50 %"
+
+
 def test_rates_of_torques_are_those_of_the_drives():
     """No drive records the spring: its rate is not in the column of a lag."""
     signals = records()[0]

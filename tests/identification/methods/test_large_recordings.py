@@ -14,7 +14,7 @@ from identification.regression import Overrides
 @pytest.fixture
 def everything_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", 1000)
-    monkeypatch.setattr(on_disk, "_BLOCK_ROWS", 999)
+    monkeypatch.setattr(on_disk, "BLOCK_ROWS", 999)
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
 
 
@@ -45,6 +45,16 @@ def test_what_is_let_go_is_read_again(everything_on_disk):
     assert not is_on_disk(held)
     release_pages(held)
     assert (held == 1.0).all()
+
+
+def test_stamps_on_disk_keep_all_their_digits(everything_on_disk):
+    rows = np.zeros(3000, [("stamp_ns", "<i8"), ("position", "<f8", (2,))])
+    rows["stamp_ns"] = 1_700_000_000_000_000_001 + np.arange(3000)
+    rows["position"] = np.arange(6000.0).reshape(3000, 2)
+    for name in ("stamp_ns", "position"):
+        found = on_disk.field_of(rows, name)
+        assert is_on_disk(found)
+        assert found.tolist() == rows[name].tolist()
 
 
 def test_a_fit_of_samples_on_disk_is_that_of_samples_in_memory(request):
