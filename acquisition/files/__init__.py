@@ -2,5 +2,5 @@
 
 from .atomic import atomic_write, is_recording, refuse_clash
 from .meshes import MESHES, find_mesh, read_meshes
-from .on_disk import GrowingBytes, allocate, field_of, release_pages
+from .on_disk import GrowingBytes, allocate, field_of, kept, release_pages
 from .tables import format_numbers, read_columns, read_csv_head, write_columns

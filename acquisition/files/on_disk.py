@@ -2,7 +2,7 @@
 
 import mmap
 import tempfile
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 # of one array: an hour of six joints at 500 Hz has some five, which do not fit in 1 GB
 MAX_BYTES_IN_MEMORY = 2**26
 _BLOCK_ROWS = 100_000
+Kind = TypeVar("Kind", bound=np.generic)
 
 
 class GrowingBytes:
@@ -38,16 +39,27 @@ class GrowingBytes:
         return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
 
 
-def allocate(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """An uninitialised array, in an unnamed temporary file if it is larger than
-    `MAX_BYTES_IN_MEMORY`.
+def allocate(
+    shape: tuple[int, ...], dtype: Any = np.float64, most: int | None = None
+) -> NDArray[Any]:
+    """An uninitialised array, in an unnamed temporary file if it is larger than `most` bytes
+    (`MAX_BYTES_IN_MEMORY`).
     """
-    size = 8 * int(np.prod(shape))
-    if size <= MAX_BYTES_IN_MEMORY:
-        return np.empty(shape)
+    size = np.dtype(dtype).itemsize * int(np.prod(shape))
+    if size <= (MAX_BYTES_IN_MEMORY if most is None else most):
+        return np.empty(shape, dtype)
     with tempfile.TemporaryFile() as file:
         file.truncate(size)
-        return np.frombuffer(mmap.mmap(file.fileno(), size), np.float64).reshape(shape)
+        return np.frombuffer(mmap.mmap(file.fileno(), size), dtype).reshape(shape)
+
+
+def kept(x: NDArray[Kind]) -> NDArray[Kind]:
+    """An array that lives for long: copied to disk if it is larger than an eighth of
+    `MAX_BYTES_IN_MEMORY`; much memory that is freed in smaller parts is not returned.
+    """
+    copy = allocate(x.shape, x.dtype, MAX_BYTES_IN_MEMORY // 8)
+    copy[...] = x
+    return copy
 
 
 def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..arrays import Ints
 from ..errors import Place
+from ..files import kept
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .association import associate
@@ -208,7 +209,7 @@ def decode(
             Place(place).refuse(
                 text=text, expected="the drive's answers to SYNC; is it mapped and started?"
             )
-        pdos.append(rows)
+        pdos.append(kept(rows))
         repeats.append(again)
         counted.append(
             PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short)
@@ -219,7 +220,7 @@ def decode(
     if (traffic.at("length", sync_rows) >= 1).all():
         intervals = replace(intervals, steps=counted_steps(traffic.at("data", sync_rows)[:, 0]))
     steps = intervals.steps
-    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
+    index_of = kept(np.concatenate([[0], np.cumsum(steps[:-1])]))
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
     if len(sync_rows) >= MIN_SYNCS:
         refuse_period(clock.period_s, bus.file.sync_period_s, place)
@@ -245,8 +246,8 @@ def decode(
     answered = answers.answered
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
-    rows_of = dict(zip(carriers, answers.rows, strict=True))
-    stamps, syncs_lost = clock.stamps[answered], int(np.sum(steps - 1))
+    rows_of = dict(zip(carriers, map(kept, answers.rows), strict=True))
+    stamps, syncs_lost = kept(clock.stamps[answered]), int(np.sum(steps - 1))
     return Decoded(
         traffic=traffic,
         robot=robot,
