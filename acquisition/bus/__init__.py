@@ -14,7 +14,7 @@ from .before_motion import (
     position_words,
     refuse_enabled,
 )
-from .frames import SUFFIXES, Frame, Tap, block_of, command_ids, read_log, service_of
+from .frames import Frame, Tap, block_of, command_ids, service_of
 from .links import (
     QUEUE_BYTES,
     SHARED,
@@ -26,6 +26,7 @@ from .links import (
     queue_bytes,
     socket_of,
 )
+from .logs import SUFFIXES, Log, read_log
 from .master import OPERATIONAL, Master, Orders, send_orders
 from .passive import listening_words
 from .receiving import Receiver, WallClock, describe_step

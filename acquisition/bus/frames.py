@@ -1,19 +1,15 @@
-"""CAN frames, blocks of frames, the service of a frame in words (CiA 301's connection set), and
-CAN logs of other tools.
-"""
+"""CAN frames, blocks of frames, and the service of a frame in words (CiA 301's connection set)."""
 
-import logging
-import re
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import BadInputError
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT, REQUEST, usual_can_id
-from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, MAX_STAMP_NS, REMOTE_REQUEST, SENT, Block
+from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Block
 from ..robot import Bus
+
+_MAX_BASE_ID = 0x7FF  # of 11 bits
 
 
 class Frame(NamedTuple):
@@ -44,8 +40,9 @@ def block_of(frames: list[Frame]) -> Block:
 
 def frame_of(message: Any) -> Frame:
     """A message of python-can as a frame."""
+    extended = message.is_extended_id or message.arbitration_id > _MAX_BASE_ID
     flags = (
-        (EXTENDED if message.is_extended_id and not message.is_error_frame else 0)
+        (EXTENDED if extended and not message.is_error_frame else 0)
         | (ERROR if message.is_error_frame else 0)
         | (REMOTE_REQUEST if message.is_remote_frame else 0)
         | (0 if message.is_rx else SENT)
@@ -134,90 +131,3 @@ def other_node(frame: Frame, bus: Bus) -> int | None:
         frame.can_id & 0x780 == HEARTBEAT and not frame.flags & EXTENDED and not _is_boot_up(frame)
     )
     return node if is_heartbeat and node not in known else None
-
-
-SUFFIXES = (".log", ".asc", ".blf", ".trc")
-MAX_PAYLOAD = 8  # bytes, of classic CAN
-_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # python-can reads any other version as 1.0
-
-
-class _FirstWarning(logging.Handler):
-    """Stores the first warning of python-can's TRC reader, which skips
-    lines that it cannot read.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.first: str | None = None
-
-    def emit(self, record: logging.LogRecord) -> None:
-        line = str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
-        # the reader takes the last header line for a frame
-        if line.strip() and not line.startswith(";"):
-            self.first = self.first or record.getMessage()
-
-
-def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Yield interface and frame from a log: candump (.log), Vector ASC or BLF,
-    PCAN TRC, by the suffix.
-
-    The interface is None for error frames of a candump log, where python-can does not give it. The
-    frame is None for CAN FD, which CANopen does not use. Raises `BadInputError` with file and frame
-    (from 1): the log cannot be read or is damaged, a time does not fit into a recording, or a frame
-    has more than 8 bytes.
-    """
-    import can
-
-    if path.suffix.lower() not in SUFFIXES:
-        expected = ".log (candump), .asc, .blf or .trc"
-        raise BadInputError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
-    count, max_time_s, warnings = 0, MAX_STAMP_NS * 1e-9, _FirstWarning()
-    logger = logging.getLogger("can.io.trc")
-    logger.addHandler(warnings)
-    try:
-        if path.suffix.lower() == ".trc":
-            _refuse_version(path)
-        with can.LogReader(path) as reader:
-            for message in reader:
-                count += 1
-                if not 0 <= message.timestamp <= max_time_s:  # nor is NaN
-                    problem = f"time {message.timestamp:.10g} s"
-                    raise BadInputError(
-                        problem, place=f"{path}: frame {count}", expected=f"0 to {max_time_s:.10g}"
-                    )
-                interface = None if message.channel is None else str(message.channel)
-                if getattr(message, "is_fd", False):
-                    yield interface, None
-                    continue
-                if len(message.data) > MAX_PAYLOAD:
-                    where = f"{path}: frame {count} (0x{message.arbitration_id:03X})"
-                    problem = f"{len(message.data)} bytes"
-                    expected = f"{MAX_PAYLOAD} at most, as of classic CAN"
-                    raise BadInputError(problem, place=where, expected=expected)
-                yield interface, frame_of(message)
-        if warnings.first is not None:
-            raise BadInputError(f"damaged: {warnings.first[:200]}", place=str(path))
-    except BadInputError:
-        raise
-    except OSError as error:
-        raise BadInputError(
-            f"cannot be read: {error.strerror or error}", place=str(path)
-        ) from error
-    except Exception as error:  # on damaged files the readers raise errors of any kind
-        problem = str(error) or type(error).__name__
-        raise BadInputError(
-            f"damaged after {count} frames: {problem[:200]}", place=str(path)
-        ) from error
-    finally:
-        logger.removeHandler(warnings)
-
-
-def _refuse_version(path: Path) -> None:
-    with path.open("rb") as file:
-        found = re.search(rb"(?m)^;\$FILEVERSION=([^\s]*)", file.read(4096))
-    version = found[1].decode(errors="replace") if found else "1.0"
-    if version not in _TRC_VERSIONS:
-        expected = f"one of {', '.join(_TRC_VERSIONS)}"
-        raise BadInputError(
-            f"version {version} of PCAN's format", place=str(path), expected=expected
-        )

@@ -8,6 +8,7 @@ from .on_disk import (
     allocate,
     by_rows,
     field_of,
+    kept,
     release_pages,
     taken,
 )

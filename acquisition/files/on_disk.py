@@ -6,7 +6,7 @@ import mmap
 import os
 import tempfile
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 # of one array: an hour of six joints at 500 Hz has some five, which do not fit in 1 GB
 MAX_BYTES_IN_MEMORY = 2**26
 BLOCK_ROWS = 100_000  # of an array that are processed at a time
+Kind = TypeVar("Kind", bound=np.generic)
 
 
 class GrowingBytes:
@@ -42,17 +43,26 @@ class GrowingBytes:
         return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
 
 
-def allocate(shape: tuple[int, ...], *, many: int = 1) -> NDArray[np.float64]:
+def allocate(shape: tuple[int, ...], dtype: Any = np.float64, *, many: int = 1) -> NDArray[Any]:
     """An uninitialised array, in an unnamed temporary file if `many` of its size are larger
     than `MAX_BYTES_IN_MEMORY`. Raises `OSError` where the disk is full.
     """
-    size = 8 * int(np.prod(shape))
+    size = np.dtype(dtype).itemsize * int(np.prod(shape))
     if many * size <= MAX_BYTES_IN_MEMORY:
-        return np.empty(shape)
+        return np.empty(shape, dtype)
     with tempfile.TemporaryFile() as file:
         # A file with holes would end the process where the disk becomes full.
         os.posix_fallocate(file.fileno(), 0, size)
-        return np.frombuffer(mmap.mmap(file.fileno(), size), np.float64).reshape(shape)
+        return np.frombuffer(mmap.mmap(file.fileno(), size), dtype).reshape(shape)
+
+
+def kept(x: NDArray[Kind]) -> NDArray[Kind]:
+    """An array that lives for long: copied to disk if it is larger than an eighth of
+    `MAX_BYTES_IN_MEMORY`; much memory that is freed in smaller parts is not returned.
+    """
+    copy = allocate(x.shape, x.dtype, many=8)
+    copy[...] = x
+    return copy
 
 
 def by_rows(
@@ -69,9 +79,7 @@ def by_rows(
     for first in range(0, count, BLOCK_ROWS):
         part = rule(*(x[first : min(count, first + BLOCK_ROWS) + beside] for x in arrays))
         if first == 0:
-            whole = allocate((count, *part.shape[1:]), many=8).view(
-                part.dtype if part.dtype.itemsize == 8 else np.float64
-            )
+            whole = allocate((count, *part.shape[1:]), part.dtype, many=8)
         whole[first : first + BLOCK_ROWS] = part
         for x in (*arrays, whole):
             release_pages(x)

@@ -121,6 +121,24 @@ def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packe
         )
 
 
+def in_order(parts: Iterator[Packets], most_ns: int) -> Iterator[Packets]:
+    """The same packets in the order of their times where these step back by at most so much."""
+    rest = Packets(np.zeros(0, np.uint8), *np.zeros((3, 0), np.int64))
+    for part in parts:
+        data = np.concatenate([rest.data, part.data])
+        begin = np.concatenate([rest.begin, part.begin + len(rest.data)])
+        time_ns, length = (np.concatenate([rest[k], part[k]]) for k in (1, 3))
+        session = np.cumsum(np.diff(time_ns, prepend=time_ns[:1]) < -most_ns)
+        order = np.lexsort((time_ns, session))
+        # packets of the next part may come before the last ones
+        last = (session == session[-1:]) & (time_ns > time_ns[order[-1:]] - most_ns)
+        now, later = order[~last[order]], order[last[order]]
+        yield Packets(data, time_ns[now], begin[now], length[now])
+        first = int(begin[later].min(initial=len(data)))
+        rest = Packets(data[first:], time_ns[later], begin[later] - first, length[later])
+    yield rest
+
+
 def _ticks(interface: bytes, order: str) -> int:
     """Ticks per second of a pcapng interface; 0 if it is not of Ethernet."""
     link, option, ticks = struct.unpack_from(f"{order}H", interface)[0], 8, 10**6

@@ -1,6 +1,5 @@
 """Recordings from frames: of other recordings, also cut ones, and of CAN logs."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -9,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..bus import SUFFIXES, Frame, block_of, read_log
+from ..bus import SUFFIXES, read_log
 from ..errors import Place
-from ..files import atomic_write
+from ..files import allocate, atomic_write
 from ..recording import (
     NO_SAMPLES,
     Block,
@@ -29,6 +28,7 @@ from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
 from .captures import is_capture
 from .ethercat import MAPPING_NOTE, import_capture
+from .log_times import in_order, once
 from .time_base import ImportSummary
 
 
@@ -117,9 +117,10 @@ def import_log(
     capture with this `mapping`.
 
     `log`: candump, ASC, BLF or TRC; if it has several interfaces, the frames of `bus.channel` are
-    used. The drives of `robot`, whose description has the name `place` in errors, decode the
-    frames; `payload` is what it carried. Raises `BadInputError`: the log cannot be read, none of
-    its frames are of the described interface, or they do not decode.
+    used, such as "can0", or "1" for CAN 1 of Vector's and PCAN's files. The drives of `robot`,
+    whose description has the name `place` in errors, decode the frames; `payload` is what it
+    carried. Raises `BadInputError`: the log cannot be read, none of its frames are of the described
+    interface, its times begin again, or the frames do not decode.
     """
     if is_capture(log):
         bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
@@ -132,9 +133,13 @@ def import_log(
         with log.open("rb") as file:
             return import_capture(file, header, bus, Place(str(log)), out)
     frames, left_out = _select_interface(log, robot)
-    frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
+    told = list(left_out)
+    if robot.bus is not None:  # else `resolve` refuses
+        frames, ordered = in_order(frames, robot.bus, str(log))
+        frames, doubled = once(frames, robot.bus)
+        told += ordered + doubled
     decoded = _decode_checked(frames, robot, str(log), place)
-    decoded = replace(decoded, warnings=left_out + decoded.warnings)
+    decoded = replace(decoded, warnings=(*told, *decoded.warnings))
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
     header = Header(
         source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus)
@@ -145,45 +150,35 @@ def import_log(
     return _summarize(decoded, out)
 
 
-def _select_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
+def _select_interface(path: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     """The frames of one bus in a log, and a warning about those left out: two buses would give two
     samples for each SYNC.
     """
-    found: list[tuple[str | None, Frame]] = []
-    fd = 0
-    for interface, frame in read_log(log):
-        if frame is None:
-            fd += 1
-        else:
-            found.append((interface, frame))
-    if not found:
-        Place(str(log)).refuse(
-            text=f"holds no CAN frames ({fd} of CAN FD)", expected="some of classic CAN"
-        )
-    counts = Counter(interface for interface, _ in found)
-    named = [interface for interface in counts if interface is not None]
-    # error frames may have no interface: they belong to the only bus of the log
-    wanted = {None, *named}
-    if len(named) > 1:
-        wanted = {robot.bus.channel if robot.bus is not None else ""}
-    left_out = [
-        f"{count} of interface {name or '(not named)'}"
-        for name, count in counts.items()
-        if name not in wanted
-    ]
-    if not wanted & set(counts):
-        expected = "one interface: filter the log, or name one of them as bus.channel in robot.toml"
-        Place(str(log)).refuse(text=f"frames: {', '.join(left_out)}", expected=expected)
-    left_out += [f"{fd} of CAN FD"] if fd else []
-    frames = block_of([frame for interface, frame in found if interface in wanted])
-    return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
+    log = read_log(path)
+    others = [f"{count} {name}" for name, count in log.left_out.items()]
+    if not log.frames:
+        found = f" ({', '.join(others)})" if others else ""
+        Place(str(path)).refuse(text=f"holds no CAN frames{found}", expected="some of classic CAN")
+    wanted, *more = log.frames
+    if more:
+        wanted = robot.bus.channel if robot.bus is not None else ""
+    names = {name: f"CAN {name}" if name.isdecimal() else name for name in log.frames}
+    counts = {name: f"{len(some)} of {names[name]}" for name, some in log.frames.items()}
+    if wanted not in names:
+        expected = f"one of {', '.join(map(repr, names))} as bus.channel in robot.toml"
+        Place(str(path)).refuse(text=f"frames: {', '.join(counts.values())}", expected=expected)
+    left_out = [*(counts[name] for name in names if name != wanted), *others]
+    taken = f"frames of {names[wanted]} are used; " if more else ""
+    return log.frames[wanted], (f"{taken}left out: {', '.join(left_out)}",) * bool(left_out)
 
 
 def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
     frames, bus = resolve_mapped(frames, robot, place)
     decoded = decode(frames, robot, bus, name)
-    # a view would hold its whole block
-    q = np.concatenate([block["position"].copy() for block in decoded.blocks()])
+    q, first = allocate((len(decoded.stamps), robot.n)), 0
+    for block in decoded.blocks():
+        q[first : first + len(block)] = block["position"]
+        first += len(block)
     warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
     return replace(decoded, warnings=decoded.warnings + warnings)
 

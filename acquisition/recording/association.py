@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..files import kept
 from .rows import Rows
 from .sync_grid import MAX_RUN_SYNCS, Bools, Intervals, interval_of, minimum_ahead
 
@@ -59,7 +60,7 @@ def associate(
     """
     steps, torn, edges = intervals.steps, intervals.torn, _sums(intervals.steps)
     behind = [
-        edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(steps)))
+        kept(edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(steps))))
         for pdo in pdos
     ]
     # not as many answers as SYNCs in an interval
@@ -152,7 +153,7 @@ def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
         lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
         level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
         unchanged &= balance == np.repeat(level, np.diff(starts, append=len(proven)))
-    cuts = np.flatnonzero(unchanged | proven).astype(np.int32)
+    cuts = kept(np.flatnonzero(unchanged | proven).astype(np.int32))
     return cuts, np.logical_and.reduce([np.diff(balance[cuts]) == 0 for balance in balances])
 
 
@@ -160,12 +161,12 @@ def _late(uneven: Bools, proven: Bools, damaged: Bools) -> tuple[Bools, Bools]:
     """Intervals from the first uneven one between two proven edges to the last, and those within
     reach of a damaged one.
     """
-    sums, at = _sums(damaged), np.arange(len(damaged))
+    sums, at = _sums(damaged), np.arange(len(damaged), dtype=np.int32)
     near = (
         sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(damaged))]
         > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
     )
-    starts, sums = np.flatnonzero(proven), _sums(uneven)
+    starts, sums = np.flatnonzero(proven).astype(np.int32), _sums(uneven)
     count = np.diff(starts)
     late = (sums[1:] > np.repeat(sums[starts[:-1]], count)) & (
         sums[:-1] < np.repeat(sums[starts[1:]], count)
@@ -177,7 +178,7 @@ def _sums(values: NDArray[Any]) -> Rows:
     """Sum of all values before each, then the sum of all."""
     sums = np.zeros(len(values) + 1, np.int32)
     np.cumsum(values, out=sums[1:])
-    return sums
+    return kept(sums)
 
 
 def _longest_run(true: Bools) -> int:

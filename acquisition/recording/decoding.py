@@ -11,8 +11,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import Ints
+from ..arrays import Array, Ints
 from ..errors import Place
+from ..files import kept
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .association import associate
@@ -29,9 +30,12 @@ from .sync_grid import (
 from .writer import RecordingWriter
 
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
+MAX_UNEVEN, MIN_EVEN_SHARE = 0.25, 0.75  # of a period, and of the steps that deviate by less
 MIN_SYNCS = 10  # with fewer, their period is not checked
 MAX_MISSING_SHARE = 0.05  # of the PDOs of a drive; with more, wrong rows may look right
 MAX_MISSING_COUNT = 2  # PDOs of a drive; so few are no share of a short recording
+# SYNCs without rows before the first row and after the last: more give a warning
+MAX_AT_ENDS, MAX_SHARE_AT_ENDS = 3, 0.02
 LOSSES = ("late", "duplicate", "missing", "short")  # counters of PDOs
 _AT_ONCE = 10_000  # samples
 MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
@@ -208,7 +212,7 @@ def decode(
             Place(place).refuse(
                 text=text, expected="the drive's answers to SYNC; is it mapped and started?"
             )
-        pdos.append(rows)
+        pdos.append(kept(rows))
         repeats.append(again)
         counted.append(
             PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short)
@@ -219,10 +223,10 @@ def decode(
     if (traffic.at("length", sync_rows) >= 1).all():
         intervals = replace(intervals, steps=counted_steps(traffic.at("data", sync_rows)[:, 0]))
     steps = intervals.steps
-    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
+    index_of = kept(np.concatenate([[0], np.cumsum(steps[:-1])]))
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
     if len(sync_rows) >= MIN_SYNCS:
-        refuse_period(clock.period_s, bus.file.sync_period_s, place)
+        refuse_period(clock.period_s, bus.file.sync_period_s, place, np.diff(times) * 1e-9)
     del times
     answers = associate(pdos, repeats, sync_rows, intervals)
     del pdos, rows  # large in a long session
@@ -245,8 +249,8 @@ def decode(
     answered = answers.answered
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
-    rows_of = dict(zip(carriers, answers.rows, strict=True))
-    stamps, syncs_lost = clock.stamps[answered], int(np.sum(steps - 1))
+    rows_of = dict(zip(carriers, map(kept, answers.rows), strict=True))
+    stamps, syncs_lost = kept(clock.stamps[answered]), int(np.sum(steps - 1))
     return Decoded(
         traffic=traffic,
         robot=robot,
@@ -315,20 +319,23 @@ def _targets(
     return targets if all((frames >= 0).any() for frames in targets) else None
 
 
-def refuse_period(measured_s: float, stated_s: float, place: str, what: str = "SYNC") -> None:
-    """Refuse a period other than the described one: rates and filters are
-    computed from the description.
+def refuse_period(
+    measured_s: float, stated_s: float, place: str, steps_s: Array, what: str = "SYNC"
+) -> None:
+    """Refuse a period other than the described one: rates and filters are computed from the
+    description. It is wrong only if most steps (k,) are as long as the measured period.
     """
-    if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
-        text = (
-            f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in "
-            "robot.toml"
-        )
-        command = "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
-        expected = (
-            f"{measured_s:.3g}; correct robot.toml and import again, a recording by {command}"
-        )
-        Place(place).refuse(text=text, expected=expected)
+    if abs(measured_s / stated_s - 1) <= MAX_PERIOD_ERROR:
+        return
+    text = f"{what} came every {measured_s * 1e3:.4g} ms"
+    command = "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+    expected = f"{measured_s:.3g}; correct robot.toml and import again, a recording by {command}"
+    if np.quantile(np.abs(steps_s / measured_s - 1), MIN_EVEN_SHARE) > MAX_UNEVEN:
+        low, high = np.quantile(steps_s, [0.1, 0.9]) * 1e3
+        text = f"{what} came {low:.3g} to {high:.3g} ms after the one before"
+        expected = "even steps: is each recorded twice, or in another order or clock than it came?"
+    text += f"; bus.sync_period_s = {stated_s:g} in robot.toml"
+    Place(place).refuse(text=text, expected=expected)
 
 
 def _warnings(
@@ -360,6 +367,11 @@ def _warnings(
     if missing:
         texts.append(
             f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps"
+        )
+    at_ends = len(clock.stamps) - int(answered[-1] - answered[0] + 1)
+    if at_ends > max(MAX_AT_ENDS, MAX_SHARE_AT_ENDS * len(clock.stamps)):
+        texts.append(
+            f"{at_ends} of {len(clock.stamps)} SYNC at the beginning and the end give no rows"
         )
     for count in counts:
         losses = [f"{getattr(count, word)} {word}" for word in LOSSES if getattr(count, word)]

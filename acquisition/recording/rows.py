@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Ints
 from ..errors import Place
-from ..files import release_pages
+from ..files import kept, release_pages
 from ..protocol import ObjectEntry, Pdo
 
 # One raw CAN frame; `data` beyond `length` is zero.
@@ -143,7 +143,7 @@ class Traffic:
     """
 
     def __init__(self, frames: Block) -> None:
-        self.frames, self.ids = frames, np.empty(len(frames), np.uint16)
+        self.frames, self.ids = frames, kept(np.empty(len(frames), np.uint16))
         first = 0
         for part in in_parts(frames):
             plain = (part["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
@@ -156,11 +156,11 @@ class Traffic:
         """
         rows = self.rows_of(pdo.can_id)
         whole = self.at("length", rows) >= pdo.length
-        return rows[whole], int(np.count_nonzero(~whole))
+        return kept(rows[whole]), int(np.count_nonzero(~whole))
 
     def rows_of(self, can_id: int) -> Rows:
         """Rows of the frames with an identifier."""
-        return np.flatnonzero(self.ids == can_id).astype(np.int32)
+        return kept(np.flatnonzero(self.ids == can_id).astype(np.int32))
 
     def at(self, field: str, rows: Rows) -> NDArray[Any]:
         """A field of the frames `rows`."""
@@ -184,7 +184,7 @@ class Traffic:
         return self._take(self.frames.view(only)["value"], rows).astype(np.int64)
 
     def _take(self, column: NDArray[Any], rows: Rows) -> NDArray[Any]:
-        values = np.empty((len(rows), *column.shape[1:]), column.dtype)
+        values = kept(np.empty((len(rows), *column.shape[1:]), column.dtype))
         for first in range(0, len(rows), _TAKEN):
             part = slice(first, first + _TAKEN)
             values[part] = column[rows[part]]

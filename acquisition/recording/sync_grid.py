@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array, Ints
+from ..files import kept
 from .rows import MAX_PERIOD_OFFSET, Rows
 
 Bools = NDArray[np.bool_]
@@ -68,25 +69,23 @@ def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns
     """Times of all `grid` SYNCs from those recorded, in ns, and their grid indices; `ours`:
     this master sent them.
     """
-    index = index_of.astype(np.float64)
+    index = kept(index_of.astype(np.float64))
     times, set_back = _remove_set_back(times, index_of)
-    since = (times - times[0]).astype(np.float64)
+    since = kept((times - times[0]).astype(np.float64))
     freed, run, within = _remove_delays(index, since)
     overall = _slope(index, since, np.zeros_like(run)) if run[-1] else within
     # Pauses lengthen the second estimate, delays may disturb the first; a wrong
     # description changes neither.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
-    deviation = since - index * within
+    deviation = kept(since - index * within)
     deviation -= _mean_of_run(deviation, run)
     if not ours:
         since = freed
-    at = np.rint(np.interp(np.arange(grid), index, since)).astype(np.int64)
-    beyond = np.arange(grid) > index_of[-1]
-    at[beyond] = at[index_of[-1]] + np.rint(
-        (np.arange(grid)[beyond] - index_of[-1]) * period
-    ).astype(np.int64)
+    k = kept(np.arange(grid))
+    at = kept(np.rint(np.interp(k, index, since)).astype(np.int64))
+    beyond = k > index_of[-1]
+    at[beyond] = at[index_of[-1]] + np.rint((k[beyond] - index_of[-1]) * period).astype(np.int64)
     stamps = int(times[0]) + at
-    k = np.arange(grid)
     stamps = np.maximum.accumulate(np.maximum(stamps, 0) - k) + k
     return SyncTimes(
         stamps=stamps,
@@ -117,13 +116,13 @@ def _remove_delays(index: Array, since: Array) -> tuple[Array, Ints, float]:
     period = float(np.median(np.diff(since) / np.diff(index)))
     ahead, run = 0, np.zeros(len(since), np.int64)
     for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
-        freed = minimum_ahead(since - index * period, ahead) + index * period
+        freed = kept(minimum_ahead(since - index * period, ahead) + index * period)
         paused = np.diff(freed) - np.diff(index) * period > (MIN_PAUSE_PERIODS - 1) * period
-        run = np.concatenate([[0], np.cumsum(paused)])
-        delay = since - freed
+        run = kept(np.concatenate([[0], np.cumsum(paused)]))
+        delay = kept(since - freed)
         usual = delay <= _MAX_DELAY_RATIO * np.median(delay)
         if np.count_nonzero(usual) >= 2:
-            period = _slope(index[usual], since[usual], run[usual])
+            period = _slope(kept(index[usual]), kept(since[usual]), kept(run[usual]))
     return minimum_ahead(since - index * period, ahead) + index * period, run, period
 
 
@@ -221,15 +220,15 @@ def sync_steps(
     period = float(np.median(np.diff(times))) or 1.0
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
     after_last = 1 + int((end - times[-1]) / period + 1 - _MAX_ANSWER_PERIODS)
-    periods = np.append(np.diff(times) / period, after_last)
+    periods = kept(np.append(np.diff(times) / period, after_last))
     long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
-    ahead = np.append(np.diff(times), np.iinfo(np.int64).max)
+    ahead = kept(np.append(np.diff(times), np.iinfo(np.int64).max))
     after: list[Ints] = []
     paused, torn, busy, unusual, swapped = np.zeros((5, len(times)), np.bool_)
     for pdo in pdos:
         interval = interval_of(pdo, sync_rows)
-        came = times_of(pdo) - times[interval]
+        came = kept(times_of(pdo) - times[interval])
         after.append(
             np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long]
         )

@@ -28,7 +28,16 @@ from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import BLOCK_ROWS
 from ..robot import EffortTiming, Payload, Robot
-from .rows import CAPTURE_TOPIC, FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
+from .rows import (
+    CAPTURE_TOPIC,
+    FRAME,
+    OPTIONAL,
+    Block,
+    check_frames,
+    check_samples,
+    in_parts,
+    sample_dtype,
+)
 
 # Texts of the metadata's key `effort_timing`; a missing key means "unknown".
 EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
@@ -240,9 +249,10 @@ class RecordingWriter:
             )
         if len(block):
             check_frames(block, f"{self._place}: {topic}")
-            tenths = np.flatnonzero(np.diff(block["time_ns"] // 100_000_000)) + 1
-            for part in (part for tenth in np.split(block, tenths) for part in _parts(tenth)):
-                self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
+            for some in in_parts(block):
+                tenths = np.flatnonzero(np.diff(some["time_ns"] // 100_000_000)) + 1
+                for part in (part for tenth in np.split(some, tenths) for part in _parts(tenth)):
+                    self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def captured(self, records: bytes, stamp_ns: int) -> None:
         """Add records of pcap; all of them are a file of pcap with nanoseconds, whose

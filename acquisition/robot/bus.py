@@ -185,7 +185,11 @@ class BusFile(TomlTable, frozen=True):
 
     interface: Annotated[Word, note("python-can's interface, such as socketcan or udp_multicast")]
     channel: Annotated[
-        Word, note("python-can's channel, such as can0; of a log of several, the one imported")
+        Word,
+        note(
+            "python-can's channel, such as can0; of a log of several, the one imported: its name, "
+            'or "1" for CAN 1'
+        ),
     ]
     drive: Annotated[
         tuple[DriveFile, ...],

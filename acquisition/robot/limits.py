@@ -99,12 +99,14 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     for joint, x in zip(robot.joints, q.T, strict=True):
         overshoots += _position(joint, stamp_s, x, at)
         overshoots += _speed(joint, stamp_s, step_s, x, at)
-    pairs = zip(np.degrees(q.T), robot.joints, strict=True)
-    turning = [(x, joint.si("position")) for x, joint in pairs if joint.type == "revolute"]
-    within = all(
-        by and by[0] <= x.min(initial=0.0) and x.max(initial=0.0) <= by[1] for x, by in turning
-    )
-    if within and any(np.ptp(x) > MIN_USED_RANGE * (by[1] - by[0]) for x, by in turning if len(x)):
+    pairs = zip(q.T, robot.joints, strict=True) if len(q) else ()
+    turning = [
+        (np.degrees([x.min(), x.max()]), joint.si("position"))
+        for x, joint in pairs
+        if joint.type == "revolute"
+    ]
+    within = all(by and by[0] <= min(0.0, x[0]) and max(0.0, x[1]) <= by[1] for x, by in turning)
+    if within and any(np.ptp(x) > MIN_USED_RANGE * (by[1] - by[0]) for x, by in turning):
         overshoots.append(RADIANS_AS_DEGREES)
     return tuple(overshoots)
 
