@@ -111,6 +111,21 @@ def test_a_drive_states_its_units_limits_and_modes():
     assert stated(1, (0x608F, 1), (0x1018, 0)) == [65536, 4]
 
 
+@pytest.mark.parametrize(("matrix", "windows"), [("", [2**32 - 1, 91_022]),
+                                               ("motor_matrix = [[50, 0], [50, 50]]\n",
+                                                [2**32 - 1, 2**32 - 1])])  # fmt: skip
+def test_joints_without_a_limit_of_the_following_error(tmp_path, matrix, windows):
+    """A motor of such a joint supervises none; that of the other, at 5 degrees and a ratio of
+    50: twice 5 * 50 / 360 * 65536 counts.
+    """
+    text = bus_text(2).replace("following_error_deg = 5\n", "", 1)
+    text = matrix + (text.replace("ratio = 50.0\n", "") if matrix else text)
+    run, _ = connected(robot_of(text), SimulatedDrives)
+    assert [node.values[0x6065, 0] for node in run.drives.nodes] == windows
+    done = dry_session(tmp_path / "a.mcap", Task(duration_s=0.1), robot=robot_of(text))
+    assert done.outcome.reason == "finished"
+
+
 def test_a_boot_up_counts_as_the_first_heartbeat():
     """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat
     time after its boot-up.
