@@ -90,7 +90,7 @@ class SimulatedDrives:
                     cia.saturated(np.array(limit / unit), "U32")
                 )
         for i, node in enumerate(self.nodes):
-            stated = units_and_limits(robot, bus, i) if node.drive.dictionary is None else {}
+            stated = units_and_limits(bus, i) if node.drive.dictionary is None else {}
             node.types |= dict.fromkeys(stated.keys() - node.types, "U32")
             node.values |= stated
             node.initial |= stated

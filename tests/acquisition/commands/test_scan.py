@@ -395,7 +395,7 @@ def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, tm
     out, err = capsys.readouterr()
     # On a busy machine SYNC is uneven, which forbids any session.
     assert re.search("no go for --track: .*FILL IN|no go: .*FILL IN.*SYNC", err)
-    assert re.search(r"ok  description +agrees with rated values", out)
+    assert re.search(r"ok  rated value 6076:0 +1, 2 +420\n", out)
 
 
 def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypatch):

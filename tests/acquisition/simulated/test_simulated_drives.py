@@ -11,6 +11,8 @@ from conftest import needs_data
 from dry_sessions import connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import read_needs
+from acquisition.errors import RefusedError
 from acquisition.session import Task
 from acquisition.simulated import SimulatedDrives
 
@@ -79,11 +81,11 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
 
 def test_another_drive_than_the_dictionary_says_is_told():
     run, master = connected(robot_with("elmo_Gold.dcf", n=1))
-    assert master.differences() == []
+    assert [need.refusal for need in read_needs(master, track=False)] == [""] * 5
     run.drives.nodes[0].values[0x1018, 1] = 0x123
-    assert master.differences() == [
-        "node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"
-    ]
+    told = "node 1: vendor 1018:1: 0x123: expected 0x9A as its dictionary says"
+    with pytest.raises(RefusedError, match=f"^{told}$"):
+        read_needs(master, track=False)
 
 
 def test_a_drive_states_its_units_limits_and_modes():
