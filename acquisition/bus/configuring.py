@@ -71,7 +71,8 @@ def read_needs(master: Master, *, track: bool) -> list[Need]:
     """
     needs = [need for drive in master.bus.drives for need in needs_of(master, drive, track=track)]
     if unmet := [str(need) for need in needs if need.refusal and (track or not need.track)]:
-        raise RefusedError("; ".join(unmet), what="the session")
+        expected = "none; `robot-acquire check` lists what a recording and motion need"
+        raise RefusedError("; ".join(unmet), what="the session", expected=expected)
     return needs
 
 
@@ -276,7 +277,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     fastest = drive.rpm_limit if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
     wider = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
     joints, ratio = "the joints' limits x ratio", drive.ratio or 0.0
-    known = f"that of robot.toml, {ratio:g}: is the ratio of its motor right?"
+    known = f"the ratio of its motor in robot.toml, {ratio:g}"
     for stated, name, found, expected, ok in (
         (
             span,
@@ -297,7 +298,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
             ratio and wider[0] >= MIN_MULTIPLE,
             f"ratio {positions:04X} {speed:04X}",
             f"range and speed are {wider[0]:.4g} and {wider[1]:.4g} times {joints}",
-            known,
+            f"once: is {known}, right?",
             wider[1] > (1 + MULTIPLES_DIFFER) * wider[0],
         ),
         # Where the description reduces more, a further stage is outside of the drive.
@@ -305,7 +306,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
             ratio and shaft,
             f"gear {gear:04X}",
             f"{turns}/{shaft}",
-            known,
+            f"at most {known}",
             ratio * shaft >= (1 - TOLERANCE) * turns,
         ),
     ):
