@@ -34,7 +34,6 @@ from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (
     MasterHeartbeat,
     read_if_there,
-    refuse_slow_ramps,
     refuse_unsupervised,
     second_stop,
     stop_ramp,

@@ -13,7 +13,7 @@ from .. import protocol as cia
 from ..errors import BadInputError, BusFaultError, RefusedError, SdoAbortedError
 from ..robot import Drive, axis_of
 from .master import PRE_OPERATIONAL, Master
-from .supervision import read_if_there
+from .supervision import read_if_there, stop_ramp
 
 Key = tuple[int, int]  # index and sub-index
 Answers = dict[Key, int | SdoAbortedError]
@@ -47,7 +47,8 @@ class Need:
     track: bool = False
 
     def __str__(self) -> str:
-        return f"node {self.drive.node}: {self.name}: {self.refusal}"
+        text = self.refusal or self.found
+        return f"node {self.drive.node} ({self.drive.name}): {self.name}: {text}"
 
 
 def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
@@ -61,7 +62,10 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
     yield from (_pdo(master, drive, "tpdo", pdo) for pdo in drive.tpdos)
     if track:  # only motion sends to the drives
         yield from (_pdo(master, drive, "rpdo", pdo) for pdo in drive.rpdos)
-        yield from (_mode(master, drive), _interpolation(master, drive), *_limits(master, drive))
+        yield from (_interpolation(master, drive), _mode(master, drive), *_limits(master, drive))
+        ramp, faster = stop_ramp(master, drive)
+        refusal = f"{ramp}: expected {faster}" if faster else ""
+        yield Need(drive=drive, name="quick stop ramp", found=ramp, refusal=refusal, track=True)
 
 
 def read_needs(master: Master, *, track: bool) -> list[Need]:
@@ -71,8 +75,8 @@ def read_needs(master: Master, *, track: bool) -> list[Need]:
     """
     needs = [need for drive in master.bus.drives for need in needs_of(master, drive, track=track)]
     if unmet := [str(need) for need in needs if need.refusal and (track or not need.track)]:
-        expected = "none; `robot-acquire check` lists what a recording and motion need"
-        raise RefusedError("; ".join(unmet), what="the session", expected=expected)
+        unmet.append("`robot-acquire check` lists what a recording and motion need")
+        raise RefusedError("; ".join(unmet), what="the session")
     return needs
 
 
@@ -265,15 +269,24 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     """Position limits, motor speed and gear, where the drive states them, compared with the
     limits of the joints times the ratio.
     """
-    positions, speed, unit, gear = (
+    positions, home, speed, unit, gear = (
         index + axis_of(drive)
-        for index in (cia.POSITION_LIMITS, cia.MAX_RPM, cia.VELOCITY_UNIT, cia.GEAR)
+        for index in (
+            cia.POSITION_LIMITS,
+            cia.HOME_OFFSET,
+            cia.MAX_RPM,
+            cia.VELOCITY_UNIT,
+            cia.GEAR,
+        )
     )
-    keys = ((positions, 1), (positions, 2), (gear, 1), (gear, 2), (speed, 0), (unit, 0))
-    low, high, turns, shaft, rpm, unit = (read_if_there(master, drive, *k) or 0 for k in keys)
+    keys = (positions, 1), (positions, 2), (home, 0), (gear, 1), (gear, 2), (speed, 0), (unit, 0)
+    low, high, home, turns, shaft, rpm, unit = (
+        read_if_there(master, drive, *key) or 0 for key in keys
+    )
     low, high = ((raw ^ 1 << 31) - (1 << 31) for raw in (low, high))  # I32
     least, most = drive.position_range or (0.0, 0.0)
-    span = most - least if low < high else 0.0  # 0: one of the two has no limits
+    # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
+    span = most - least if low < high and not home else 0.0
     fastest = drive.rpm_limit if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
     wider = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
     joints, ratio = "the joints' limits x ratio", drive.ratio or 0.0

@@ -189,13 +189,12 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     scale, unit = drive.counts_per_joint
     if ramp is None:
         return (
-            "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 "
-            "% in 0.05 s",
+            "unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s",
             "",
         )
     speed, min_ramp = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
     rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
-    text = f"quick stop ramp {ramp / scale:.4g} {unit}/s²{rest}"
+    text = f"{ramp / scale:.4g} {unit}/s²{rest}"
     fast_enough = ramp >= min_ramp - 1  # drives state whole counts
     return (
         text,
@@ -203,21 +202,6 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
         if fast_enough
         else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit",
     )
-
-
-def refuse_slow_ramps(master: Master) -> list[str]:
-    """Read the ramps for a later stop; a line for each unknown ramp.
-
-    Raises `RefusedError` if one is too slow.
-    """
-    unknown = []
-    for watch in master.nodes:
-        place = f"node {watch.drive.node} ({watch.drive.name})"
-        text, expected = stop_ramp(master, watch.drive)
-        if expected:
-            raise RefusedError(text, what="motion", place=place, expected=expected)
-        unknown += [f"{place}: {text}"] if "unknown" in text else []
-    return unknown
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:

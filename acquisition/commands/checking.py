@@ -22,7 +22,6 @@ from ..bus import (
     read_if_there,
     second_stop,
     socket_of,
-    stop_ramp,
     supervision_of,
     supervision_refusal,
 )
@@ -101,19 +100,18 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
 
 def _of_description(robot: Robot, bus: Bus) -> list[Finding]:
     """What robot.toml lacks for a session that sends, or for motion."""
-    found = []
-    if lines := lines_to_fill_in(robot):
-        found.append((FILL_IN, f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses"))
-    if missing := missing_limits(robot):
-        found.append(("limits", "; ".join(missing)))
+    marked = ", ".join(map(str, lines_to_fill_in(robot)))
+    missing = {
+        FILL_IN: f"robot.toml: lines {marked}: --track refuses" if marked else "",
+        "limits": "; ".join(missing_limits(robot)),
+    }
     try:
         check_carriers(bus)
     except BadInputError as error:
-        found.append(("PDOs", error.args[0]))
+        missing["PDOs"] = error.args[0]
     traffic = Finding("mapping", "traffic: record --passive only", ok=False)
-    return [Finding(name, text, ok=False, track=True) for name, text in found] + (
-        [traffic] if bus.file.mapped_by_traffic else []
-    )
+    found = [Finding(k, text, ok=False, track=True) for k, text in missing.items() if text]
+    return [*found, traffic] if bus.file.mapped_by_traffic else found
 
 
 def table(findings: list[Finding]) -> list[str]:
@@ -204,9 +202,6 @@ def _of_drive(master: Master, drive: Drive) -> list[Finding]:
     if scale := _scale(master, drive):
         properties.append(("scale", scale))
     findings += [Finding(name, text, node=drive.node) for name, text in properties]
-    ramp, faster = stop_ramp(master, drive)
-    text = f"{ramp}: expected {faster}" if faster else ramp
-    findings.append(Finding("quick stop", text, ok=not faster, node=drive.node, track=True))
     if reason := supervision_refusal(master, drive):
         text = f"{reason}: --track refuses without --unsupervised-drives"
         findings.append(Finding("supervision", text, ok=False, node=drive.node, track=True))

@@ -17,6 +17,7 @@ from .objects import (
     GEAR,
     HEARTBEAT,
     HEARTBEAT_TIME,
+    HOME_OFFSET,
     IDENTITY,
     INTERPOLATION_PERIOD,
     MAX_RPM,

@@ -172,7 +172,7 @@ class _Session:
         self.addressed = True
         self._note("warning", *bus.configure(self._master, needs, track=track))
         if track:
-            self._note("mark", *bus.refuse_slow_ramps(self._master))
+            self._note("mark", *(str(need) for need in needs if "unknown" in need.found))
             self._note("warning", *self._heartbeat.request())
         self._master.refuse_doubled()
         self._master.start()

@@ -126,8 +126,8 @@ def test_drives_that_answer_sdo_otherwise_are_checked_and_recorded_on_a_bus(
     refused = "heartbeat 1017 of node 1, interpolation period 60C2 of node 1"
     assert re.search(f"^motion: no go: {refused}", out, re.MULTILINE)
     assert outcome.reason == "finished"
-    warned = [f"node {k}: heartbeat 1017: 1017:0: object does not exist (0x06020000): its "
-              "heartbeat is not supervised" for k in (1, 2)]  # fmt: skip
+    why = "heartbeat 1017: 1017:0: object does not exist (0x06020000)"
+    warned = [f"node {k} (motor_{k}): {why}: its heartbeat is not supervised" for k in (1, 2)]
     recording = read_recording(tmp_path / "log.mcap")
     assert [event.text for event in recording.events if event.kind == "warning"] == warned
     assert len(recording.samples) >= 15

@@ -96,6 +96,25 @@ def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
     ] == frames
 
 
+@pytest.mark.parametrize(
+    ("answer", "data"),
+    [
+        ("42 17 10 00 64 00 A5 A5", "64 00"),  # U16
+        ("42 01 18 02 FF A5 A5 A5", "FF"),  # U8: transmission type
+        ("42 00 1A 00 03 A5 A5 A5", "03"),  # U8: count of a mapping
+        ("42 00 1A 01 10 00 41 60", "10 00 41 60"),
+        ("42 5A 68 00 FE FF A5 A5", "FE FF"),  # I16 of the second axis
+        ("42 64 60 00 01 02 03 04", "01 02 03 04"),
+        ("42 01 20 01 01 02 03 04", "01 02 03 04"),  # not known here
+        ("43 17 10 00 64 00 A5 A5", "64 00 A5 A5"),  # as it says
+        ("4B 01 20 01 01 02 00 00", "01 02"),
+    ],
+)
+def test_an_answer_without_a_size_has_that_of_the_type(answer, data):
+    """CiA 301, 7.2.4.3.6: with s = 0 the size is not indicated."""
+    assert answer_of(bytes.fromhex(answer)).data == bytes.fromhex(data)
+
+
 TPDO_VALUES = {
     (0x1801, 1): 0x40000285,  # bit 30: no remote requests
     (0x1A01, 0): 3, (0x1A01, 1): 0x60410010, (0x1A01, 2): 0x60C20208, (0x1A01, 3): 0x60640020,

@@ -81,9 +81,11 @@ def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
         Master, "read", lambda self, node, index, sub=0: read.append(index) or answers.get(index, 0)
     )
     configure(master := Master(link, bus), read_needs(master, track=True), track=True)
-    assert written[-3:] == [(0x6860, 0), (0x68C2, 1), (0x68C2, 2)]
-    asked = {0x6860, 0x6861, 0x68C2, 0x687D, 0x6880, 0x68A9, 0x6891, 0x6076}
-    assert {index for index in read if index >= 0x2000} == asked
+    assert written[-3:] == [(0x68C2, 1), (0x68C2, 2), (0x6860, 0)]
+    first_axis = {index for index in read if 0x6000 <= index < 0x6800}
+    assert first_axis == {0x6076}  # the rated value, which robot.toml states by this index
+    asked = {0x6860, 0x6861, 0x68C2, 0x687C, 0x687D, 0x6880, 0x6891, 0x685A, 0x6885, 0x6884}
+    assert {index for index in read if index >= 0x6800} == {*asked, 0x68A9, 0x68AA}
 
 
 def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():

@@ -156,8 +156,12 @@ QUIRKS: dict[str, tuple[Serve, Callable[[SimulatedNode], None], str, str]] = {
     "a gear of 25, and a belt": (usual, values({(0x6091, 1): 25}), "", ""),
     "a range 10 degrees narrower": (
         usual, values({RANGE[0]: -LIMIT, RANGE[1]: LIMIT * 14 // 15}), "", "position limits 607D"),
+    "a range from a home that is elsewhere": (
+        usual, values({RANGE[0]: -LIMIT, RANGE[1]: LIMIT * 14 // 15, (0x607C, 0): 90_000}), "", ""),
     "no range": (usual, values(dict.fromkeys(RANGE, 0)), "", ""),
     # 200 deg/s at a ratio of 50 are 1667 rpm
+    "a quick stop of 1900 deg/s2": (
+        usual, values({(0x6085, 0): round(1900 / 360 * 50 * 65536)}), "", "quick stop ramp"),
     "a motor that is slower": (usual, values({(0x6080, 0): 1600}), "", "motor speed 6080"),
     "a speed in turns per second": (
         usual, values({(0x6080, 0): 30, (0x60A9, 0): 0x00B40300}), "", ""),
@@ -223,7 +227,9 @@ def agreed(tmp_path, kind: type[Quirky], bus=None, robot=None) -> dict[str, str]
         if said[name] != "go":
             assert done.sent["can_id"].max(initial=0) <= 0x602
             assert set(done.sent["data"][:, 0].tolist()) == {0x40}  # nothing was written
-            assert all(f"node 2: {text}" in done.outcome.reason for text in objects(said[name]))
+            assert all(
+                f"node 2 (motor_2): {text}" in done.outcome.reason for text in objects(said[name])
+            )
     return said
 
 

@@ -83,8 +83,8 @@ def test_another_drive_than_the_dictionary_says_is_told():
     run, master = connected(robot_with("elmo_Gold.dcf", n=1))
     assert [need.refusal for need in read_needs(master, track=False)] == [""] * 5
     run.drives.nodes[0].values[0x1018, 1] = 0x123
-    told = "node 1: vendor 1018:1: 0x123: expected 0x9A as its dictionary says"
-    with pytest.raises(RefusedError, match=f"^{told}: expected none; "):
+    told = "node 1 (motor_1): vendor 1018:1: 0x123: expected 0x9A as its dictionary says"
+    with pytest.raises(RefusedError, match=f"^{re.escape(told)}; `robot-acquire check`"):
         read_needs(master, track=False)
 
 
