@@ -124,22 +124,25 @@ def _await_mode(master: Master, drive: Drive) -> None:
     until_ns = master.link.now_ns() + round(MODE_S * 1e9)
     while (shown := master.read(drive.node, display)) != mode:
         if master.link.now_ns() > until_ns:
-            key = f"mode of operation ({display:04X}:0)"
-            expected = f"{int(mode)} ({mode.name.lower().replace('_', ' ')})"
-            place = f"node {drive.node}"
-            raise BusFaultError(place=place, key=key, value=shown, expected=expected)
+            raise BusFaultError(
+                place=f"node {drive.node}",
+                key=f"mode of operation ({display:04X}:0)",
+                value=shown,
+                expected=f"{int(mode)} ({mode.name.lower().replace('_', ' ')})",
+            )
         master.wait(master.link.now_ns() + 10_000_000)
 
 
 def _ask(master: Master, drive: Drive, *keys: Key) -> Answers:
     """Read objects of a drive; the abort in place of those that it refuses."""
-    answers: Answers = {}
-    for key in keys:
+
+    def answer(key: Key) -> int | SdoAbortedError:
         try:
-            answers[key] = master.read(drive.node, *key)
+            return master.read(drive.node, *key)
         except SdoAbortedError as error:
-            answers[key] = error
-    return answers
+            return error
+
+    return {key: answer(key) for key in keys}
 
 
 def _name(key: Key) -> str:

@@ -136,28 +136,28 @@ def table(findings: list[Finding]) -> list[str]:
 
 
 def verdicts(findings: list[Finding]) -> dict[str, str]:
-    """Return what a recording and a motion may do: `go`, or `no go` with what forbids it."""
+    """Return what a recording and motion may do: `go`, or `no go` with what forbids it."""
+    recording = [finding for finding in findings if not finding.track]
+    return {"recording": _verdict(recording), "motion": _verdict(findings)}
+
+
+def _verdict(findings: list[Finding]) -> str:
     failed = [finding for finding in findings if not finding.ok]
-    forbidding = {"recording": [f for f in failed if not f.track], "motion": failed}
-    return {task: _names(found) or "go" for task, found in forbidding.items()}
+    if any(f.found == NO_ANSWER for f in failed):
+        return f"no go: {NO_ANSWER}"
+    names = dict.fromkeys(
+        f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed
+    )
+    return f"no go: {', '.join(names)}" if failed else "go"
 
 
 def refusal(findings: list[Finding]) -> str:
     """Return the findings that forbid a session, or only `--track`, in one line; empty if none
     does.
     """
-    failed = [finding for finding in findings if not finding.ok]
-    text = _names(failed)
-    return text.replace("no go", "no go for --track") if all(f.track for f in failed) else text
-
-
-def _names(failed: list[Finding]) -> str:
-    if any(f.found == NO_ANSWER for f in failed):
-        return f"no go: {NO_ANSWER}"
-    names = dict.fromkeys(
-        f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed
-    )
-    return f"no go: {', '.join(names)}" if failed else ""
+    recording, motion = verdicts(findings).values()
+    text = motion.replace("no go", "no go for --track", 1) if recording == "go" else motion
+    return "" if motion == "go" else text
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
@@ -232,11 +232,17 @@ def _scale(master: Master, drive: Drive) -> str:
     """
     values = []
     for index, name in SCALES.items():
-        subs = [sub for sub in (1, 2) if (index, 2) in drive.entries] or [0]
-        if (index, subs[-1]) in drive.entries:
-            stated = (read_if_there(master, drive, index, sub) for sub in subs)
-            shown = "/".join("not answered" if x is None else f"{x}" for x in stated)
-            values.append(f"{name} {index:04X} {shown}")
+        is_ratio = (index, 2) in drive.entries
+        stated = [
+            "not answered"
+            if (x := read_if_there(master, drive, index, sub)) is None
+            else f"{x}"
+            if is_ratio
+            else f"0x{x:08X}"
+            for sub in ((1, 2) if is_ratio else (0,))
+            if (index, sub) in drive.entries
+        ]
+        values += [f"{name} {index:04X} {'/'.join(stated)}"] if stated else []
     counts = drive.position_codec.counts_per_unit
     text = (
         f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that "
