@@ -116,8 +116,9 @@ STANDARD |= {
     (POSITION_LIMITS, 2): "I32",
 }
 STANDARD |= {(index, sub): "U32" for index in POSITION_UNITS for sub in (1, 2)}
-# Of objects that are read only: simulated drives without a dictionary do not have all of them.
-_MORE_TYPES = {(0x1029, 1): "U8", (0x603F, 0): "U16"}
+# Further ones of CiA 301 and 402, which simulated drives without a dictionary do not need.
+_MORE_TYPES = {(0x1029, 1): "U8"} | dict.fromkeys(((0x1015, 0), (0x603F, 0)), "U16")
+_MORE_TYPES |= {(index, 0): "U32" for index in (0x1002, 0x1005, 0x1006, 0x1007, 0x1014, *TEXTS)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,6 +104,8 @@ def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
         ("42 00 1A 00 03 A5 A5 A5", "03"),  # U8: count of a mapping
         ("42 00 1A 01 10 00 41 60", "10 00 41 60"),
         ("42 5A 68 00 FE FF A5 A5", "FE FF"),  # I16 of the second axis
+        ("42 08 10 00 73 69 6D 00", "73 69 6D 00"),  # a name of four bytes
+        ("42 05 10 00 80 00 00 40", "80 00 00 40"),
         ("42 64 60 00 01 02 03 04", "01 02 03 04"),
         ("42 01 20 01 01 02 03 04", "01 02 03 04"),  # not known here
         ("43 17 10 00 64 00 A5 A5", "64 00 A5 A5"),  # as it says

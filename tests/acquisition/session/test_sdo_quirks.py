@@ -9,8 +9,11 @@ from functools import partial
 import pytest
 from dry_sessions import FaultyDrives, connected, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
+from virtual_buses import bus_file
 
+from acquisition.bus import Uploads, scan_nodes
 from acquisition.commands.checking import check_drives, verdicts
+from acquisition.commands.scanning import ARRAYS, OBJECTS, findings_of
 from acquisition.protocol import (
     BITS,
     PARAMETERS,
@@ -314,6 +317,9 @@ def test_a_heartbeat_that_cannot_be_set_is_not_awaited_in_a_recording(tmp_path, 
         ({(0x1800, 1): 0x481}, ["1800:1", "1800:1"]),
         ({(0x1A00, 3): 0x60770010},
          ["1800:1", "1A00:0", "1A00:1", "1A00:2", "1A00:3", "1A00:0", "1800:1"]),
+        # the count alone: the last object is not sent
+        ({(0x1A00, 0): 2},
+         ["1800:1", "1A00:0", "1A00:1", "1A00:2", "1A00:3", "1A00:0", "1800:1"]),
         ({(0x1400, 2): 255}, []),  # a recording sends no PDO
     ],
 )  # fmt: skip
@@ -325,3 +331,32 @@ def test_only_what_differs_is_written(changed, written, tmp_path, monkeypatch):
     requests = [request_of(row["data"].tobytes()) for row in done.sent if row["can_id"] == 0x602]
     assert [f"{x.index:04X}:{x.sub}" for x in requests if x.kind == "write"] == written
     assert len(done.recording.samples) > 40
+
+
+@pytest.mark.parametrize(
+    ("stated", "motion"),
+    [
+        ({}, []),
+        # Its motor moves both joints: no ratio is that of its gear.
+        ({(0x6091, 1): 1000}, []),
+        ({(0x6080, 0): 10_000, RANGE[0]: -6 * LIMIT, RANGE[1]: 6 * LIMIT}, []),
+        # 150 deg of both joints at 50 each: twice LIMIT is needed, and twice 1667 rpm
+        ({(0x6080, 0): 3333, RANGE[0]: -2 * LIMIT, RANGE[1]: 2 * LIMIT}, []),
+        ({RANGE[0]: -2 * LIMIT, RANGE[1]: 19 * LIMIT // 10}, ["position limits 607D"]),
+        ({(0x6080, 0): 3250}, ["motor speed 6080"]),
+    ],
+)
+def test_a_motor_of_two_joints_has_the_limits_of_both(stated, motion, monkeypatch):
+    text = bus_text(2).replace("ratio = 50.0\n", "")
+    robot = robot_of("motor_matrix = [[50, 0], [50, 50]]\n" + text)
+    run, _ = connected(robot, quirky(monkeypatch, usual, values(stated)))
+    assert objects(verdicts(check_drives(run, bus_of(robot)))["motion"]) == motion
+
+
+def test_a_scan_takes_answers_without_a_size(monkeypatch):
+    quirky(monkeypatch, always(0x42, b"\xa5\xa5\xa5"), nothing)
+    run, _ = connected(robot_of(bus_text(2)))
+    nodes = scan_nodes(Uploads(run, bus_file()), OBJECTS, ARRAYS)
+    assert nodes[2] == nodes[1]
+    rows = findings_of(nodes, {})
+    assert [row.found for row in rows if not row.ok] == []
