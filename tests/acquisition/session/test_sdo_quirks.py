@@ -159,6 +159,8 @@ QUIRKS: dict[str, tuple[Serve, Callable[[SimulatedNode], None], str, str]] = {
     "a gear of 25, and a belt": (usual, values({(0x6091, 1): 25}), "", ""),
     "a range 10 degrees narrower": (
         usual, values({RANGE[0]: -LIMIT, RANGE[1]: LIMIT * 14 // 15}), "", "position limits 607D"),
+    "a range narrower from below": (
+        usual, values({RANGE[0]: -LIMIT * 14 // 15, RANGE[1]: LIMIT}), "", "position limits 607D"),
     "a range from a home that is elsewhere": (
         usual, values({RANGE[0]: -LIMIT, RANGE[1]: LIMIT * 14 // 15, (0x607C, 0): 90_000}), "", ""),
     "no range": (usual, values(dict.fromkeys(RANGE, 0)), "", ""),
@@ -169,6 +171,8 @@ QUIRKS: dict[str, tuple[Serve, Callable[[SimulatedNode], None], str, str]] = {
     "a speed in turns per second": (
         usual, values({(0x6080, 0): 30, (0x60A9, 0): 0x00B40300}), "", ""),
     "a fast motor": (usual, values({(0x6080, 0): 50_000}), "", ""),
+    "a fast motor with a wide range": (
+        usual, values({(0x6080, 0): 50_000, RANGE[0]: -3 * LIMIT, RANGE[1]: 3 * LIMIT}), "", ""),
     "range and speed of a ratio of 150": (
         usual, values({(0x6080, 0): 5000, RANGE[0]: -3 * LIMIT, RANGE[1]: 3 * LIMIT}), "",
         "ratio 607D 6080"),
