@@ -11,7 +11,7 @@ from dry_sessions import FaultyDrives, connected, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import bus_file
 
-from acquisition.bus import Uploads, scan_nodes
+from acquisition.bus import Uploads, is_homed, scan_nodes
 from acquisition.commands.checking import check_drives, verdicts
 from acquisition.commands.scanning import ARRAYS, OBJECTS, findings_of
 from acquisition.protocol import (
@@ -355,6 +355,17 @@ def test_a_motor_of_two_joints_has_the_limits_of_both(stated, motion, monkeypatc
     robot = robot_of("motor_matrix = [[50, 0], [50, 50]]\n" + text)
     run, _ = connected(robot, quirky(monkeypatch, usual, values(stated)))
     assert objects(verdicts(check_drives(run, bus_of(robot)))["motion"]) == motion
+
+
+@pytest.mark.parametrize(("kind", "homed"), [("U8", False), ("U16", True)])
+def test_objects_of_the_description_have_its_types(kind, homed, monkeypatch):
+    """2000:1 is 0 in its first byte, and the drive pads it to four bytes of FFh."""
+    text = bus_text(2, drive=f'homed = "2000:1"\nobjects = {{ "2000:1" = "{kind}" }}')
+    padded = quirky(monkeypatch, always(0x43, b"\xff\xff\xff"), nothing)
+    run, master = connected(robot_of(text), padded)
+    run.drives.nodes[1].types[0x2000, 1] = "U8"
+    run.drives.nodes[1].values[0x2000, 1] = 0
+    assert is_homed(master, master.bus.drives[1], master.bus.file.drive[1]) is homed
 
 
 def test_a_scan_takes_answers_without_a_size(monkeypatch):
