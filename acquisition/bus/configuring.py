@@ -18,8 +18,7 @@ from .supervision import read_if_there, stop_ramp
 Key = tuple[int, int]  # index and sub-index
 Answers = dict[Key, int | SdoAbortedError]
 Write = tuple[int, int, int, int]  # index, sub-index, value, size in bytes
-# abort codes: of objects that can only be written; of a wrong size
-UNREADABLE, WRONG_SIZE = (0x06010000, 0x06010001), range(0x06070010, 0x06070014)
+UNREADABLE = (0x06010000, 0x06010001)  # abort codes of objects that can only be written
 MODE_S = 0.5  # in which the display follows the mode of operation
 TOLERANCE, NO_LIMIT = 0.01, 2**32 - 1  # of ranges, speeds and ratios; a speed
 # A drive's range and speed that are the same multiple of the limits at the motor, at least this,
@@ -108,15 +107,11 @@ def configure(master: Master, needs: Iterable[Need], *, track: bool) -> list[str
 
 
 def _write(master: Master, node: int, write: Write) -> None:
-    try:
-        master.write(node, *write)
-    except SdoAbortedError as error:
-        # Not all drives have the type of CiA 301, such as the U16 of 1017h.
-        index, sub, value, size = write
-        own = len(master.upload(node, index, sub).data)
-        if error.code not in WRONG_SIZE or own == size:
-            raise
-        master.write(node, index, sub, value, own)
+    index, sub, value, size = write
+    if index == cia.HEARTBEAT_TIME:  # U16 in CiA 301, but not in all drives
+        answer = master.upload(node, index, sub)
+        size = len(answer.data) if answer.kind == "value" else size
+    master.write(node, index, sub, value, size)
 
 
 def _await_mode(master: Master, drive: Drive) -> None:

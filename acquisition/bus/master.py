@@ -4,7 +4,7 @@ last values of every node.
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from .. import protocol as cia
 from ..errors import BusFaultError, NoAnswerError, RefusedError
@@ -70,6 +70,7 @@ class Master:
         self.unanswered = Counter[int]()
         # nodes with more SDO answers than requests: two devices have their id
         self.doubled: set[int] = set()
+        self._sized: set[int] = set()  # nodes that have stated a size below four bytes
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
         self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
@@ -200,22 +201,31 @@ class Master:
         return cia.state_of(self.read(drive.node, drive.status.index, drive.status.sub))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
-        """Read an object, as an unsigned number of its type's size.
+        """Read an object, as an unsigned number.
 
         Raises `BusFaultError` when refused or not answered.
         """
-        answer, size = self.upload(node, index, sub), 4
-        cia.check_answer(answer, "value", node, _place(node, index, sub))
-        # Some drives answer with four bytes whatever the size, and pad them as they like.
-        if node in self.by_node and len(answer.data) == 4:
-            size = self.by_node[node].drive.size_of(index, sub)
-        return int.from_bytes(answer.data[:size], "little")
+        return cia.check_answer(
+            self.upload(node, index, sub), "value", node, _place(node, index, sub)
+        )
 
     def upload(self, node: int, index: int, sub: int = 0) -> cia.Transfer:
-        """The answer of any kind to a read request. Raises `NoAnswerError` when there is none."""
-        return cia.answer_of(
+        """Return the answer of any kind to a read request. Raises `NoAnswerError` when there is
+        none.
+
+        Where a drive has never stated a size below four bytes, values have that of their type: some
+        state none (CiA 301, 7.2.4.3.6), or always four.
+        """
+        answer = cia.answer_of(
             self.exchange(node, cia.read_request(index, sub), _place(node, index, sub))
         )
+        if answer.kind != "value" or len(answer.data) < 4:
+            self._sized |= {node} if answer.kind == "value" else set()
+        elif node not in self._sized and (node in self.by_node or not answer.stated):
+            watch = self.by_node.get(node)
+            size = watch.drive.size_of(index, sub) if watch else cia.size_of(index, sub)
+            return replace(answer, data=answer.data[:size])
+        return answer
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""

@@ -56,6 +56,7 @@ from .objects import (
     quick_stop_ramp,
     range_of,
     saturated,
+    size_of,
 )
 from .states import (
     AUTOMATIC,

@@ -221,6 +221,11 @@ def object_type(index: int, sub: int) -> str:
     return known or ("U8" if index < 0x2000 and not sub else "U32")
 
 
+def size_of(index: int, sub: int) -> int:
+    """Return the size of an object of `object_type` in bytes."""
+    return BITS[object_type(index, sub)] // 8
+
+
 def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
     """Position units per motor turn: feed (6092h) over gear (6091h, else 1), or without a feed
     608Fh; None if unknown.

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from ..errors import NoAnswerError, Place, SdoAbortedError
-from .objects import BITS, ObjectEntry, object_type
+from .objects import BITS, ObjectEntry
 
 NOT_VALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID: off; no remote requests
 MAX_PDO_BITS, MAX_PDOS = 64, 0x200
@@ -162,13 +162,14 @@ ABORTS = {  # codes by meaning
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
     """Content of an SDO frame: `kind` is read, write, value, written, abort or other; `data` is
-    the value or abort code.
+    the value or abort code, of four bytes where the frame has not `stated` a size.
     """
 
     kind: str
     index: int = 0
     sub: int = 0
     data: bytes = b""
+    stated: bool = True
 
     @property
     def number(self) -> int:
@@ -242,8 +243,7 @@ def _read(data: bytes, kinds: dict[int, str]) -> Transfer:
         return Transfer(kind="other")
     index, sub = int.from_bytes(data[1:3], "little"), data[3]
     if kind in ("write", "value"):
-        # A frame without a size holds an object of its type; the bytes behind it mean nothing.
         stated = bool(data[0] & 1)
-        size = 4 - (data[0] >> 2 & 3) if stated else BITS[object_type(index, sub)] // 8
-        return Transfer(kind=kind, index=index, sub=sub, data=data[4 : 4 + size])
+        size = 4 - (data[0] >> 2 & 3) if stated else 4
+        return Transfer(kind=kind, index=index, sub=sub, data=data[4 : 4 + size], stated=stated)
     return Transfer(kind=kind, index=index, sub=sub, data=data[4:] if kind == "abort" else b"")

@@ -108,13 +108,22 @@ def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
         ("42 05 10 00 80 00 00 40", "80 00 00 40"),
         ("42 64 60 00 01 02 03 04", "01 02 03 04"),
         ("42 01 20 01 01 02 03 04", "01 02 03 04"),  # not known here
-        ("43 17 10 00 64 00 A5 A5", "64 00 A5 A5"),  # as it says
+        ("43 17 10 00 64 00 A5 A5", "64 00"),
         ("4B 01 20 01 01 02 00 00", "01 02"),
     ],
 )
-def test_an_answer_without_a_size_has_that_of_the_type(answer, data):
-    """CiA 301, 7.2.4.3.6: with s = 0 the size is not indicated."""
-    assert answer_of(bytes.fromhex(answer)).data == bytes.fromhex(data)
+def test_a_value_without_a_size_has_that_of_its_type(answer, data):
+    """Unless the drive has stated a size below four bytes for another object."""
+    frame, sized = bytes.fromhex(answer), bytes.fromhex("4B 41 60 00 40 02 00 00")
+    link = Answering(
+        lambda can_id, request: [(0x581, frame if request[1:4] == frame[1:4] else sized)]
+    )
+    master = Master(link, bus_of(robot_of(bus_text(1))))
+    index, sub = frame[2] << 8 | frame[1], frame[3]
+    assert master.upload(1, index, sub).data == bytes.fromhex(data)
+    assert master.read(1, 0x6041) == 0x240
+    if answer[1] in "23":
+        assert master.upload(1, index, sub).data == frame[4:]
 
 
 TPDO_VALUES = {
