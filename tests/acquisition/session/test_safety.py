@@ -75,8 +75,8 @@ def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
     monkeypatch.setattr(
         Master, "write", lambda self, node, index, sub, *_: written.append((index, sub))
     )
-    # The rated value is 420, and the display shows mode 8 at once.
-    answers = {0x6076: 420, 0x6861: 8}
+    # Heartbeat and rated value are right, and the display shows mode 8 at once.
+    answers = {0x1017: 100, 0x6076: 420, 0x6861: 8}
     monkeypatch.setattr(
         Master, "read", lambda self, node, index, sub=0: read.append(index) or answers.get(index, 0)
     )
