@@ -14,6 +14,7 @@ from .before_motion import (
     position_words,
     refuse_enabled,
 )
+from .configuring import Need, configure, needs_of, read_needs
 from .frames import Frame, Tap, block_of, command_ids, service_of
 from .links import (
     QUEUE_BYTES,
@@ -33,7 +34,7 @@ from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (
     MasterHeartbeat,
-    refuse_slow_ramps,
+    read_if_there,
     refuse_unsupervised,
     second_stop,
     stop_ramp,

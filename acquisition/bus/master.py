@@ -4,7 +4,7 @@ last values of every node.
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from .. import protocol as cia
 from ..errors import BusFaultError, NoAnswerError, RefusedError
@@ -16,7 +16,6 @@ from .links import MasterLink
 SDO_TIMEOUT_NS, _SLICE_NS = 300_000_000, 50_000_000
 START, PRE_OPERATIONAL = 1, 128
 OPERATIONAL, STOPPED = 5, 4  # NMT states, CiA 301
-INTERPOLATION_PERIOD = 0x60C2
 
 
 @dataclass(kw_only=True)
@@ -32,6 +31,7 @@ class NodeWatch:
     started: bool = False  # its heartbeat has reported operational since START
     unstarted: int = 0  # heartbeats before that
     heard_ns: int = 0
+    beats: bool = True  # whether its heartbeat comes in time: not from a drive without 1017h
     emergency: int | None = None
     booted: bool = False
     # of `RAMP_OBJECTS`; None where it has none
@@ -70,6 +70,7 @@ class Master:
         self.unanswered = Counter[int]()
         # nodes with more SDO answers than requests: two devices have their id
         self.doubled: set[int] = set()
+        self._sized: set[int] = set()  # nodes that have stated a size below four bytes
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
         self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
@@ -209,10 +210,22 @@ class Master:
         )
 
     def upload(self, node: int, index: int, sub: int = 0) -> cia.Transfer:
-        """The answer of any kind to a read request. Raises `NoAnswerError` when there is none."""
-        return cia.answer_of(
+        """Return the answer of any kind to a read request. Raises `NoAnswerError` when there is
+        none.
+
+        Where a drive has never stated a size below four bytes, values have that of their type: some
+        state none (CiA 301, 7.2.4.3.6), or always four.
+        """
+        answer = cia.answer_of(
             self.exchange(node, cia.read_request(index, sub), _place(node, index, sub))
         )
+        if answer.kind != "value" or len(answer.data) < 4:
+            self._sized |= {node} if answer.kind == "value" else set()
+        elif node not in self._sized and (node in self.by_node or not answer.stated):
+            watch = self.by_node.get(node)
+            size = watch.drive.size_of(index, sub) if watch else cia.size_of(index, sub)
+            return replace(answer, data=answer.data[:size])
+        return answer
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
@@ -251,77 +264,6 @@ class Master:
                     return answer
         problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
         raise NoAnswerError(problem, node=node, place=place)
-
-    def configure(self) -> None:
-        """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO
-        parameters as described.
-        """
-        for drive in self.bus.drives:
-            self.nmt(PRE_OPERATIONAL, drive.node)
-        self.wait(self.link.now_ns() + 20_000_000)
-        every_ms = round(self.bus.file.heartbeat_s * 1000)
-        for drive in self.bus.drives:
-            # Written where it differs, in the size of the drive's answer: not all
-            # have the U16 of CiA 301.
-            answer = self.upload(drive.node, cia.HEARTBEAT_TIME)
-            if (
-                cia.check_answer(
-                    answer, "value", drive.node, _place(drive.node, cia.HEARTBEAT_TIME, 0)
-                )
-                != every_ms
-            ):
-                self.write(drive.node, cia.HEARTBEAT_TIME, 0, every_ms, len(answer.data))
-            for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
-                for pdo in pdos:
-                    for write in cia.configuration(way, pdo):
-                        self.write(drive.node, *write)
-
-    def choose_mode(self, mode: cia.Mode) -> None:
-        """Set mode of operation (6060h) and interpolation period (60C2h).
-
-        Raises `BusFaultError` unless 6061h follows.
-        """
-        for drive in self.bus.drives:
-            axis = axis_of(drive)
-            if (
-                drive.dictionary is None
-                or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries
-            ):
-                count, unit = cia.interpolation_period(self.bus.file.sync_period_s)
-                self.write(drive.node, INTERPOLATION_PERIOD + axis, 1, count, 1)
-                self.write(drive.node, INTERPOLATION_PERIOD + axis, 2, unit, 1)
-            self.write(drive.node, cia.MODE_OF_OPERATION + axis, 0, mode, 1)
-            display = cia.MODE_DISPLAY + axis
-            if drive.dictionary is None or (display, 0) in drive.dictionary.entries:
-                until_ns = self.link.now_ns() + 500_000_000
-                while (shown := self.read(drive.node, display)) != mode:
-                    if self.link.now_ns() > until_ns:
-                        key = f"mode of operation ({display:04X}:0)"
-                        expected = f"{int(mode)} ({mode.name.lower().replace('_', ' ')})"
-                        raise BusFaultError(
-                            place=f"node {drive.node}", key=key, value=shown, expected=expected
-                        )
-                    self.wait(self.link.now_ns() + 10_000_000)
-
-    def differences(self) -> list[str]:
-        """Differences between drives and description in identity (1018h) and rated
-        values, one line each.
-        """
-        found = []
-        for drive in self.bus.drives:
-            dictionary = drive.dictionary
-            for sub, name, expected in dictionary.identity if dictionary is not None else ():
-                raw = self.read(drive.node, cia.IDENTITY, sub)
-                if raw != expected:
-                    problem = f"node {drive.node}: {name} (1018:{sub}) = 0x{raw:X}"
-                    found.append(f"{problem}: expected 0x{expected:X} as its dictionary says")
-            for index, rated in drive.rated.items():
-                if dictionary is None or (index, 0) in dictionary.entries:
-                    raw = self.read(drive.node, index)
-                    if raw != rated:
-                        place = f"node {drive.node}: rated value ({index:04X}:0)"
-                        found.append(f"{place} = {raw}: expected {rated} as robot.toml says")
-        return found
 
 
 def _place(node: int, index: int, sub: int) -> str:

@@ -157,8 +157,8 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
     that the drive does not have is reported as not there; nothing is raised.
     """
     behaviour, timer = (
-        _read(master, drive, ERROR_BEHAVIOUR, 1),
-        _read(master, drive, RPDO_PARAMETERS, 5),
+        read_if_there(master, drive, ERROR_BEHAVIOUR, 1),
+        read_if_there(master, drive, RPDO_PARAMETERS, 5),
     )
     behaves = (
         f"{NOT_THERE}: pre-operational (CiA 301)"
@@ -184,18 +184,17 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     """
     watch = master.by_node[drive.node]
     for index in cia.RAMP_OBJECTS:
-        watch.ramp_objects[index] = _read(master, drive, index + axis_of(drive))
+        watch.ramp_objects[index] = read_if_there(master, drive, index + axis_of(drive))
     ramp = cia.quick_stop_ramp(watch.ramp_objects, drive.position_codec)
     scale, unit = drive.counts_per_joint
     if ramp is None:
         return (
-            "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 "
-            "% in 0.05 s",
+            "unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s",
             "",
         )
     speed, min_ramp = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
     rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
-    text = f"quick stop ramp {ramp / scale:.4g} {unit}/s²{rest}"
+    text = f"{ramp / scale:.4g} {unit}/s²{rest}"
     fast_enough = ramp >= min_ramp - 1  # drives state whole counts
     return (
         text,
@@ -203,21 +202,6 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
         if fast_enough
         else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit",
     )
-
-
-def refuse_slow_ramps(master: Master) -> list[str]:
-    """Read the ramps for a later stop; a line for each unknown ramp.
-
-    Raises `RefusedError` if one is too slow.
-    """
-    unknown = []
-    for watch in master.nodes:
-        place = f"node {watch.drive.node} ({watch.drive.name})"
-        text, expected = stop_ramp(master, watch.drive)
-        if expected:
-            raise RefusedError(text, what="motion", place=place, expected=expected)
-        unknown += [f"{place}: {text}"] if "unknown" in text else []
-    return unknown
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:
@@ -230,11 +214,11 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
     except (NoAnswerError, SdoAbortedError):
         sub = None
     missing = []
-    if sub is None and not _read(master, drive, cia.ABORT_CONNECTION + axis):
+    if sub is None and not read_if_there(master, drive, cia.ABORT_CONNECTION + axis):
         missing.append(
             f"of the master (no free 1016, {cia.ABORT_CONNECTION + axis:04X} is 0 or not there)"
         )
-    if _read(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
+    if read_if_there(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
         missing.append(
             f"of the following error ({cia.FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there)"
         )
@@ -281,7 +265,10 @@ def _consumers(master: Master, drive: Drive) -> Property:
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
     """An option code in words; the CiA 402 objects of each further axis are 800h higher."""
-    raw, name = _read(master, drive, index + axis_of(drive)), f"{name} {index + axis_of(drive):04X}"
+    raw, name = (
+        read_if_there(master, drive, index + axis_of(drive)),
+        f"{name} {index + axis_of(drive):04X}",
+    )
     return name, NOT_THERE if raw is None else _in_words(
         index, raw - 0x10000 if raw >= 0x8000 else raw
     )
@@ -293,8 +280,8 @@ def _in_words(index: int, value: int) -> str:
 
 def _following_error(master: Master, drive: Drive) -> Property:
     axis = axis_of(drive)
-    window = _read(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis)
-    time_ms = _read(master, drive, cia.FOLLOWING_ERROR_TIME + axis)
+    window = read_if_there(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis)
+    time_ms = read_if_there(master, drive, cia.FOLLOWING_ERROR_TIME + axis)
     name = f"following error {cia.FOLLOWING_ERROR_WINDOW + axis:04X}"
     if window is None or window == NO_WINDOW:
         return name, NOT_THERE if window is None else f"0x{window:X}: off"
@@ -306,8 +293,8 @@ def _following_error(master: Master, drive: Drive) -> Property:
     return name, f"{window}: an error above {window} of the drive's position units{after}"
 
 
-def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:
-    """The raw value; None where the drive does not have the object, or does not answer."""
+def read_if_there(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:
+    """Return the raw value; None where the drive does not have the object, or does not answer."""
     if drive.dictionary is not None and (index, sub) not in drive.dictionary.entries:
         return None
     try:

@@ -1,5 +1,5 @@
 """`robot-acquire check`: which drives answer, and whether they match the
-description; go or no go.
+description; go or no go for a recording and for motion.
 """
 
 import argparse
@@ -18,14 +18,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print the findings as a table. A finding that forbids a session is an error."""
     from ..robot import load_robot, parse_payload, resolve
-    from .checking import Finding, check, refusal, table
+    from .checking import Finding, check, refusal, table, verdicts
 
     robot = load_robot(options.robot)
     payload = None if options.payload is None else parse_payload(options.payload, robot)
     findings = check(robot, resolve(robot, str(options.robot)))
     if payload is not None:
         findings.insert(0, Finding("payload", payload.describe(robot.joints[-1].name)))
-    print(*table(findings), sep="\n")
+    print(*table(findings), *(": ".join(each) for each in verdicts(findings).items()), sep="\n")
     if failed := refusal(findings):
         raise RefusedError(failed, what="motion")
-    print("go")

@@ -15,18 +15,29 @@ from ..bus import (
     is_homed,
     joint_positions,
     listen_for_others,
+    needs_of,
     open_bus,
     position_words,
     queue_bytes,
+    read_if_there,
     second_stop,
     socket_of,
-    stop_ramp,
     supervision_of,
     supervision_refusal,
 )
-from ..errors import BusFaultError, one_line
-from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
-from ..robot import FILL_IN, MAX_LOAD, Bus, Drive, Robot, lines_to_fill_in, ripple_notes
+from ..errors import BadInputError, BusFaultError, one_line
+from ..protocol import DISABLED, State, frame_bits
+from ..robot import (
+    FILL_IN,
+    MAX_LOAD,
+    Bus,
+    Drive,
+    Robot,
+    check_carriers,
+    lines_to_fill_in,
+    missing_limits,
+    ripple_notes,
+)
 from ..session import DEVIATIONS, real_time_scheduling, sync_jitter
 
 SCALES = {
@@ -66,9 +77,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
             Finding("effort", text)
             for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)
         ]
-        if lines := lines_to_fill_in(robot):
-            text = f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses"
-            findings.append(Finding(FILL_IN, text, ok=False, track=True))
+        findings += _of_description(robot, bus)
         if sock is not None:
             granted = queue_bytes(sock)
             text = (
@@ -87,6 +96,22 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
         return findings + found
     finally:
         link.close()
+
+
+def _of_description(robot: Robot, bus: Bus) -> list[Finding]:
+    """What robot.toml lacks for a session that sends, or for motion."""
+    marked = ", ".join(map(str, lines_to_fill_in(robot)))
+    missing = {
+        FILL_IN: f"robot.toml: lines {marked}: --track refuses" if marked else "",
+        "limits": "; ".join(missing_limits(robot)),
+    }
+    try:
+        check_carriers(bus)
+    except BadInputError as error:
+        missing["PDOs"] = error.args[0]
+    traffic = Finding("mapping", "traffic: record --passive only", ok=False)
+    found = [Finding(k, text, ok=False, track=True) for k, text in missing.items() if text]
+    return [*found, traffic] if bus.file.mapped_by_traffic else found
 
 
 def table(findings: list[Finding]) -> list[str]:
@@ -110,19 +135,29 @@ def table(findings: list[Finding]) -> list[str]:
     ]
 
 
-def refusal(findings: list[Finding]) -> str:
-    """The findings that forbid a session, or only `--track`, in one line; empty if none does."""
+def verdicts(findings: list[Finding]) -> dict[str, str]:
+    """Return what a recording and motion may do: `go`, or `no go` with what forbids it."""
+    recording = [finding for finding in findings if not finding.track]
+    return {"recording": _verdict(recording), "motion": _verdict(findings)}
+
+
+def _verdict(findings: list[Finding]) -> str:
     failed = [finding for finding in findings if not finding.ok]
+    if any(f.found == NO_ANSWER for f in failed):
+        return f"no go: {NO_ANSWER}"
     names = dict.fromkeys(
         f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed
     )
-    if any(f.found == NO_ANSWER for f in failed):
-        return f"no go: {NO_ANSWER}"
-    return (
-        f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}"
-        if failed
-        else ""
-    )
+    return f"no go: {', '.join(names)}" if failed else "go"
+
+
+def refusal(findings: list[Finding]) -> str:
+    """Return the findings that forbid a session, or only `--track`, in one line; empty if none
+    does.
+    """
+    recording, motion = verdicts(findings).values()
+    text = motion.replace("no go", "no go for --track", 1) if recording == "go" else motion
+    return "" if motion == "go" else text
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
@@ -131,23 +166,13 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     """
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
-        text = (
-            f"{other}; states, PDOs, supervision, scales, identity, rated values and SYNC are "
-            "not checked"
-        )
+        text = f"{other}; states, needs of a session, supervision, scales and SYNC are not checked"
         return [Finding(OTHER_NODES, text, ok=False)]
     by_drive = [_of_drive(master, drive) for drive in bus.drives]
     findings = [finding for of_drive in by_drive for finding in of_drive]
     answered = [len(of_drive) > 1 for of_drive in by_drive]
     if not any(answered):
         return [*findings, Finding("drives", NO_ANSWER, ok=False)]
-    if all(answered):
-        try:
-            differences = master.differences()
-        except BusFaultError as error:
-            differences = [error.args[0]]
-        findings += [Finding("description", text, ok=False) for text in differences]
-        findings += [] if differences else [Finding("description", _agreement(bus))]
     findings.append(_jitter(master))
     return findings + [
         Finding("node ids", f"two devices answer as node {node}", ok=False)
@@ -162,74 +187,68 @@ def _of_drive(master: Master, drive: Drive) -> list[Finding]:
     except BusFaultError as error:
         text = error.args[0].removeprefix(f"{error.place}: ")  # the same for all drives
         return [Finding("state", text, ok=False, node=drive.node)]
-    fault = state is State.FAULT
+    # A recording leaves a drive in fault as it is; motion begins with its reset.
+    fault, disabled = state is State.FAULT, state in DISABLED
     text = "fault: remove its cause and reset it" if fault else state.words
-    findings = [Finding("state", text, ok=not fault, node=drive.node)]
-    properties = [("PDOs", _mapped(master, drive.node)), *supervision_of(master, drive)]
+    text += "" if disabled else ": `robot-acquire disable` disables it"
+    findings = [
+        Finding("state", text, ok=disabled and not fault, node=drive.node, track=fault),
+        *_needs(master, drive),
+    ]
+    properties = supervision_of(master, drive)
     properties += [
         ("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())
     ]
     if scale := _scale(master, drive):
         properties.append(("scale", scale))
     findings += [Finding(name, text, node=drive.node) for name, text in properties]
-    ramp, faster = stop_ramp(master, drive)
-    text = f"{ramp}: expected {faster}" if faster else ramp
-    findings.append(Finding("quick stop", text, ok=not faster, node=drive.node, track=True))
     if reason := supervision_refusal(master, drive):
         text = f"{reason}: --track refuses without --unsupervised-drives"
         findings.append(Finding("supervision", text, ok=False, node=drive.node, track=True))
     return findings
 
 
+def _needs(master: Master, drive: Drive) -> list[Finding]:
+    """What a session reads of a drive, compares and would write."""
+    try:
+        needs = list(needs_of(master, drive, track=True))
+    except BusFaultError as error:
+        return [Finding("objects", error.args[0], ok=False, node=drive.node)]
+    return [
+        Finding(
+            need.name,
+            need.refusal or need.found,
+            ok=not need.refusal,
+            node=drive.node,
+            track=need.track,
+        )
+        for need in needs
+    ]
+
+
 def _scale(master: Master, drive: Drive) -> str:
     """The drive's objects of position units, and the units of the description; manufacturers
     combine them differently.
     """
-    entries = drive.dictionary.entries if drive.dictionary is not None else {}
     values = []
     for index, name in SCALES.items():
-        try:
-            if (index, 2) in entries:
-                per, turns = (master.read(drive.node, index, sub) for sub in (1, 2))
-                values.append(f"{name} {index:04X} {per}/{turns}")
-            elif (index, 0) in entries:
-                values.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
-        except BusFaultError:
-            values.append(f"{name} {index:04X} not answered")
+        is_ratio = (index, 2) in drive.entries
+        stated = [
+            "not answered"
+            if (x := read_if_there(master, drive, index, sub)) is None
+            else f"{x}"
+            if is_ratio
+            else f"0x{x:08X}"
+            for sub in ((1, 2) if is_ratio else (0,))
+            if (index, sub) in drive.entries
+        ]
+        values += [f"{name} {index:04X} {'/'.join(stated)}"] if stated else []
     counts = drive.position_codec.counts_per_unit
     text = (
         f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that "
         "they agree"
     )
     return ", ".join([*values, text]) if values else ""
-
-
-def _agreement(bus: Bus) -> str:
-    """The values that were compared."""
-    identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
-    compared = {"identity": identity, "rated values": [d.name for d in bus.drives if d.rated]}
-    agree = " and ".join(
-        f"{what} of {', '.join(names)}" for what, names in compared.items() if names
-    )
-    return (
-        f"agrees with {agree}"
-        if agree
-        else "nothing to compare: no dictionary with an identity and no rated value"
-    )
-
-
-def _mapped(master: Master, node: int) -> str:
-    """The enabled PDOs; an active session maps its own."""
-    enabled = []
-    for way, (communication, _) in PARAMETERS.items():
-        for k in range(4):
-            try:
-                can_id = master.read(node, communication + k, 1)
-            except BusFaultError:
-                break
-            if not can_id & NOT_VALID:
-                enabled.append(f"{way} {k + 1} 0x{can_id & 0x7FF:03X}")
-    return ", ".join(enabled) or "all disabled"
 
 
 def _load(bus: Bus) -> Finding:

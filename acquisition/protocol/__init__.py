@@ -2,7 +2,7 @@
 PDO, object dictionaries.
 """
 
-from .dictionaries import IDENTITY, ObjectDictionary, load_dictionary
+from .dictionaries import IDENTITY, DictionaryEntry, ObjectDictionary, load_dictionary
 from .objects import (
     ABORT_CONNECTION,
     BITS,
@@ -15,11 +15,16 @@ from .objects import (
     FAULT_OPTION,
     FOLLOWING_ERROR_TIME,
     FOLLOWING_ERROR_WINDOW,
+    GEAR,
     HEARTBEAT,
     HEARTBEAT_TIME,
+    HOME_OFFSET,
+    INTERPOLATION_PERIOD,
+    MAX_RPM,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
     MOTION_LIMITS,
+    POSITION_LIMITS,
     POSITION_UNITS,
     PROFILE_DECELERATION,
     QUICK_STOP_DECELERATION,
@@ -28,6 +33,7 @@ from .objects import (
     RATED_CURRENT,
     RATED_TORQUE,
     RATED_UNITS,
+    RPM,
     RULES,
     SHUTDOWN_OPTION,
     STANDARD,
@@ -36,6 +42,7 @@ from .objects import (
     SUPPORTED_MODES,
     TEXTS,
     VELOCITY_ACTUAL,
+    VELOCITY_UNIT,
     EffortCodec,
     ObjectEntry,
     PositionCodec,
@@ -46,6 +53,7 @@ from .objects import (
     quick_stop_ramp,
     range_of,
     saturated,
+    size_of,
 )
 from .states import (
     AUTOMATIC,
@@ -71,7 +79,9 @@ from .transfers import (
     LOWEST_CAN_ID,
     MAX_PDO_BITS,
     MAX_PDOS,
+    NO_REMOTE,
     NOT_VALID,
+    ON_SYNC,
     PARAMETERS,
     REQUEST,
     SDO_OBJECTS,

@@ -63,20 +63,21 @@ _RAMPS = {
     5: PROFILE_DECELERATION,
     6: QUICK_STOP_DECELERATION,
 }
-_VELOCITY_UNIT, _ACCELERATION_UNIT = 0x60A9, 0x60AA
-_RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # as coded by drives of maxon and Nanotec
+VELOCITY_UNIT, _ACCELERATION_UNIT = 0x60A9, 0x60AA
+RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # as coded by drives of maxon and Nanotec
 RAMP_OBJECTS = (
     QUICK_STOP_OPTION,
     QUICK_STOP_DECELERATION,
     PROFILE_DECELERATION,
     _ACCELERATION_UNIT,
-    _VELOCITY_UNIT,
+    VELOCITY_UNIT,
 )
 POSITION_ACTUAL, VELOCITY_ACTUAL, TARGET_POSITION = 0x6064, 0x606C, 0x607A
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
-MOTION_LIMITS = POSITION_LIMITS, _MAX_VELOCITY, _MAX_RPM = 0x607D, 0x607F, 0x6080
+MOTION_LIMITS = POSITION_LIMITS, _MAX_VELOCITY, MAX_RPM = 0x607D, 0x607F, 0x6080
 # encoder, gear, feed: each a ratio, sub-index 1 over sub-index 2
-POSITION_UNITS = 0x608F, 0x6091, 0x6092
+POSITION_UNITS = _, GEAR, _ = 0x608F, 0x6091, 0x6092
+HOME_OFFSET, INTERPOLATION_PERIOD = 0x607C, 0x60C2
 SUPPORTED_MODES = 0x6502
 
 # Entries whose type CiA 402 (or 301) fixes.
@@ -94,7 +95,7 @@ STANDARD = {
                 RATED_CURRENT,
                 RATED_TORQUE,
                 _MAX_VELOCITY,
-                _MAX_RPM,
+                MAX_RPM,
             ),
             *(PROFILE_DECELERATION, QUICK_STOP_DECELERATION, SUPPORTED_MODES),
         ),
@@ -102,12 +103,15 @@ STANDARD = {
     for index in indices
 }
 STANDARD |= {
-    (0x60C2, 1): "U8",
-    (0x60C2, 2): "I8",
+    (INTERPOLATION_PERIOD, 1): "U8",
+    (INTERPOLATION_PERIOD, 2): "I8",
     (POSITION_LIMITS, 1): "I32",
     (POSITION_LIMITS, 2): "I32",
 }
 STANDARD |= {(index, sub): "U32" for index in POSITION_UNITS for sub in (1, 2)}
+# Further ones of CiA 301 and 402, which simulated drives without a dictionary do not need.
+_MORE_TYPES = {(0x1029, 1): "U8"} | dict.fromkeys(((0x1015, 0), (0x603F, 0)), "U16")
+_MORE_TYPES |= {(index, 0): "U32" for index in (0x1002, 0x1005, 0x1006, 0x1007, 0x1014, *TEXTS)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,11 +202,21 @@ class PositionCodec:
 
 
 def object_type(index: int, sub: int) -> str:
-    """Type of an object that is known here; else U8 for the count of a record of CiA
-    301, U32 for all others.
+    """Return the type of an object that is known here, of any axis; else U8 for the count of a
+    record of CiA 301, U32 for all others.
     """
-    known = STANDARD.get((index, sub)) or EFFORT_OBJECTS.get((index, sub), ("",))[0]
+    if index & 0xFE00 in (0x1400, 0x1800):  # communication parameters of PDOs
+        return {0: "U8", 1: "U32", 3: "U16", 5: "U16"}.get(sub, "U8")
+    # The objects of each further axis are 800h higher (CiA 402-2).
+    first = 0x6000 | index & 0x7FF if 0x6000 <= index < 0xA000 else index
+    known = STANDARD.get((first, sub)) or EFFORT_OBJECTS.get((first, sub), ("",))[0]
+    known = known or _MORE_TYPES.get((first, sub), "")
     return known or ("U8" if index < 0x2000 and not sub else "U32")
+
+
+def size_of(index: int, sub: int) -> int:
+    """Return the size of an object of `object_type` in bytes."""
+    return BITS[object_type(index, sub)] // 8
 
 
 def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
@@ -223,8 +237,8 @@ def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> f
     60A9h states rpm/s or rpm.
     """
     raw = values.get(_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
-    unit = values.get(_ACCELERATION_UNIT) or values.get(_VELOCITY_UNIT)
-    if not raw or unit not in (None, 0, _RPM, _RPM_PER_S):
+    unit = values.get(_ACCELERATION_UNIT) or values.get(VELOCITY_UNIT)
+    if not raw or unit not in (None, 0, RPM, _RPM_PER_S):
         return None
     return raw * float(2 * np.pi / 60 * codec.counts_per_unit if unit else 1.0)
 

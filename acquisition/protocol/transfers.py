@@ -13,7 +13,7 @@ from typing import TypeAlias
 from ..errors import NoAnswerError, Place, SdoAbortedError
 from .objects import BITS, ObjectEntry
 
-NOT_VALID = 1 << 31
+NOT_VALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID: off; no remote requests
 MAX_PDO_BITS, MAX_PDOS = 64, 0x200
 ON_SYNC = 1  # transmission type: at every SYNC
 Key: TypeAlias = tuple[int, int]  # index and sub-index
@@ -80,18 +80,22 @@ def usual_can_id(direction: str, number: int, node: int) -> int | None:
     return USUAL_CAN_ID[direction] + 0x100 * (number - 1) + node if number <= 4 else None
 
 
-def configuration(direction: str, pdo: Pdo) -> Iterator[tuple[int, int, int, int]]:
-    """Writes that configure a PDO in PRE-OPERATIONAL, in CiA 301's order: index,
+def configuration(
+    direction: str, pdo: Pdo, no_remote: int = 0
+) -> Iterator[tuple[int, int, int, int]]:
+    """Yield the writes that configure a PDO in PRE-OPERATIONAL, in CiA 301's order: index,
     sub-index, value, size in bytes.
+
+    `no_remote`: bit 30 of the drive's COB-ID, which drives without remote requests do not clear.
     """
     communication, mapping = (first + pdo.number - 1 for first in PARAMETERS[direction])
-    yield communication, 1, pdo.can_id | NOT_VALID, 4
+    yield communication, 1, pdo.can_id | no_remote | NOT_VALID, 4
     yield communication, 2, ON_SYNC, 1
     yield mapping, 0, 0, 1
     for k, entry in enumerate(pdo.entries, 1):
         yield mapping, k, entry.mapping, 4
     yield mapping, 0, len(pdo.entries), 1
-    yield communication, 1, pdo.can_id, 4
+    yield communication, 1, pdo.can_id | no_remote, 4
 
 
 def pdos_of(
@@ -189,13 +193,14 @@ ABORTS = {  # codes by meaning
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
     """Content of an SDO frame: `kind` is read, write, value, written, abort or other; `data` is
-    the value or abort code.
+    the value or abort code, of four bytes where the frame has not `stated` a size.
     """
 
     kind: str
     index: int = 0
     sub: int = 0
     data: bytes = b""
+    stated: bool = True
 
     @property
     def number(self) -> int:
@@ -325,6 +330,7 @@ def _read(data: bytes, kinds: dict[int, str]) -> Transfer:
     if kind in ("write", "value") and not data[0] & 2:
         return Transfer(kind="other", index=index, sub=sub)
     if kind in ("write", "value"):
-        size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-        return Transfer(kind=kind, index=index, sub=sub, data=data[4 : 4 + size])
+        stated = bool(data[0] & 1)
+        size = 4 - (data[0] >> 2 & 3) if stated else 4
+        return Transfer(kind=kind, index=index, sub=sub, data=data[4 : 4 + size], stated=stated)
     return Transfer(kind=kind, index=index, sub=sub, data=data[4:] if kind == "abort" else b"")

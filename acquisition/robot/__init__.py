@@ -36,6 +36,7 @@ from .reference import (
     check_limits,
     follow,
     fourier_reference,
+    missing_limits,
     table_reference,
 )
 from .resolving import resolve

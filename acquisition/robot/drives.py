@@ -28,10 +28,14 @@ class Drive:
         tpdos, rpdos: from the drive, to the drive.
         extras: further objects in the PDOs.
         dictionary: None if the description states the objects.
+        types: of objects by the description, the dictionary and the standards.
         speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the
             joints that it moves; None if one of them states none.
         counts_per_joint: counts of the motor per degree or metre of the joints that
             it moves, and that unit.
+        position_range, rpm_limit: limits of the joints at the motor, counts and rpm; None if one
+            of them states none, the second also if the motor slides.
+        ratio: of the motor to its joint, without sign; None if it moves several.
     """
 
     name: str
@@ -47,9 +51,22 @@ class Drive:
     rpdos: tuple[cia.Pdo, ...]
     extras: tuple[cia.ObjectEntry, ...]
     dictionary: cia.ObjectDictionary | None
+    types: Mapping[tuple[int, int], str]
     speed_limit: float | None = None
     acceleration_limit: float | None = None
     counts_per_joint: tuple[float, str] = (1.0, "counts")
+    position_range: tuple[float, float] | None = None
+    rpm_limit: float | None = None
+    ratio: float | None = None
+
+    @property
+    def entries(self) -> Mapping[tuple[int, int], cia.DictionaryEntry]:
+        """Entries of its dictionary, none without one."""
+        return {} if self.dictionary is None else self.dictionary.entries
+
+    def size_of(self, index: int, sub: int) -> int:
+        """Return the size of an object in bytes."""
+        return cia.BITS[self.types.get((index, sub)) or cia.object_type(index, sub)] // 8
 
     def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
         """The PDO that carries an object."""

@@ -132,17 +132,22 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     return q
 
 
+def missing_limits(robot: Robot) -> list[str]:
+    """Return the limits that motion needs and the description does not state, in words."""
+    return [
+        f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
+        for i, joint in enumerate(robot.joints)
+        for quantity in ("position", "speed", "acceleration", "following_error")
+        if joint.si(quantity) is None
+    ]
+
+
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     """Refuse a path (N, n) from rest to rest, rad or m, that leaves limits of position, speed or
     acceleration, or has none.
     """
-    for i, joint in enumerate(robot.joints):
-        for quantity in ("position", "speed", "acceleration", "following_error"):
-            if joint.si(quantity) is None:
-                problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
-                Place(place).refuse(
-                    text=problem, expected="one in robot.toml before anything moves"
-                )
+    for problem in missing_limits(robot):
+        Place(place).refuse(text=problem, expected="one in robot.toml before anything moves")
     at_rest = np.concatenate([q[:1], q, q[-1:]])
     # values that are not finite are refused below
     with np.errstate(over="ignore", invalid="ignore"):

@@ -53,6 +53,22 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
     return float(sum(r * value for r, value in moved))
 
 
+def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[float, float] | None:
+    """Lowest and highest counts of a motor within the position limits of the joints that it
+    moves; None if one of them states none.
+    """
+    limits = [
+        joint.si("position") if r else (0.0, 0.0)
+        for r, joint in zip(robot.R[i], robot.joints, strict=True)
+    ]
+    if None in limits:
+        return None
+    low, high = np.array(limits).T
+    corners = np.where(robot.R[i] > 0, [low, high], [high, low])
+    lowest, highest = sorted(codec.exact(robot.motor_position(corners)[:, i]).tolist())
+    return lowest, highest
+
+
 def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed] | None) -> Drive:
     assert robot.bus is not None
     file, motor, files, at = (
@@ -102,6 +118,9 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed
         tpdos, rpdos = (
             cia.pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo")
         )
+    codec = cia.PositionCodec(
+        counts_per_unit=file.counts_per_unit, sign=file.sign, zero_counts=file.zero_counts
+    )
     speed, acceleration = (_limit(robot, i, quantity) for quantity in ("speed", "acceleration"))
     slides = robot.joints[int(np.argmax(np.abs(robot.R[i])))].type == "prismatic"
     per_joint = float(np.abs(robot.R[i]).sum() * file.counts_per_unit)
@@ -112,18 +131,20 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed
         control=control,
         position=position,
         target=target,
-        position_codec=cia.PositionCodec(
-            counts_per_unit=file.counts_per_unit, sign=file.sign, zero_counts=file.zero_counts
-        ),
+        position_codec=codec,
         effort=effort,
         rated=_rated_values(file),
         tpdos=tpdos,
         rpdos=rpdos,
         extras=extras,
         dictionary=dictionary,
+        types=types,
         speed_limit=None if speed is None else speed * file.counts_per_unit,
         acceleration_limit=None if acceleration is None else acceleration * file.counts_per_unit,
         counts_per_joint=(per_joint, "m") if slides else (per_joint * np.pi / 180, "deg"),
+        position_range=_position_range(robot, i, codec),
+        rpm_limit=None if speed is None or not file.counts_per_turn else 30 / np.pi * speed,
+        ratio=float(np.abs(robot.R[i]).max()) if np.count_nonzero(robot.R[i]) == 1 else None,
     )
     for needed in measured:
         if (traffic is not None or file.mapping != "traffic") and drive.carrier(

@@ -4,6 +4,7 @@ SI, angles in radians.
 """
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -304,12 +305,21 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     )
 
 
+_OF_MOTION = re.compile(r"\[\[?(bus|motor)\b")
+_LIMIT = re.compile(r"[# ]*(position|speed|acceleration|following_error)_(deg|m)(_s2?)?\b")
+
+
 def lines_to_fill_in(robot: Robot) -> list[int]:
-    """Numbers of the lines in `[bus]` of robot.toml with `FILL_IN`."""
-    found, inside = [], False
+    """Return the numbers of the lines of robot.toml with `FILL_IN` that motion needs: those of
+    `[bus]` and `[[motor]]`, the comments above these tables, and limits of joints.
+    """
+    found, above, inside = [], list[int](), False
     for number, line in enumerate(robot.files["robot.toml"].decode().splitlines(), 1):
-        inside = line.startswith(("[bus]", "[[bus.")) if line.startswith("[") else inside
-        found += [number] if inside and FILL_IN in line else []
+        marked, begins = [number] if FILL_IN in line else [], line.startswith("[")
+        inside = _OF_MOTION.match(line) is not None if begins else inside
+        needed = inside or _LIMIT.match(line) is not None
+        found += (above if begins and inside else []) + (marked if needed else [])
+        above = above + marked if line.startswith("#") and not needed else []
     return found
 
 

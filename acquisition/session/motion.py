@@ -150,7 +150,7 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
                 f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
             )
             return BusFaultError(text, place=node)
-        if watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
+        if watch.beats and watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
             return BusFaultError(
                 f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node
             )

@@ -169,7 +169,11 @@ def _task_of(
         return task
     if lines := lines_to_fill_in(robot):
         raise BadInputError(
-            FILL_IN, place="robot.toml", key="lines", value=lines, expected="none in [bus]"
+            FILL_IN,
+            place="robot.toml",
+            key="lines",
+            value=lines,
+            expected="none in [bus], [[motor]] and limits of joints",
         )
     return replace(
         task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm)

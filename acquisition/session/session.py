@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 from .. import bus
 from ..arrays import Array
-from ..errors import BusFaultError, HeldBack, RefusedError, RobotIdimError
-from ..protocol import DISABLED, Command, Mode, State, notices
+from ..errors import BusFaultError, HeldBack, RobotIdimError
+from ..protocol import DISABLED, Command, State, notices
 from ..robot import (
     Drive,
     Robot,
@@ -188,14 +188,12 @@ class _Session:
             self.note("mark", *self._task.before_motion(self._master))
             # takes the frames received while the operator was asked
             self._master.wait(self._link.now_ns())
+        track = self._task.reference is not None
+        needs = bus.read_needs(self._master, track=track)
         self.addressed = True
-        self._master.configure()
-        differences = self._master.differences()
-        if differences:
-            raise RefusedError("; ".join(differences), what="the session")
-        if self._task.reference is not None:
-            self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-            self.note("mark", *bus.refuse_slow_ramps(self._master))
+        self.note("warning", *bus.configure(self._master, needs, track=track))
+        if track:
+            self.note("mark", *(str(need) for need in needs if "unknown" in need.found))
             self.note("warning", *self._heartbeat.request())
         self._master.refuse_doubled()
         self._master.start()

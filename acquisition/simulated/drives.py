@@ -53,8 +53,10 @@ class SimulatedDrives:
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
                 node.set_homed(file.homed)
-        following = np.abs(robot.R) @ [
-            joint.si("following_error") or np.inf for joint in robot.joints
+        # An error of joints that a motor does not move is not its own, and may have no limit.
+        following = [
+            sum(abs(r) * (joint.si("following_error") or np.inf) for r, joint in moved if r)
+            for moved in (zip(row, robot.joints, strict=True) for row in robot.R)
         ]
         self._supervisions = [
             Supervision(
@@ -88,7 +90,7 @@ class SimulatedDrives:
                     cia.saturated(np.array(limit / unit), "U32")
                 )
         for i, node in enumerate(self.nodes):
-            stated = units_and_limits(robot, bus, i) if node.drive.dictionary is None else {}
+            stated = units_and_limits(bus, i) if node.drive.dictionary is None else {}
             node.types |= dict.fromkeys(stated.keys() - node.types, "U32")
             node.values |= stated
             node.initial |= stated

@@ -7,10 +7,10 @@ from fractions import Fraction
 import numpy as np
 
 from ..protocol import MOTION_LIMITS, POSITION_UNITS, SUPPORTED_MODES, TEXTS, Mode, saturated
-from ..robot import Bus, Robot
+from ..robot import Bus
 
 
-def units_and_limits(robot: Robot, bus: Bus, i: int) -> dict[tuple[int, int], int]:
+def units_and_limits(bus: Bus, i: int) -> dict[tuple[int, int], int]:
     """Raw texts, modes, position units and limits of motor `i`; 0 where the description states
     none, or the motor slides.
     """
@@ -26,17 +26,11 @@ def units_and_limits(robot: Robot, bus: Bus, i: int) -> dict[tuple[int, int], in
     if per_turn:
         for index, units in zip(POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):
             values |= {(index, 1): units.numerator, (index, 2): units.denominator}
-        speeds[motor_speed] = 60 * speeds[velocity] / float(per_turn)  # rpm
+        speeds[motor_speed] = drive.rpm_limit or 0.0
     values |= {
         (index, 0): int(saturated(np.array(speed), "U32")) for index, speed in speeds.items()
     }
-    limits = [
-        joint.si("position") if r else (0.0, 0.0)
-        for r, joint in zip(robot.R[i], robot.joints, strict=True)
-    ]
-    if None not in limits:
-        low, high = np.array(limits).T
-        corners = np.where(robot.R[i] > 0, [low, high], [high, low])
-        counts = sorted(drive.position_codec.raw(robot.motor_position(corners)[:, i]).tolist())
-        values |= {(position, 1): counts[0], (position, 2): counts[1]}
+    if drive.position_range is not None:
+        low, high = saturated(np.array(drive.position_range), "I32").tolist()
+        values |= {(position, 1): low, (position, 2): high}
     return values

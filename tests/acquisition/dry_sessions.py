@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Frame, Master, MasterLink
+from acquisition.bus import Frame, Master, MasterLink, configure, needs_of
 from acquisition.commands.checking import Finding, check_drives
-from acquisition.protocol import DISABLED, Command, Mode, State
+from acquisition.protocol import DISABLED, Command, State
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import Bus, Robot
 from acquisition.session import (
@@ -339,8 +339,11 @@ def connected(
 
 
 def enable(master: Master, *, start: bool = True) -> None:
-    master.configure()
-    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    drives = master.bus.drives
+    needs = [need for drive in drives for need in needs_of(master, drive, track=True)]
+    configure(master, needs, track=True)
+    for watch in master.nodes:
+        watch.ramp_objects.clear()  # they are read again by the stop
     if start:
         master.start()
     for watch in master.nodes:

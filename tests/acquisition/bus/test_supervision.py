@@ -4,6 +4,7 @@ what check tells of them.
 
 import itertools
 from contextlib import nullcontext
+from functools import partial
 
 import msgspec
 import pytest
@@ -21,7 +22,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.bus import (
     Master,
     MasterHeartbeat,
-    refuse_slow_ramps,
+    read_needs,
     refuse_unsupervised,
     second_stop,
     supervision_of,
@@ -179,6 +180,7 @@ def test_the_time_out_is_three_heartbeats_or_periods():
     )
 
 
+refuse_slow = partial(read_needs, track=True)
 RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
 HELD = {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in RAMPS.items()}
 OFF = {0: "voltage off at once, the motor coasts", -1: "manufacturer-specific"}
@@ -223,11 +225,11 @@ OFF_6065 = {0x6065: 2**32 - 1}
 @pytest.mark.parametrize(
     ("refuse", "values", "text", "words"),
     [
-        (refuse_slow_ramps, {0x605A: 2, 0x6085: HALF}, bus_text(2), ()),
-        (refuse_slow_ramps, {0x605A: 2, 0x6085: HALF - 1}, bus_text(2),
-         ("quick stop ramp 2000 deg/s², 0.1 s from", "expected 2000 at least")),
-        (refuse_slow_ramps, {0x605A: 2, 0x6085: 1}, UNLIMITED, ()),
-        (refuse_slow_ramps, {0x605A: 3}, bus_text(2), ()),  # unknown
+        (refuse_slow, {0x605A: 2, 0x6085: HALF}, bus_text(2), ()),
+        (refuse_slow, {0x605A: 2, 0x6085: HALF - 1}, bus_text(2),
+         ("quick stop ramp: 2000 deg/s², 0.1 s from", "expected 2000 at least")),
+        (refuse_slow, {0x605A: 2, 0x6085: 1}, UNLIMITED, ()),
+        (refuse_slow, {0x605A: 3}, bus_text(2), ()),  # unknown
         (refuse_unsupervised, {}, bus_text(2), ()),
         (refuse_unsupervised, OFF_6065, bus_text(2), ("none of the following error (6065",)),
         (refuse_unsupervised, OFF_6065 | {0x1016: 0, 0x6007: 0}, bus_text(2),

@@ -2,10 +2,21 @@
 the verdict in one line.
 """
 
-from dry_sessions import connected
-from made_up_buses import bus_text, robot_of
+import re
+from contextlib import closing
 
-from acquisition.commands.checking import Finding, check_drives, refusal, table
+import pytest
+from dry_sessions import connected
+from made_up_buses import bus_of, bus_text, robot_of
+from virtual_buses import Ear, served
+
+from acquisition.bus import Master, open_link
+from acquisition.commands import checking, main
+from acquisition.commands.checking import Finding, check_drives, refusal, table, verdicts
+from acquisition.protocol import State, abort_answer, request_of
+from acquisition.recording import read_recording
+from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
+from acquisition.simulated.node import SimulatedNode
 
 
 def test_drives_that_are_alike_share_a_row_and_one_that_does_not_answer_is_named():
@@ -32,3 +43,91 @@ def test_what_only_track_needs():
     drive = Finding(subject="state", found="\x1b[2J\n", ok=False, node=4)
     assert refusal([even]) == "no go for --track: SYNC"
     assert refusal([even, drive]) == "no go: SYNC, state of node 4"
+    assert verdicts([even]) == {"recording": "go", "motion": "no go: SYNC"}
+    assert verdicts([even, drive]) == {
+        "recording": "no go: state of node 4",
+        "motion": "no go: SYNC, state of node 4",
+    }
+
+
+@pytest.mark.parametrize("state", [*State])
+def test_a_drive_in_fault_is_recorded_and_an_enabled_one_is_left_alone(tmp_path, state):
+    """As `record` does: it moves a drive in fault only after a reset that somebody confirms."""
+    run, master = connected()
+    run.drives.nodes[1].state = state
+    run.drives.nodes[1].tick = lambda: None
+    run.drives.nodes[1].values[0x6041, 0] = state.value[1]
+    said = verdicts(check_drives(run, master.bus))
+    enabled = state in (
+        State.OPERATION_ENABLED,
+        State.QUICK_STOP_ACTIVE,
+        State.FAULT_REACTION_ACTIVE,
+    )
+    assert said["recording"] == ("no go: state of node 2" if enabled else "go")
+    assert said["motion"] == ("no go: state of node 2" if enabled or state is State.FAULT else "go")
+
+
+WITHOUT_LIMIT = ("following_error_deg = 5\n", "")
+WITHOUT_CONTROL = ("node = 1", 'rpdo = [{ objects = ["607A"] }]\nnode = 1')
+
+
+@pytest.mark.parametrize(
+    ("change", "recording", "motion"),
+    [
+        (("", ""), "go", "go"),
+        (WITHOUT_LIMIT, "go", "no go: limits"),
+        (WITHOUT_CONTROL, "go", "no go: PDOs"),
+        (("ratio = 50.0", "ratio = 50.0 # FILL IN"), "go", "no go: FILL IN"),
+        (("ratio = 50.0\n", ""), "go", "no go: ratio 607D 6080 of node 1"),
+        (("node = 1", 'node = 1\nmapping = "traffic"'), "no go: mapping", "no go: PDOs, mapping"),
+    ],
+)
+def test_what_robot_toml_lacks(tmp_path, capsys, monkeypatch, change, recording, motion):
+    # On a busy machine SYNC is uneven.
+    monkeypatch.setattr(checking, "_jitter", lambda master: Finding(subject="SYNC", found=""))
+    text, robot = bus_text(1, channel="lacks"), tmp_path / "robot.toml"
+    robot.write_text(text.replace(*change, 1))
+    with served("lacks", 1):
+        assert main(["check", str(robot)]) == (motion != "go")
+    told = capsys.readouterr().out.splitlines()[-2:]
+    assert told == [f"recording: {recording}", f"motion: {motion}"]
+
+
+def test_drives_that_answer_sdo_otherwise_are_checked_and_recorded_on_a_bus(
+    tmp_path, capsys, monkeypatch
+):
+    """No 1017h and no 60C2h, no sizes, a value behind them that means nothing."""
+    own = SimulatedNode._serve
+
+    def serve(node: SimulatedNode, data: bytes) -> bytes:
+        asked, answer = request_of(data), own(node, data)
+        if asked.index in (0x1017, 0x60C2):
+            return abort_answer(asked.index, asked.sub, "object does not exist")
+        size = 4 - (answer[0] >> 2 & 3)
+        value = b"\x42" + answer[1 : 4 + size] + b"\xa5" * (4 - size)
+        return value if answer[0] >> 5 == 2 else answer
+
+    monkeypatch.setattr(SimulatedNode, "_serve", serve)
+    path, text = tmp_path / "robot.toml", bus_text(2, channel="otherwise", period_s=0.05)
+    path.write_text(text)
+    robot = robot_of(text)
+    log = InlineLog(Recorder(tmp_path / "log.mcap", robot, source="virtual", place="robot.toml"))
+    with served("otherwise", 2):
+        ear = Ear("otherwise")
+        assert main(["check", str(path)]) == 1
+        sent = [frame for frame in ear.frames() if frame.can_id in (0x601, 0x602)]
+        with closing(open_link(robot.bus, passive=False, tap=log.tap)) as link:
+            task = Task(duration_s=1.0)
+            outcome = run_active(robot, Master(link, bus_of(robot)), log, task, Stop())
+            log.finish(link.now_ns())
+    assert {frame.data[0] for frame in sent} == {0x40}
+    out = capsys.readouterr().out
+    assert re.search(r"^recording: (go|no go: SYNC)$", out, re.MULTILINE)
+    refused = "heartbeat 1017 of node 1, interpolation period 60C2 of node 1"
+    assert re.search(f"^motion: no go: {refused}", out, re.MULTILINE)
+    assert outcome.reason == "finished"
+    why = "heartbeat 1017: 1017:0: object does not exist (0x06020000)"
+    warned = [f"node {k} (motor_{k}): {why}: its heartbeat is not supervised" for k in (1, 2)]
+    recording = read_recording(tmp_path / "log.mcap")
+    assert [event.text for event in recording.events if event.kind == "warning"] == warned
+    assert len(recording.samples) >= 15

@@ -395,7 +395,7 @@ def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, tm
     out, err = capsys.readouterr()
     # On a busy machine SYNC is uneven, which forbids any session.
     assert re.search("no go for --track: .*FILL IN|no go: .*FILL IN.*SYNC", err)
-    assert re.search(r"ok  description +agrees with rated values", out)
+    assert re.search(r"ok  rated value 6076:0 +1, 2 +420\n", out)
 
 
 def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypatch):
@@ -413,7 +413,7 @@ def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypa
     assert main([*command, "--dry-run"]) == 0
 
 
-def test_only_marks_in_bus_count():
+def test_only_marks_of_what_moves_count():
     marked = "[controller] # FILL IN\nbandwidth_hz = 5 # FILL IN"
     text = (
         bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked)
@@ -422,6 +422,34 @@ def test_only_marks_in_bus_count():
     assert lines_to_fill_in(robot_of(text)) == []
     number = text[: text.index("node = 1")].count("\n") + 1
     assert lines_to_fill_in(robot_of(text.replace("node = 1", "node = 1 # FILL IN"))) == [number]
+
+
+@pytest.mark.parametrize(
+    ("line", "marks", "counts"),
+    [
+        ("ratio = 50.0", "ratio = 50.0 # FILL IN: sign included", [1]),
+        ("ratio = 50.0", "# ratio = ... # FILL IN: none for efforts at the joint", [1]),
+        ("[[motor]]", "\n# FILL IN: for each motor\n#     ratio = 100\n[[motor]]", [2]),
+        ("[bus]", "\n# FILL IN: the drives.\n# FILL IN: all of them\n[bus]", [2, 3]),
+        ("[bus]", "# FILL IN: of what stands above\n\n[bus]", [1]),  # in [[motor]]
+        ("speed_deg_s = 200", "# speed_deg_s = ... # FILL IN: the URDF has no speed", [1]),
+        ("speed_deg_s = 200", "speed_deg_s = 200 # FILL IN", [1]),
+        ("speed_deg_s = 200", "# effort_nm = ... # FILL IN: the URDF has no effort", []),
+        ("[[joint]]", "# FILL IN: of the joint\n[[joint]] # FILL IN", []),
+        ('name = "joint_1"', 'name = "joint_1" # FILL IN', []),
+        (
+            'name = "made up"',
+            '# Made by a program. FILL IN marks what is not known.\nname = "x"',
+            [],
+        ),
+    ],
+)
+def test_marks_of_ratios_and_limits_count_too(line, marks, counts):
+    """`counts`: which of the lines put in the place of `line`."""
+    text = bus_text(1)
+    first = text[: text.index(line)].count("\n")
+    found = lines_to_fill_in(robot_of(text.replace(line, marks, 1)))
+    assert found == [first + k for k in counts]
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,36 @@ def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
     ] == frames
 
 
+@pytest.mark.parametrize(
+    ("answer", "data"),
+    [
+        ("42 17 10 00 64 00 A5 A5", "64 00"),  # U16
+        ("42 01 18 02 FF A5 A5 A5", "FF"),  # U8: transmission type
+        ("42 00 1A 00 03 A5 A5 A5", "03"),  # U8: count of a mapping
+        ("42 00 1A 01 10 00 41 60", "10 00 41 60"),
+        ("42 5A 68 00 FE FF A5 A5", "FE FF"),  # I16 of the second axis
+        ("42 08 10 00 73 69 6D 00", "73 69 6D 00"),  # a name of four bytes
+        ("42 05 10 00 80 00 00 40", "80 00 00 40"),
+        ("42 64 60 00 01 02 03 04", "01 02 03 04"),
+        ("42 01 20 01 01 02 03 04", "01 02 03 04"),  # not known here
+        ("43 17 10 00 64 00 A5 A5", "64 00"),
+        ("4B 01 20 01 01 02 00 00", "01 02"),
+    ],
+)
+def test_a_value_without_a_size_has_that_of_its_type(answer, data):
+    """Unless the drive has stated a size below four bytes for another object."""
+    frame, sized = bytes.fromhex(answer), bytes.fromhex("4B 41 60 00 40 02 00 00")
+    link = Answering(
+        lambda can_id, request: [(0x581, frame if request[1:4] == frame[1:4] else sized)]
+    )
+    master = Master(link, bus_of(robot_of(bus_text(1))))
+    index, sub = frame[2] << 8 | frame[1], frame[3]
+    assert master.upload(1, index, sub).data == bytes.fromhex(data)
+    assert master.read(1, 0x6041) == 0x240
+    if answer[1] in "23":
+        assert master.upload(1, index, sub).data == frame[4:]
+
+
 TPDO_VALUES = {
     (0x1801, 1): 0x40000285,  # bit 30: no remote requests
     (0x1A01, 0): 3, (0x1A01, 1): 0x60410010, (0x1A01, 2): 0x60C20208, (0x1A01, 3): 0x60640020,

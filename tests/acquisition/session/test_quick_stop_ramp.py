@@ -62,17 +62,17 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path, mon
     for share, ok in ((1.0, True), (0.98, False)):
         with_objects(monkeypatch, {0x605A: 2, 0x6085: round(share * COUNTS)})
         run, master = connected(ROBOT)
-        (found,) = findings(run, master.bus, "quick stop", 2)
+        (found,) = findings(run, master.bus, "quick stop ramp", 2)
         assert found.ok == ok
         words = (
             f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed "
             "limit to rest"
         )
-        assert found.found.startswith(f"quick stop ramp {words}")
+        assert found.found.startswith(words)
     session = dry_session(tmp_path / "a.mcap", REST, robot=ROBOT)
-    error = session.outcome.error
-    assert error.place == "node 1 (motor_1)"
-    assert error.expected == "57.3 at least for --track, half the acceleration limit"
+    expected = f"{words}: expected 57.3 at least for --track, half the acceleration limit"
+    assert f"node 1 (motor_1): quick stop ramp: {expected}; node 2" in session.outcome.reason
+    assert set(session.sent["data"][:, 0].tolist()) == {0x40}  # nothing was written
     assert not any(np.isin(session.frames["can_id"], [0x201, 0x202]))
 
 
@@ -82,7 +82,7 @@ def test_an_unknown_ramp_is_noted(tmp_path, monkeypatch):
         note.partition(": voltage")[0]
         for note in dry_session(tmp_path / "a.mcap", REST).events("mark")
     ]
-    assert notes == [f"node {k} (motor_{k}): quick stop ramp unknown" for k in (1, 2)]
+    assert notes == [f"node {k} (motor_{k}): quick stop ramp: unknown" for k in (1, 2)]
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,9 @@ from dry_sessions import Answering, At, Unasked, connected, dry_session, finding
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
-from acquisition.bus import Frame, Master
+from acquisition.bus import Frame, Master, configure, read_needs
 from acquisition.errors import BadInputError, BusFaultError, NoAnswerError, RobotIdimError
-from acquisition.protocol import Mode, State
+from acquisition.protocol import State
 from acquisition.robot import axis_of
 from acquisition.session import Stop, Task, stop_on_signals
 
@@ -75,9 +75,17 @@ def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
     monkeypatch.setattr(
         Master, "write", lambda self, node, index, sub, *_: written.append((index, sub))
     )
-    monkeypatch.setattr(Master, "read", lambda self, node, index: read.append(index) or 8)
-    Master(link, bus).choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-    assert (written, read) == ([(0x68C2, 1), (0x68C2, 2), (0x6860, 0)], [0x6861])
+    # Heartbeat and rated value are right, and the display shows mode 8 at once.
+    answers = {0x1017: 100, 0x6076: 420, 0x6861: 8}
+    monkeypatch.setattr(
+        Master, "read", lambda self, node, index, sub=0: read.append(index) or answers.get(index, 0)
+    )
+    configure(master := Master(link, bus), read_needs(master, track=True), track=True)
+    assert written[-3:] == [(0x68C2, 1), (0x68C2, 2), (0x6860, 0)]
+    first_axis = {index for index in read if 0x6000 <= index < 0x6800}
+    assert first_axis == {0x6076}  # the rated value, which robot.toml states by this index
+    asked = {0x6860, 0x6861, 0x68C2, 0x687C, 0x687D, 0x6880, 0x6891, 0x685A, 0x6885, 0x6884}
+    assert {index for index in read if index >= 0x6800} == {*asked, 0x68A9, 0x68AA}
 
 
 def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():

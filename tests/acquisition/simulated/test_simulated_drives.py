@@ -11,6 +11,8 @@ from conftest import needs_data
 from dry_sessions import connected, dry_session, enable, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import configure, read_needs
+from acquisition.errors import RefusedError
 from acquisition.recording import sample_dtype
 from acquisition.session import Task
 from acquisition.simulated import DrivenPlant, SimulatedDrives, TablePlant, cascaded_loops
@@ -80,11 +82,11 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
 
 def test_another_drive_than_the_dictionary_says_is_told():
     run, master = connected(robot_with("elmo_Gold.dcf", n=1))
-    assert master.differences() == []
+    assert [need.refusal for need in read_needs(master, track=False)] == [""] * 5
     run.drives.nodes[0].values[0x1018, 1] = 0x123
-    assert master.differences() == [
-        "node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"
-    ]
+    told = "node 1 (motor_1): vendor 1018:1: 0x123: expected 0x9A as its dictionary says"
+    with pytest.raises(RefusedError, match=f"^{re.escape(told)}; `robot-acquire check`"):
+        read_needs(master, track=False)
 
 
 def test_a_drive_states_its_units_limits_and_modes():
@@ -126,7 +128,7 @@ def test_a_table_goes_by_a_row_at_each_sync_and_brakes_hold_what_is_not_enabled_
     plant = DrivenPlant(plant=Table(samples, 500.0), loops=cascaded_loops(robot, np.ones(2)))
     run, master = connected(robot, SimulatedDrives, mechanism=plant)
     found = []
-    master.configure()
+    configure(master, read_needs(master, track=True), track=True)
     for begin in (master.start, lambda: enable(master), lambda: master.write(1, 0x6040, 0, 2, 2)):
         begin()
         for _ in range(2):
@@ -135,6 +137,21 @@ def test_a_table_goes_by_a_row_at_each_sync_and_brakes_hold_what_is_not_enabled_
             found.append(master.nodes[1].counts)
     assert found == [round(0.01 * k * 50 * 65536 / (2 * np.pi)) for k in range(6)]
     assert held[::2] == [[True, True], [False, False], [True, False]]
+
+
+@pytest.mark.parametrize(("matrix", "windows"), [("", [2**32 - 1, 91_022]),
+                                               ("motor_matrix = [[50, 0], [50, 50]]\n",
+                                                [2**32 - 1, 2**32 - 1])])  # fmt: skip
+def test_joints_without_a_limit_of_the_following_error(tmp_path, matrix, windows):
+    """A motor of such a joint supervises none; that of the other, at 5 degrees and a ratio of
+    50: twice 5 * 50 / 360 * 65536 counts.
+    """
+    text = bus_text(2).replace("following_error_deg = 5\n", "", 1)
+    text = matrix + (text.replace("ratio = 50.0\n", "") if matrix else text)
+    run, _ = connected(robot_of(text), SimulatedDrives)
+    assert [node.values[0x6065, 0] for node in run.drives.nodes] == windows
+    done = dry_session(tmp_path / "a.mcap", Task(duration_s=0.1), robot=robot_of(text))
+    assert done.outcome.reason == "finished"
 
 
 def test_a_boot_up_counts_as_the_first_heartbeat():

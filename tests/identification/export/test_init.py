@@ -136,7 +136,11 @@ def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsy
     ]
     assert "#: [bus]" not in text
     marked = [number for number, line in enumerate(text.splitlines(), 1) if "FILL IN" in line]
-    assert lines_to_fill_in(robot) == marked[-5:]
+    lines = {number: text.splitlines()[number - 1] for number in lines_to_fill_in(robot)}
+    assert list(lines)[-5:] == marked[-5:]
+    of_motion = ["# acceleration_deg_s2", "# following_error_deg"]
+    keys = [line.partition(" = ")[0] for line in lines.values()]
+    assert keys[:-5] == [*of_motion, *of_motion, "# FILL IN: for each motor"]
     assert len(marked) > 10
     # the first line says what the mark means
     assert f"to be filled in: {len(marked) - 1} lines" in printed

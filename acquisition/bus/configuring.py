@@ -1,0 +1,326 @@
+"""What a session needs of each drive: objects that are read, compared, and written where they
+differ.
+
+There is one list for a session, which writes, and for `check`, which only reads. Everything is
+read before anything is written, so that a refusal leaves the drives as they are.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from .. import protocol as cia
+from ..errors import BadInputError, BusFaultError, RefusedError, SdoAbortedError
+from ..robot import Drive, axis_of
+from .master import PRE_OPERATIONAL, Master
+from .supervision import read_if_there, stop_ramp
+
+Key = tuple[int, int]  # index and sub-index
+Answers = dict[Key, int | SdoAbortedError]
+Write = tuple[int, int, int, int]  # index, sub-index, value, size in bytes
+UNREADABLE = (0x06010000, 0x06010001)  # abort codes of objects that can only be written
+MODE_S = 0.5  # in which the display follows the mode of operation
+TOLERANCE, NO_LIMIT = 0.01, 2**32 - 1  # of ranges, speeds and ratios; a speed
+# A drive's range and speed that are the same multiple of the limits at the motor, at least this,
+# show a wrong ratio.
+MIN_MULTIPLE, MULTIPLES_DIFFER = 2.0, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Need:
+    """A property of a drive that a session needs, as it was read.
+
+    Attributes:
+        name: of the property, with its object.
+        found: what the drive has, and what a session writes, in words.
+        writes: in order; none where the drive has what is needed.
+        refusal: why no session can start; empty where one can.
+        track: `refusal` forbids motion only.
+    """
+
+    drive: Drive
+    name: str
+    found: str
+    writes: tuple[Write, ...] = ()
+    refusal: str = ""
+    track: bool = False
+
+    def __str__(self) -> str:
+        text = self.refusal or self.found
+        return f"node {self.drive.node} ({self.drive.name}): {self.name}: {text}"
+
+
+def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
+    """Read what a recording needs of a drive, with `track` also what motion needs; nothing is
+    written.
+
+    Raises `NoAnswerError` where the drive does not answer.
+    """
+    yield from _identity(master, drive)
+    yield _heartbeat(master, drive)
+    yield from (_pdo(master, drive, "tpdo", pdo) for pdo in drive.tpdos)
+    if track:  # only motion sends to the drives
+        yield from (_pdo(master, drive, "rpdo", pdo) for pdo in drive.rpdos)
+        yield from (_interpolation(master, drive), _mode(master, drive), *_limits(master, drive))
+        ramp, faster = stop_ramp(master, drive)
+        refusal = f"{ramp}: expected {faster}" if faster else ""
+        yield Need(drive=drive, name="quick stop ramp", found=ramp, refusal=refusal, track=True)
+
+
+def read_needs(master: Master, *, track: bool) -> list[Need]:
+    """Read the needs of all drives before a session.
+
+    Raises `RefusedError` with all that forbid it.
+    """
+    needs = [need for drive in master.bus.drives for need in needs_of(master, drive, track=track)]
+    if unmet := [str(need) for need in needs if need.refusal and (track or not need.track)]:
+        unmet.append("`robot-acquire check` lists what a recording and motion need")
+        raise RefusedError("; ".join(unmet), what="the session")
+    return needs
+
+
+def configure(master: Master, needs: Iterable[Need], *, track: bool) -> list[str]:
+    """Set every drive to PRE-OPERATIONAL, and write what differs; a warning for each drive whose
+    heartbeat a recording does without.
+
+    Raises `BusFaultError` where a drive refuses a write, or does not change its mode.
+    """
+    for drive in master.bus.drives:
+        master.nmt(PRE_OPERATIONAL, drive.node)
+    master.wait(master.link.now_ns() + 20_000_000)
+    warnings = []
+    for need in needs:
+        without = str(need) if need.refusal else ""
+        try:
+            for write in need.writes:
+                _write(master, need.drive.node, write)
+        except SdoAbortedError as error:
+            if track or not need.track:
+                raise
+            without = error.args[0]
+        if without:
+            master.by_node[need.drive.node].beats = False
+            warnings.append(f"{without}: its heartbeat is not supervised")
+    for drive in master.bus.drives if track else ():
+        _await_mode(master, drive)
+    return warnings
+
+
+def _write(master: Master, node: int, write: Write) -> None:
+    index, sub, value, size = write
+    if index == cia.HEARTBEAT_TIME:  # U16 in CiA 301, but not in all drives
+        answer = master.upload(node, index, sub)
+        size = len(answer.data) if answer.kind == "value" else size
+    master.write(node, index, sub, value, size)
+
+
+def _await_mode(master: Master, drive: Drive) -> None:
+    mode, display = cia.Mode.CYCLIC_SYNCHRONOUS_POSITION, cia.MODE_DISPLAY + axis_of(drive)
+    until_ns = master.link.now_ns() + round(MODE_S * 1e9)
+    while (shown := master.read(drive.node, display)) != mode:
+        if master.link.now_ns() > until_ns:
+            raise BusFaultError(
+                place=f"node {drive.node}",
+                key=f"mode of operation ({display:04X}:0)",
+                value=shown,
+                expected=f"{int(mode)} ({mode.name.lower().replace('_', ' ')})",
+            )
+        master.wait(master.link.now_ns() + 10_000_000)
+
+
+def _ask(master: Master, drive: Drive, *keys: Key) -> Answers:
+    """Read objects of a drive; the abort in place of those that it refuses."""
+
+    def answer(key: Key) -> int | SdoAbortedError:
+        try:
+            return master.read(drive.node, *key)
+        except SdoAbortedError as error:
+            return error
+
+    return {key: answer(key) for key in keys}
+
+
+def _name(key: Key) -> str:
+    return f"{key[0]:04X}:{key[1]}"
+
+
+def _need(drive: Drive, name: str, answers: Answers, writes: Sequence[Write], shown: str) -> Need:
+    """A property that `writes` set, needed by motion only: refused where an object is not there,
+    cannot be read (unless it is written), or is read-only by the dictionary.
+    """
+    keys = dict.fromkeys(write[:2] for write in writes)
+    refused = [
+        f"{_name(key)}: {answer.meaning} (0x{answer.code:08X})"
+        for key, answer in answers.items()
+        if not isinstance(answer, int) and not (key in keys and answer.code in UNREADABLE)
+    ]
+    refused += [
+        f"{_name(key)} differs, and its dictionary says that it is read-only"
+        for key in keys
+        if key in drive.entries and not drive.entries[key].writable
+    ]
+    written = f"; a session writes {', '.join(map(_name, keys))}" if keys else ""
+    return Need(
+        drive=drive,
+        name=name,
+        found=shown + written,
+        writes=() if refused else tuple(writes),
+        refusal=next(iter(refused), ""),
+        track=True,
+    )
+
+
+def _values(drive: Drive, name: str, answers: Answers, wanted: dict[Key, int], unit: str) -> Need:
+    """Objects that have to have the raw values `wanted`."""
+    writes = [
+        (*key, value, drive.size_of(*key)) for key, value in wanted.items() if answers[key] != value
+    ]
+    shown = " ".join(str(x) if isinstance(x, int) else "-" for x in answers.values())
+    return _need(drive, name, answers, writes, shown + unit)
+
+
+def _heartbeat(master: Master, drive: Drive) -> Need:
+    key, every_ms = (cia.HEARTBEAT_TIME, 0), round(master.bus.file.heartbeat_s * 1000)
+    answers = _ask(master, drive, key)
+    return _values(drive, f"heartbeat {key[0]:04X}", answers, {key: every_ms}, " ms")
+
+
+def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
+    """A PDO: what is right of it is not written, because its mapping may be fixed."""
+    communication, mapping = (first + pdo.number - 1 for first in cia.PARAMETERS[way])
+    can_id, kind, count = (communication, 1), (communication, 2), (mapping, 0)
+    answers = _ask(master, drive, can_id, kind, count)
+    is_mapped = answers[count] == len(pdo.entries) and all(
+        # Many drives have no sub-index beyond the count: it is read first.
+        _ask(master, drive, (mapping, k))[mapping, k] == entry.mapping
+        for k, entry in enumerate(pdo.entries, 1)
+    )
+    stated, on_sync = answers[can_id], answers[kind] == cia.ON_SYNC
+    no_remote = stated & cia.NO_REMOTE if isinstance(stated, int) else 0
+    is_right = is_mapped and on_sync and stated == pdo.can_id | no_remote
+    writes = [
+        write
+        for write in cia.configuration(way, pdo, no_remote)
+        if not (is_right or (is_mapped and write[0] == mapping) or (on_sync and write[:2] == kind))
+    ]
+    name = f"{way.upper()} {pdo.number} {communication:04X} {mapping:04X}"
+    need = _need(drive, name, answers, writes, "as described" if is_right else "differs")
+    return replace(need, track=way == "rpdo")
+
+
+def _mode(master: Master, drive: Drive) -> Need:
+    """The mode, and its display: a session waits until it follows."""
+    mode, display = (i + axis_of(drive) for i in (cia.MODE_OF_OPERATION, cia.MODE_DISPLAY))
+    answers, wanted = (
+        _ask(master, drive, (mode, 0), (display, 0)),
+        cia.Mode.CYCLIC_SYNCHRONOUS_POSITION,
+    )
+    return _values(
+        drive, f"mode and display {mode:04X} {display:04X}", answers, {(mode, 0): wanted}, ""
+    )
+
+
+def _interpolation(master: Master, drive: Drive) -> Need:
+    """The interpolation period: the SYNC period in any unit is right; a drive without the object
+    has that of its dictionary.
+    """
+    index, period_s = cia.INTERPOLATION_PERIOD + axis_of(drive), master.bus.file.sync_period_s
+    name, answers = f"interpolation period {index:04X}", _ask(master, drive, (index, 1), (index, 2))
+    count, unit = (
+        drive.entries[key].value
+        if not isinstance(answer, int) and answer.code not in UNREADABLE and key in drive.entries
+        else answer
+        for key, answer in answers.items()
+    )
+    if isinstance(count, int) and isinstance(unit, int):
+        has_s = count * 10.0 ** ((unit + 128) % 256 - 128)
+        if abs(has_s - period_s) <= 1e-6 * period_s:
+            return Need(drive=drive, name=name, found=f"{has_s * 1e3:g} ms")
+    try:
+        count, unit = cia.interpolation_period(period_s)
+    except BadInputError as error:
+        return Need(drive=drive, name=name, found="", refusal=error.args[0], track=True)
+    return _values(drive, name, answers, {(index, 1): count, (index, 2): unit % 256}, "")
+
+
+def _identity(master: Master, drive: Drive) -> Iterator[Need]:
+    """The identity in the dictionary, and the rated values of robot.toml, which are only
+    compared.
+    """
+    identity = [] if drive.dictionary is None else drive.dictionary.identity
+    wanted = [
+        *((name, cia.IDENTITY, sub, number, "0x{:X}") for sub, name, number in identity),
+        *(("rated value", index, 0, rated, "{}") for index, rated in drive.rated.items()),
+    ]
+    for name, index, sub, number, form in wanted:
+        if drive.dictionary is None or (index, sub) in drive.entries:
+            answers = _ask(master, drive, key := (index, sub))
+            need = _need(drive, f"{name} {_name(key)}", answers, (), form.format(number))
+            if not need.refusal and answers[key] != number:
+                source = "its dictionary" if index == cia.IDENTITY else "robot.toml"
+                text = f"{form.format(answers[key])}: expected {need.found} as {source} says"
+                need = replace(need, refusal=text)
+            yield replace(need, track=False)
+
+
+def _limits(master: Master, drive: Drive) -> Iterator[Need]:
+    """Position limits, motor speed and gear, where the drive states them, compared with the
+    limits of the joints times the ratio.
+    """
+    positions, home, speed, unit, gear = (
+        index + axis_of(drive)
+        for index in (
+            cia.POSITION_LIMITS,
+            cia.HOME_OFFSET,
+            cia.MAX_RPM,
+            cia.VELOCITY_UNIT,
+            cia.GEAR,
+        )
+    )
+    keys = (positions, 1), (positions, 2), (home, 0), (gear, 1), (gear, 2), (speed, 0), (unit, 0)
+    low, high, home, turns, shaft, rpm, unit = (
+        read_if_there(master, drive, *key) or 0 for key in keys
+    )
+    low, high = ((raw ^ 1 << 31) - (1 << 31) for raw in (low, high))  # I32
+    least, most = drive.position_range or (0.0, 0.0)
+    # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
+    span = most - least if low < high and not home else 0.0
+    fastest = drive.rpm_limit if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
+    wider = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
+    joints, ratio = "the joints' limits x ratio", drive.ratio or 0.0
+    known = f"the ratio of its motor in robot.toml, {ratio:g}"
+    for stated, name, found, expected, ok in (
+        (
+            span,
+            f"position limits {positions:04X}",
+            f"{low} to {high}",
+            f"{least:.0f} to {most:.0f} within, {joints}",
+            max(low - least, most - high) <= TOLERANCE * span,
+        ),
+        (
+            fastest,
+            f"motor speed {speed:04X}",
+            f"{rpm} rpm",
+            f"{fastest or 0.0:.0f} at least, {joints}",
+            rpm >= (1 - TOLERANCE) * (fastest or 0.0),
+        ),
+        (
+            # Where a ratio is missing or wrong, both are the same multiple.
+            ratio and wider[0] >= MIN_MULTIPLE,
+            f"ratio {positions:04X} {speed:04X}",
+            f"range and speed are {wider[0]:.4g} and {wider[1]:.4g} times {joints}",
+            f"once: is {known}, right?",
+            wider[1] > (1 + MULTIPLES_DIFFER) * wider[0],
+        ),
+        # Where the description reduces more, a further stage is outside of the drive.
+        (
+            ratio and shaft,
+            f"gear {gear:04X}",
+            f"{turns}/{shaft}",
+            f"at most {known}",
+            ratio * shaft >= (1 - TOLERANCE) * turns,
+        ),
+    ):
+        if stated:
+            refusal = "" if ok else f"{found}: expected {expected}"
+            yield Need(drive=drive, name=name, found=found, refusal=refusal, track=True)
