@@ -85,6 +85,15 @@ BEFORE, AFTER = "S 1:1 2:1 S 1:2 2:2 S 1:3 2:3 S 1:4 2:4", "S 1:7 2:7 S 1:8 2:8 
         # 2:6 and 2:60 are missing, 2:5 is late: one interval with a PDO of each
         # drive proves nothing.
         ("S 1:5 S 1:6 2:5 S 1:60 S 1:61 2:61", [61], 0),
+        # Another producer's SYNC once more: the two have one set of answers between them.
+        ("S S+0.2 1:5 2:5 S+0.8 1:6 2:6", [5, 6], 0),
+        ("S 1:5 S+0.2 2:5 S+0.8 1:6 2:6", [5, 6], 0),
+        ("S 1:5 2:5 S+0.2 S+0.8 1:6 2:6", [5, 6], 0),
+        ("S S+0.2 S+0.2 1:5 2:5 S+0.6 1:6 2:6", [5, 6], 0),
+        # One of its own for each: an additional SYNC; SYNCs that were read late, in a burst.
+        ("S 1:5 2:5 S+0.2 1:55 2:55 S+0.8 1:6 2:6", [5, 55, 6], 0),
+        ("S+1.8 1:5 2:5 S+0.2 1:55 2:55 S 1:6 2:6", [5, 55, 6], 0),
+        ("S+2.8 S+0.1 S+0.1 1:5 2:5 1:55 2:55 1:6 2:6", [5, 55, 6], 0),
         # A SYNC that is not recorded, unnoticed, and then late answers: as many as
         # SYNCs, but not to these.
         ("S 1:5 2:5 1:6 2:6 S+2.4 S 1:55 2:55 1:56 2:56 S 1:60 2:60 S 1:61 2:61", [61], 0),

@@ -7,15 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.recording.sync_grid import SyncTimes, sync_times
+from acquisition.recording.sync_grid import SyncTimes, sync_times, usual_period
 
 START_NS, PERIOD_NS = 1_000_000_000, 2_000_000
 
 
 def timed(times, *, ours: bool, index=None, nominal_ns: int = PERIOD_NS) -> SyncTimes:
     index = np.arange(len(times)) if index is None else np.array(index)
+    times = np.array(times, np.int64)
+    period = usual_period(times, nominal_ns)
     return sync_times(
-        np.array(times, np.int64), index, int(index[-1]) + 1, ours=ours, nominal_ns=nominal_ns
+        times, index, int(index[-1]) + 1, ours=ours, period=period, nominal_ns=nominal_ns
     )
 
 
