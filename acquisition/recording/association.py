@@ -22,15 +22,17 @@ is pending, and what lies between gives rows only if every PDO came as often as 
   the loss of 2 they do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Ints
 from .rows import Rows
 from .sync_grid import (
+    MAX_ANSWER_PERIODS,
     MAX_RUN_SYNCS,
     Bools,
     Intervals,
@@ -62,10 +64,13 @@ def associate(
     pdos: Sequence[Rows],
     repeats: Sequence[Rows],
     sync_rows: Rows,
+    times_of: Callable[[Rows], Ints],
     intervals: Intervals,
+    period: float,
 ) -> Answers:
     """Assign the frames of `pdos` to SYNCs where the order is proven; `repeats`: those that
-    `without_repeats` left out.
+    `without_repeats` left out; `times_of`: times of frames;
+    `period` of SYNC; ns.
     """
     steps, torn, edges = intervals.steps, intervals.torn, _sums(intervals.steps)
     behind = [
@@ -114,7 +119,10 @@ def associate(
         interval = interval_of(pdo, sync_rows)
         used = keep[interval]
         rows.append(pdo[used])
-        lost["late"] = int(np.count_nonzero(interval[used] != asked))
+        late_rows = np.flatnonzero(interval[used] != asked)
+        came = times_of(rows[-1][late_rows]) - times_of(sync_rows[asked[late_rows]])
+        # else SYNCs came in a burst, and the drive is in time
+        lost["late"] = int(np.count_nonzero(came > MAX_ANSWER_PERIODS * period))
     return Answers(
         answered=np.flatnonzero(np.repeat(keep, steps)).astype(np.int32),
         late=late,

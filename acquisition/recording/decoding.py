@@ -236,7 +236,7 @@ def decode(
     if len(sync_rows) >= MIN_SYNCS:
         refuse_period(clock.period_s, bus.file.sync_period_s, place)
     del times, rows
-    answers = associate(pdos, repeats, sync_rows, intervals)
+    answers = associate(pdos, repeats, sync_rows, times_of, intervals, period)
     del pdos  # large in a long session
     counts = tuple(
         replace(

@@ -23,7 +23,7 @@ Number = TypeVar("Number", np.int32, np.int64, np.float64)
 MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
 MAX_REPEAT_PERIODS = 0.65  # after a SYNC of another producer that was in time: a repeat
-_MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
+MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
 # from a PDO's median time after SYNC, and so many median deviations from that:
 _MAX_USUAL_PERIODS = 0.05
 _MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
@@ -290,7 +290,7 @@ def sync_steps(
     """
     steps = np.ones(len(times), np.int32)
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
-    after_last = 1 + int((end - times[-1]) / period + 1 - _MAX_ANSWER_PERIODS)
+    after_last = 1 + int((end - times[-1]) / period + 1 - MAX_ANSWER_PERIODS)
     periods = np.diff(times) / period
     even = ours or periods.max() <= _MAX_EVEN_PERIODS
     periods = np.append(periods if even else _lasting_periods(times, period), after_last)
@@ -303,7 +303,7 @@ def sync_steps(
         interval = interval_of(pdo, sync_rows)
         came = times_of(pdo) - times[interval]
         after.append(
-            np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long]
+            np.bincount(interval[came > MAX_ANSWER_PERIODS * period], minlength=len(times))[long]
         )
         swapped[interval[(came >= ahead[interval]) & (ahead[interval] > 0)]] = True
         busy[interval[came > 0.5 * period * periods[interval]]] = True
