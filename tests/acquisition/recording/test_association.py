@@ -136,6 +136,14 @@ def answered(syncs: Iterable[int]) -> str:
         (f"{answered(range(2))} S 2:2 {answered(range(3, 9))} S 2:9 S 1:9 1:10 2:10 "
          f"{answered(range(11, 17))}",
          (0, 1, 4, 5, 6, 7, 8, *range(11, 17)), 0),
+        # Late by one, then 1:7 and 1:12 are lost: what comes between is in order if there are more
+        # such intervals in a row than late drives had: four; five after one with 1:61 and 2:6.
+        (f"{answered(range(5))} S 1:5 S 1:6 2:5 2:6 S 2:7 {answered(range(8, 12))} S 2:12 "
+         f"{answered(range(13, 21))}",
+         (*range(5), *range(9, 12), *range(14, 21)), 0),
+        (f"{answered(range(5))} S 1:5 S 1:6 2:5 S 1:61 2:6 2:61 S 2:7 {answered(range(8, 13))} "
+         f"S 2:13 {answered(range(14, 22))}",
+         (*range(5), *range(10, 13), *range(16, 22)), 0),
         # A counter tells what was lost.
         ("S#8 1:1 2:1 S#9 1:2 2:2 S+1#1 1:4 2:4 1:5 2:5 S#3 1:6 2:6", (1, 2, 4, 5, 6), 1),
     ],
