@@ -32,7 +32,6 @@ _MIN_LASTING_PERIODS = 0.6  # a step to later times by so many, that lasts, is n
 _MIN_SOONER_PERIODS = 0.4  # the same of a step to earlier times
 _MAX_EVEN_PERIODS = 1.25  # with no longer step no SYNC was lost
 _NEAR_SYNCS = 7  # around a repeat, that show whether one was late and what drives answered
-_FEW_DELAYS = 0.1  # share of the SYNCs that are used, if delays are long
 # later SYNCs that bound the delay of one, in the first and second pass
 _LOOKAHEAD_SYNCS = (15, 127)
 
@@ -115,10 +114,7 @@ def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Int
     for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
         freed, run = _freed(since - index * period, period, ahead)
         delay = since - index * period - freed
-        usual = delay <= min(
-            _MAX_DELAY_RATIO * float(np.median(delay)),
-            max(MAX_PERIOD_OFFSET * period, float(np.quantile(delay, _FEW_DELAYS))),
-        )
+        usual = delay <= min(_MAX_DELAY_RATIO * float(np.median(delay)), MAX_PERIOD_OFFSET * period)
         # one SYNC has no slope
         period = (
             _slope(index[usual], since[usual], run[usual])

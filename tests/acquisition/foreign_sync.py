@@ -67,12 +67,13 @@ def jittery(
     syncs: int = 300,
     doubled: float = 0.0,
     lost: float = 0.0,
+    missing: float = 0.0,
     restart: float = 0.0,
     pauses: int = 0,
 ) -> Made:
     """SYNC and the answers to it are received late by the same half-normal delay of `sd` periods;
-    shares of SYNCs that are doubled, and that are not recorded; half way the producer restarts its
-    timer so many periods early, and it pauses.
+    shares of SYNCs that are doubled, and of SYNCs and PDOs that are not recorded; half way the
+    producer restarts its timer so many periods early, and it pauses.
     """
     rng, k = np.random.default_rng(seed), np.arange(syncs)
     true = k - restart * (k >= syncs // 2)
@@ -83,6 +84,9 @@ def jittery(
     again = np.flatnonzero(rng.random(syncs) < doubled)
     parts.append((received[again] + 0.3 * rng.random(len(again)), again, 0))
     gone = np.flatnonzero(rng.random(syncs) < lost)
-    return of_frames(
-        parts, true, received, keep=lambda which, whose: (whose > 0) | ~np.isin(which, gone)
-    )
+
+    def keep(which: np.ndarray, whose: np.ndarray) -> np.ndarray:
+        kept = rng.random(len(which)) >= missing
+        return np.where(whose > 0, kept, ~np.isin(which, gone))
+
+    return of_frames(parts, true, received, keep=keep)

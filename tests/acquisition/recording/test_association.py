@@ -90,6 +90,7 @@ BEFORE, AFTER = "S 1:1 2:1 S 1:2 2:2 S 1:3 2:3 S 1:4 2:4", "S 1:7 2:7 S 1:8 2:8 
         ("S 1:5 S+0.2 2:5 S+0.8 1:6 2:6", [5, 6], 0),
         ("S 1:5 2:5 S+0.2 S+0.8 1:6 2:6", [5, 6], 0),
         ("S S+0.2 S+0.2 1:5 2:5 S+0.6 1:6 2:6", [5, 6], 0),
+        ("S S+0.1 S+0.1 1:5 2:5 S+0.8 1:6 2:6", [5, 6], 0),
         # One of its own for each: an additional SYNC; SYNCs that were read late, in a burst.
         ("S 1:5 2:5 S+0.2 1:55 2:55 S+0.8 1:6 2:6", [5, 55, 6], 0),
         ("S+1.8 1:5 2:5 S+0.2 1:55 2:55 S 1:6 2:6", [5, 55, 6], 0),
@@ -202,3 +203,28 @@ def test_an_answer_behind_the_next_sync_is_late_unless_syncs_came_in_a_burst():
     burst = decoded(f"{BEFORE} S+1.8 S+0.2 1:5 2:5 1:6 2:6 {AFTER}")
     assert [pdo.late for pdo in burst.pdos] == [0, 0]
     assert len(burst.stamps) == 9
+
+
+def test_a_repeat_after_which_a_sync_was_not_recorded_is_none():
+    """There are two sets of answers, but in two periods."""
+    found = decoded(
+        f"{answered(range(12))} S S+0.2 1:12 2:12 + 1:13 2:13 S+1.8 1:14 2:14 "
+        f"{answered(range(15, 30))}"
+    )
+    assert np.diff(found.stamps).tolist() == [PERIOD_NS] * 29
+    assert found.syncs_lost == 1
+
+
+def test_a_sync_that_we_sent_twice_is_two():
+    frames = sequence(f"{answered(range(12))} S S+0.2 1:12 2:12 S+0.8 {answered(range(13, 30))}")
+    frames["flags"] = SENT * (frames["can_id"] == 0x80)
+    assert decode(frames, ROBOT, BUS, "log").syncs == 32
+
+
+@pytest.mark.parametrize("again", ["S+0.2", "S+0.1 S+0.1", "S+0.001"])
+def test_repeats_of_a_sync_leave_the_times(again):
+    rest = 1 - sum(float(word[1:]) for word in again.split())
+    found = decoded(f"{BEFORE} S {again} 1:5 2:5 S+{rest} 1:6 2:6 {AFTER}")
+    assert found.syncs == 9
+    assert np.diff(found.stamps).tolist() == [PERIOD_NS] * 8
+    assert found.warnings == ()

@@ -81,3 +81,12 @@ def test_a_clock_that_is_set_back_is_found_and_time_goes_on():
     found = timed(times, ours=True)
     assert found.stamps.tolist() == (START_NS + PERIOD_NS * np.arange(100)).tolist()
     assert found.set_back == ((40, pytest.approx(0.5)),)
+
+
+@pytest.mark.parametrize("late", [[0.6], [0.9, 0.7], [0.6, 0.0, 0.8]])
+def test_a_first_sync_that_is_read_late_is_set_right(late):
+    true_ns = START_NS + PERIOD_NS * np.arange(200)
+    delay = np.zeros(200)
+    delay[: len(late)] = late
+    read_ns = true_ns + np.rint(delay * PERIOD_NS).astype(int)
+    assert np.abs(timed(read_ns, ours=False).stamps - true_ns).max() <= 1
