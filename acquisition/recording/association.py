@@ -22,16 +22,25 @@ is pending, and what lies between gives rows only if every PDO came as often as 
   the loss of 2 they do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Ints
 from ..files import kept
 from .rows import Rows
-from .sync_grid import MAX_RUN_SYNCS, Bools, Intervals, interval_of, minimum_ahead
+from .sync_grid import (
+    MAX_ANSWER_PERIODS,
+    MAX_RUN_SYNCS,
+    Bools,
+    Intervals,
+    interval_of,
+    minimum_ahead,
+    minimum_behind,
+)
 
 MAX_LATE_USUAL = 11  # intervals in a row that late drives answer at their usual time
 # intervals in a row that prove the order; at most so many more if PDOs are late
@@ -53,10 +62,16 @@ class Answers:
 
 
 def associate(
-    pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, intervals: Intervals
+    pdos: Sequence[Rows],
+    repeats: Sequence[Rows],
+    sync_rows: Rows,
+    times_of: Callable[[Rows], Ints],
+    intervals: Intervals,
+    period: float,
 ) -> Answers:
     """Assign the frames of `pdos` to SYNCs where the order is proven; `repeats`: those that
-    `without_repeats` left out.
+    `without_repeats` left out; `times_of`: times of frames;
+    `period` of SYNC; ns.
     """
     steps, torn, edges = intervals.steps, intervals.torn, _sums(intervals.steps)
     behind = [
@@ -90,11 +105,11 @@ def associate(
     # and another came twice.
     sums = _sums(alone & ~intervals.unusual & caught_up[1:] & caught_up[:-1])
     damaged[np.flatnonzero(sums[MAX_LATE_USUAL:] - sums[:-MAX_LATE_USUAL] == MAX_LATE_USUAL)] = True
-    for frames in repeats:
-        damaged[interval_of(frames, sync_rows)] = True
-    late, doubtful = _late(uneven | intervals.unusual, proven, damaged)
-    # of stretches
-    late, doubtful = (np.logical_or.reduceat(x, cuts[:-1]) for x in (late, doubtful))
+    damaged[interval_of(np.concatenate(repeats), sync_rows)] = True
+    late, doubtful = (  # of stretches
+        np.logical_or.reduceat(x, cuts[:-1])
+        for x in _late(uneven | intervals.unusual, proven, damaged)
+    )
     keep = np.repeat(whole & ~doubtful, np.diff(cuts))
     late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
     del behind, grown, edges, uneven, proven, damaged  # large in a long session
@@ -105,18 +120,26 @@ def associate(
         interval = interval_of(pdo, sync_rows)
         used = keep[interval]
         rows.append(pdo[used])
-        lost["late"] = int(np.count_nonzero(interval[used] != asked))
-    answered = np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)
-    return Answers(answered=answered, late=late, rows=rows, losses=losses, missing_share=share)
+        late_rows = np.flatnonzero(interval[used] != asked)
+        came = times_of(rows[-1][late_rows]) - times_of(sync_rows[asked[late_rows]])
+        # else SYNCs came in a burst, and the drive is in time
+        lost["late"] = int(np.count_nonzero(came > MAX_ANSWER_PERIODS * period))
+    return Answers(
+        answered=np.flatnonzero(np.repeat(keep, steps)).astype(np.int32),
+        late=late,
+        rows=rows,
+        losses=losses,
+        missing_share=share,
+    )
 
 
 def _caught_up(behind: Sequence[Rows]) -> Bools:
     """Edges at which a drive is late: it is less behind both before and later."""
-    late = np.zeros(len(behind[0]), np.bool_)
-    for x in behind:
-        later, before = (minimum_ahead(y, MAX_RUN_SYNCS) for y in (x, x[::-1]))
-        late |= (x > later) & (x > before[::-1])
-    return late
+    late = [
+        (x > minimum_ahead(x, MAX_RUN_SYNCS)) & (x > minimum_behind(x, MAX_RUN_SYNCS))
+        for x in behind
+    ]
+    return np.asarray(np.logical_or.reduce(late))
 
 
 def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:
@@ -176,9 +199,7 @@ def _late(uneven: Bools, proven: Bools, damaged: Bools) -> tuple[Bools, Bools]:
 
 def _sums(values: NDArray[Any]) -> Rows:
     """Sum of all values before each, then the sum of all."""
-    sums = np.zeros(len(values) + 1, np.int32)
-    np.cumsum(values, out=sums[1:])
-    return kept(sums)
+    return kept(np.append(np.int32(0), np.cumsum(values, dtype=np.int32)))
 
 
 def _longest_run(true: Bools) -> int:

@@ -7,7 +7,7 @@ block by block, because those of an hour do not fit in memory.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from .sync_grid import (
     recorded_syncs,
     sync_steps,
     sync_times,
+    usual_period,
     without_repeats,
 )
 from .writer import RecordingWriter
@@ -198,38 +199,49 @@ def decode(
     traffic = Traffic(frames)
     sync_rows = traffic.rows_of(bus.file.sync_can_id)
     if len(sync_rows) < 2:
-        text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
-        Place(place).refuse(text=text, expected="many")
+        Place(place).refuse(
+            text=f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames",
+            expected="many",
+        )
     ours = bool((traffic.at("flags", sync_rows) & SENT).all())
-    sync_rows, times = recorded_syncs(sync_rows, traffic.at("time_ns", sync_rows), ours=ours)
+    times_of = partial(traffic.at, "time_ns")
     carriers = _carriers(bus)
+    times = times_of(sync_rows)
+    period = usual_period(times, bus.period_ns)
+    sync_rows, times = recorded_syncs(
+        sync_rows,
+        times,
+        (traffic.of(pdo)[0] for pdo in carriers),  # few recordings need them
+        ours=ours,
+        period=period,
+    )
     pdos, repeats, counted = [], [], []
     for pdo, name in carriers.items():
         rows, short = traffic.of(pdo)
         rows, again = without_repeats(rows, sync_rows, traffic.at("data", rows))
         if not len(rows):
-            text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
             Place(place).refuse(
-                text=text, expected="the drive's answers to SYNC; is it mapped and started?"
+                text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})",
+                expected="the drive's answers to SYNC; is it mapped and started?",
             )
         pdos.append(kept(rows))
         repeats.append(again)
         counted.append(
             PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short)
         )
-    intervals = sync_steps(
-        sync_rows, times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours
-    )
+    intervals = sync_steps(sync_rows, times, pdos, times_of, ours=ours, period=period)
     if (traffic.at("length", sync_rows) >= 1).all():
         intervals = replace(intervals, steps=counted_steps(traffic.at("data", sync_rows)[:, 0]))
     steps = intervals.steps
     index_of = kept(np.concatenate([[0], np.cumsum(steps[:-1])]))
-    clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
+    clock = sync_times(
+        times, index_of, int(steps.sum()), ours=ours, period=period, nominal_ns=bus.period_ns
+    )
     if len(sync_rows) >= MIN_SYNCS:
         refuse_period(clock.period_s, bus.file.sync_period_s, place, np.diff(times) * 1e-9)
-    del times
-    answers = associate(pdos, repeats, sync_rows, intervals)
-    del pdos, rows  # large in a long session
+    del times, rows
+    answers = associate(pdos, repeats, sync_rows, times_of, intervals, period)
+    del pdos  # large in a long session
     counts = tuple(
         replace(
             pdo,
@@ -243,9 +255,10 @@ def decode(
         answers.missing_share > max_missing
         and max(count.missing for count in counts) > MAX_MISSING_COUNT
     ):
-        text = f"{answers.missing_share:.1%} of the PDOs of a drive are missing"
-        expected = f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
-        Place(place).refuse(text=text, expected=expected)
+        Place(place).refuse(
+            text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
+            expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
+        )
     answered = answers.answered
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
@@ -293,11 +306,10 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
         )[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
-            text = (
+            yield (
                 f"{drive.name}: its position counter wrapped {len(wraps)} times, first at "
-                f"{first_s:.4g} s"
+                f"{first_s:.4g} s: positions are continued"
             )
-            yield f"{text}: positions are continued"
 
 
 def _targets(
@@ -341,26 +353,29 @@ def refuse_period(
 def _warnings(
     counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows
 ) -> list[str]:
-    texts = []
     nominal_s = bus.file.sync_period_s
     at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
-    for k, by_s in clock.set_back:
-        texts.append(
-            f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted "
-            "forward"
-        )
+    texts = [
+        f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted "
+        "forward"
+        for k, by_s in clock.set_back
+    ]
     if abs(clock.period_s / nominal_s - 1) > 0.01:
-        expected = f"expected {nominal_s * 1e3:g} ms as robot.toml says"
-        texts.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
+        texts.append(
+            f"SYNC came every {clock.period_s * 1e3:.4g} ms: expected {nominal_s * 1e3:g} ms as "
+            "robot.toml says"
+        )
     if len(clock.pauses):
         longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
-        most = f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
         texts.append(
-            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest {most}"
+            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
+            f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
         )
     elif clock.jitter_s[1] > 0.5 * nominal_s:
-        off = f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time"
-        texts.append(f"{off}: more than half a period of {nominal_s * 1e3:g} ms")
+        texts.append(
+            f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period "
+            f"of {nominal_s * 1e3:g} ms"
+        )
     if lost:
         texts.append(f"{lost} SYNC were answered but not recorded")
     missing = int(answered[-1] - answered[0] + 1 - len(answered))

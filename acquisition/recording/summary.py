@@ -113,9 +113,8 @@ def as_tables(found: Mapping[str, Any]) -> Group:
     """The overview for a terminal. Texts from the file are shown as plain text,
     without control characters.
     """
-    since = f"s from the first {'sample' if found['samples'] else 'frame'}"
-    if found["first_ns"] is None:
-        since = "at, s"
+    first = "sample" if found["samples"] else "frame"
+    since = "at, s" if found["first_ns"] is None else f"s from the first {first}"
     facts = _table(("", ""), [(Text(name, style="bold"), value) for name, value in _facts(found)])
     joints = _table(
         ("joint", "position", "", "unit", "effort", "", "unit"),
@@ -175,11 +174,16 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
     else:
         yield "samples", found["no_samples"]
-    texts = {"times": "times", "effort": "effort_provenance", "payload": "payload_text"}
-    yield from ((name, found[key]) for name, key in texts.items() if found[key])
+    yield from (
+        (key.partition("_")[0], found[key])
+        for key in ("times", "effort_provenance", "payload_text")
+        if found[key]
+    )
     for count in found["frames"]:
-        text = f"{count['frames']} frames, {count['sent']} of them sent, {count['duration_s']:g} s"
-        yield f"CAN {count['channel']}", text
+        yield (
+            f"CAN {count['channel']}",
+            f"{count['frames']} frames, {count['sent']} of them sent, {count['duration_s']:g} s",
+        )
     if found["events"]:
         yield "events", str(len(found["events"]))
     if found["health"] is not None:

@@ -3,10 +3,11 @@
 **Times.** Drives sample at SYNC. The time of a SYNC that this master sends is the time of sending.
 Another producer sends SYNC by its own timer: the receive times contain delays of reception, which
 are never negative and do not last. So a SYNC came no later than each later SYNC minus the whole
-periods between them. A pause of the producer lasts, and remains in the times as a gap.
+periods between them. A step that lasts remains in the times: a pause of the producer as a gap; and
+where all later SYNCs would make many in a row late, its timer began again, or sent one more.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -22,12 +23,16 @@ Number = TypeVar("Number", np.int32, np.int64, np.float64)
 
 MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
-MAX_REPEAT_PERIODS = 0.75  # after a SYNC of another producer: an earlier one may be a repeat
-_MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
+MAX_REPEAT_PERIODS = 0.65  # after a SYNC of another producer that was in time: a repeat
+MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
 # from a PDO's median time after SYNC, and so many median deviations from that:
 _MAX_USUAL_PERIODS = 0.05
 _MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
+_MIN_LASTING_PERIODS = 0.6  # a step to later times by so many, that lasts, is no delay
+_MIN_SOONER_PERIODS = 0.4  # the same of a step to earlier times
+_MAX_EVEN_PERIODS = 1.25  # with no longer step no SYNC was lost
+_NEAR_SYNCS = 7  # around a repeat, that show whether one was late and what drives answered
 # later SYNCs that bound the delay of one, in the first and second pass
 _LOOKAHEAD_SYNCS = (15, 127)
 
@@ -65,27 +70,25 @@ class Intervals:
     unusual: Bools  # a PDO at an unusual time after SYNC
 
 
-def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
+def sync_times(
+    times: Ints, index_of: Ints, grid: int, *, ours: bool, period: float, nominal_ns: int
+) -> SyncTimes:
     """Times of all `grid` SYNCs from those recorded, in ns, and their grid indices; `ours`:
-    this master sent them.
+    this master sent them; `period`: about, in ns.
     """
-    index = kept(index_of.astype(np.float64))
     times, set_back = _remove_set_back(times, index_of)
     since = kept((times - times[0]).astype(np.float64))
-    freed, run, within = _remove_delays(index, since)
-    overall = _slope(index, since, np.zeros_like(run)) if run[-1] else within
+    freed, run, within = _remove_delays(index_of, since, period)
+    overall = _slope(index_of, since, np.zeros_like(run)) if run[-1] else within
     # Pauses lengthen the second estimate, delays may disturb the first; a wrong
     # description changes neither.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
-    deviation = kept(since - index * within)
+    deviation = kept(since - index_of * within)
     deviation -= _mean_of_run(deviation, run)
-    if not ours:
-        since = freed
-    k = kept(np.arange(grid))
-    at = kept(np.rint(np.interp(k, index, since)).astype(np.int64))
-    beyond = k > index_of[-1]
-    at[beyond] = at[index_of[-1]] + np.rint((k[beyond] - index_of[-1]) * period).astype(np.int64)
-    stamps = int(times[0]) + at
+    k, after_last = kept(np.arange(grid)), since[-1] + (grid - index_of[-1]) * period
+    ends = np.append(index_of, grid), np.append(since if ours else freed, after_last)
+    at = kept(np.interp(k, *ends))
+    stamps = int(times[0]) + np.rint(at).astype(np.int64)
     stamps = np.maximum.accumulate(np.maximum(stamps, 0) - k) + k
     return SyncTimes(
         stamps=stamps,
@@ -100,40 +103,58 @@ def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int
     """Times with each step back replaced by one period, and the steps back."""
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
-    if not len(back):
-        return times, ()
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 1
-    jumps = np.zeros(len(times), np.int64)
-    jumps[back + 1] = usual - steps[back]
+    jumps = np.cumsum(np.where(steps < 0, usual - steps, 0))
     set_back = tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back)
-    return times + np.cumsum(jumps), set_back
+    return times + np.append(0, jumps), set_back
 
 
-def _remove_delays(index: Array, since: Array) -> tuple[Array, Ints, float]:
+def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Ints, float]:
     """Times without delays, which do not last, the run between pauses that each SYNC belongs to,
     and the period within runs.
     """
-    period = float(np.median(np.diff(since) / np.diff(index)))
-    ahead, run = 0, np.zeros(len(since), np.int64)
     for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
-        freed = kept(minimum_ahead(since - index * period, ahead) + index * period)
-        paused = np.diff(freed) - np.diff(index) * period > (MIN_PAUSE_PERIODS - 1) * period
-        run = kept(np.concatenate([[0], np.cumsum(paused)]))
-        delay = kept(since - freed)
-        usual = delay <= _MAX_DELAY_RATIO * np.median(delay)
-        if np.count_nonzero(usual) >= 2:
-            period = _slope(kept(index[usual]), kept(since[usual]), kept(run[usual]))
-    return minimum_ahead(since - index * period, ahead) + index * period, run, period
+        freed, run = _freed(since - index * period, period, ahead)
+        delay = kept(since - index * period - freed)
+        usual = delay <= min(_MAX_DELAY_RATIO * float(np.median(delay)), MAX_PERIOD_OFFSET * period)
+        # one SYNC has no slope
+        period = (
+            _slope(kept(index[usual]), kept(since[usual]), kept(run[usual]))
+            if np.count_nonzero(usual) >= 2
+            else period
+        )
+    freed, run = _freed(since - index * period, period, _LOOKAHEAD_SYNCS[1])
+    return freed + index * period, run, period
 
 
-def _mean_of_run(values: Array, run: Ints) -> Array | float:
+def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
+    """Deviations without the delays that the next `ahead` SYNCs show, and the run of each SYNC:
+    after a step that lasts there is another.
+
+    A step to later times is a pause, or a SYNC was not recorded. One to earlier times, that would
+    make all SYNCs before late, is an additional SYNC or another timer.
+    """
+    (few, most), least = _LOOKAHEAD_SYNCS, minimum_ahead(deviation, ahead)
+    # the last SYNCs before a pause keep their delays
+    rises = least[1:] - minimum_behind(least, 3)[:-1] > _MIN_LASTING_PERIODS * period
+    paused = np.append(0, np.cumsum(rises & (np.diff(least) > 0.25 * period)))
+    if not (np.diff(deviation) < -_MIN_SOONER_PERIODS * period).any():
+        return least, paused
+    falls = np.diff(minimum_behind(deviation, most, paused)) < -_MIN_SOONER_PERIODS * period
+    # the first SYNCs of a run may all be late
+    known = np.append(np.full(few + 1, -1), paused)[1 : len(paused)] == paused[1:]
+    run = np.append(0, np.cumsum(falls & known))
+    return minimum_ahead(deviation, ahead, run), paused + run
+
+
+def _mean_of_run(values: Array | Ints, run: Ints) -> Array | float:
     """The mean of each value's run."""
     if not run[-1]:
         return float(values.mean())
     return np.asarray((np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
 
 
-def _slope(index: Array, since: Array, run: Ints) -> float:
+def _slope(index: Ints, since: Array, run: Ints) -> float:
     """Least-squares slope over the index, one for all runs; each run has its own offset."""
     k = index - _mean_of_run(index, run)
     square = float(k @ k)
@@ -144,14 +165,26 @@ def _slope(index: Array, since: Array, run: Ints) -> float:
     )
 
 
-def minimum_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
-    """Minimum of each value and the next `ahead`, a power of two minus one."""
+def minimum_ahead(values: NDArray[Number], ahead: int, run: Ints | None = None) -> NDArray[Number]:
+    """Minimum of each value and the next `ahead` of the same run, a power of two minus one."""
     least = values.copy()
     step = 1
     while step <= ahead:
-        least[:-step] = np.minimum(least[:-step], least[step:])
+        np.minimum(
+            least[:-step],
+            least[step:],
+            out=least[:-step],
+            where=True if run is None else run[:-step] == run[step:],
+        )
         step *= 2
     return least
+
+
+def minimum_behind(
+    values: NDArray[Number], behind: int, run: Ints | None = None
+) -> NDArray[Number]:
+    """Minimum of each value and the `behind` before it, as `minimum_ahead`."""
+    return minimum_ahead(values[::-1], behind, None if run is None else run[::-1])[::-1]
 
 
 def interval_of(rows: Rows, sync_rows: Rows) -> Rows:
@@ -161,26 +194,62 @@ def interval_of(rows: Rows, sync_rows: Rows) -> Rows:
     return np.searchsorted(sync_rows, rows).astype(np.int32) - 1
 
 
-def recorded_syncs(rows: Rows, times: Ints, *, ours: bool) -> tuple[Rows, Ints]:
-    """SYNC frames and their times: two that changed places are set right, and repeats by another
-    producer are left out.
+def usual_period(times: Ints, nominal_ns: int) -> float:
+    """Return the period of recorded SYNCs in ns: the median of single steps, of some in a row and
+    of the whole, whichever is nearest to the described one.
 
-    A repeat comes too early, and the next SYNC a whole number of periods after the one before
-    it. So does a SYNC with too early a time: as one that was not recorded, it gets the time
-    between its neighbours.
+    Lost SYNCs and pauses lengthen long spans, and bursts make single steps short.
     """
-    period = float(np.median(np.diff(times))) or 1.0
+    found = (
+        float(np.median(times[n:] - times[:-n])) / n
+        for n in sorted({min(n, len(times) - 1) for n in (1, *_LOOKAHEAD_SYNCS, len(times))})
+    )
+    return min(found, key=lambda period: abs(period - nominal_ns)) or 1.0
+
+
+def recorded_syncs(
+    rows: Rows, times: Ints, pdos: Iterable[Rows], *, ours: bool, period: float
+) -> tuple[Rows, Ints]:
+    """SYNC frames and their times: two that changed places are set right, and repeats by another
+    producer are left out; `pdos`: frames by PDO.
+
+    A repeat comes too early, though the one before it was not late, and the two have one set of
+    answers between them. Either is enough if the other is uncertain: a SYNC that is read late makes
+    the next one early, and PDOs may be lost, late or doubled.
+    """
     back = np.flatnonzero(np.diff(times[:-1]) < 0)
     # else the clock was set back
     back = back[(back > 0) & (times[back + 2] - times[back - 1] > 2.5 * period)]
     times[back], times[back + 1] = times[back + 1], times[back]
-    if ours:
+    steps = np.append(-1, np.diff(times))  # a step back is none of a repeat
+    early = (steps >= 0) & (steps < MAX_REPEAT_PERIODS * period)
+    if ours or not early.any():
         return rows, times
-    # the last one has no neighbour
-    skipped = np.append(times[2:] - times[:-2], period)[: len(times) - 1] / period
-    whole = (np.abs(skipped - np.rint(skipped)) < 1 - MAX_REPEAT_PERIODS) & (skipped > 0.5)
-    repeats = np.flatnonzero(whole & (np.diff(times) < MAX_REPEAT_PERIODS * period)) + 1
-    return np.delete(rows, repeats), np.delete(times, repeats)
+    deviation = times - period * np.arange(len(times))
+    level = minimum_behind(deviation, _NEAR_SYNCS, _freed(deviation, period, _NEAR_SYNCS)[1])
+    fewer = np.array([_fewer_answers(pdo, rows, early) for pdo in pdos])[:, 1:]
+    alone = (early & ~np.roll(early, 1) & ~np.roll(early, -1))[1:]
+    pairs = np.append(times[2:] - times[:-2], 0)
+    # Two sets in two periods: the SYNC after the repeat was not recorded. At the begin of a
+    # recording the one before may be late.
+    two = (
+        alone & (pairs > (1 + MAX_REPEAT_PERIODS) * period) & (np.arange(len(pairs)) > _NEAR_SYNCS)
+    )
+    falls = (np.diff(level) < (MAX_REPEAT_PERIODS - 1) * period) & (fewer.any(axis=0) | two)
+    repeats = early & np.append(False, falls | alone & (fewer == 2).all(axis=0))
+    # the one behind a repeat is early after that alone
+    repeats[2:] &= ~repeats[1:-1] | (pairs[:-1] < MAX_REPEAT_PERIODS * period)
+    return rows[~repeats], times[~repeats]
+
+
+def _fewer_answers(pdo: Rows, sync_rows: Rows, early: Bools) -> Rows:
+    """For each SYNC 1 if a drive stays behind by more answers after its group of SYNCs, and 1 more
+    if it is behind by more right after the group; a group is a SYNC with the `early` ones behind.
+    """
+    first = np.append(np.flatnonzero(~early), len(early))
+    behind = first - np.searchsorted(pdo, np.append(sync_rows, np.iinfo(np.int32).max)[first])
+    lasting = minimum_ahead(behind, _NEAR_SYNCS)[1:] > minimum_behind(behind, _NEAR_SYNCS)[:-1]
+    return np.repeat(lasting + (np.diff(behind) > 0).astype(np.int32), np.diff(first))
 
 
 def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, Rows]:
@@ -208,6 +277,7 @@ def sync_steps(
     times_of: Callable[[Rows], Ints],
     *,
     ours: bool,
+    period: float,
 ) -> Intervals:
     """Intervals between SYNC frames.
 
@@ -217,10 +287,11 @@ def sync_steps(
     `times_of`: their times.
     """
     steps = np.ones(len(times), np.int32)
-    period = float(np.median(np.diff(times))) or 1.0
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
-    after_last = 1 + int((end - times[-1]) / period + 1 - _MAX_ANSWER_PERIODS)
-    periods = kept(np.append(np.diff(times) / period, after_last))
+    after_last = 1 + int((end - times[-1]) / period + 1 - MAX_ANSWER_PERIODS)
+    periods = np.diff(times) / period
+    even = ours or periods.max() <= _MAX_EVEN_PERIODS
+    periods = np.append(periods if even else _lasting_periods(times, period), after_last)
     long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
     ahead = kept(np.append(np.diff(times), np.iinfo(np.int64).max))
@@ -230,7 +301,7 @@ def sync_steps(
         interval = interval_of(pdo, sync_rows)
         came = kept(times_of(pdo) - times[interval])
         after.append(
-            np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long]
+            np.bincount(interval[came > MAX_ANSWER_PERIODS * period], minlength=len(times))[long]
         )
         swapped[interval[(came >= ahead[interval]) & (ahead[interval] > 0)]] = True
         busy[interval[came > 0.5 * period * periods[interval]]] = True
@@ -242,17 +313,32 @@ def sync_steps(
             interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]
         ] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
-    known = most >= lost
-    if not ours:
-        whole = np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET
-        known = np.where(long < len(times) - 1, whole, known)
+    known = np.where(
+        ours | (long == len(times) - 1),
+        most >= lost,
+        np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET,
+    )
     # else nothing was on the bus
     known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)
     return Intervals(
-        steps=steps, paused=paused, torn=torn, swapped=swapped, unusual=unusual & (steps == 1)
+        steps=steps,
+        paused=paused,
+        torn=torn,
+        swapped=swapped,
+        unusual=unusual & (steps == 1),
     )
+
+
+def _lasting_periods(times: Ints, period: float) -> Array:
+    """Periods from each SYNC to the next that last: a delay is made up for by the next ones."""
+    index = np.arange(len(times))
+    even, _ = _remove_set_back(times, index)
+    freed, run, period = _remove_delays(index, (even - times[0]).astype(np.float64), period)
+    later = freed - index * period
+    steps = later[1:] - minimum_behind(later, _LOOKAHEAD_SYNCS[1], run)[:-1]
+    return np.where(np.diff(run) > 0, 1 + steps / period, 1.0)
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:

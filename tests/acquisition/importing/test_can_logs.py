@@ -175,20 +175,27 @@ def test_rows_left_out_at_an_end_are_told(tmp_path):
     assert found.warnings == ()
 
 
-@pytest.mark.parametrize(("factor", "again", "text"), [
-    (1.5, False, "SYNC came every 3 ms.*correct robot.toml"),
-    (1.0, True, "SYNC came .* after the one before.*even steps: is each recorded twice"),
+@pytest.mark.parametrize(("factor", "uneven", "text"), [
+    (1.5, 0.0, "SYNC came every 3 ms.*correct robot.toml"),
+    (0.6, 0.2, "SYNC came 0.8 to 1.6 ms after the one before.*even steps: is each recorded twice"),
 ])  # fmt: skip
-def test_only_an_even_period_is_a_fault_of_the_description(tmp_path, factor, again, text):
-    frames = made_up()
-    frames["time_ns"] = 10**12 + (frames["time_ns"] - 10**12) * factor
-    if again:
-        echo = frames[frames["can_id"] == SYNC].copy()
-        echo["time_ns"] += 100_000
-        frames = np.sort(np.concatenate([frames, echo]), order="time_ns")
+def test_only_an_even_period_is_a_fault_of_the_description(tmp_path, factor, uneven, text):
+    """Every other SYNC and its answers are late by `uneven` periods."""
+    frames, groups = made_up(), np.arange(900) // 3
+    frames["time_ns"] += np.rint(
+        PERIOD_NS * ((factor - 1) * groups + uneven * (groups % 2))
+    ).astype(np.int64)
     with pytest.raises(BadInputError, match=text) as caught:
-        imported(tmp_path / "a.log", candump(frames))
-    assert ("correct robot.toml" in str(caught.value)) == (not again)
+        imported(tmp_path / "a.log", candump(np.sort(frames, order="time_ns")))
+    assert ("correct robot.toml" in str(caught.value)) == (not uneven)
+
+
+def test_syncs_that_are_all_recorded_twice_count_once(tmp_path):
+    frames = made_up()
+    echo = frames[frames["can_id"] == SYNC].copy()
+    echo["time_ns"] += 100_000
+    both = np.sort(np.concatenate([frames, echo]), order="time_ns")
+    assert true_rows(imported(tmp_path / "a.log", candump(both))[0]) == 300
 
 
 def blf(path, both) -> None:

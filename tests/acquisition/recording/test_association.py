@@ -85,6 +85,16 @@ BEFORE, AFTER = "S 1:1 2:1 S 1:2 2:2 S 1:3 2:3 S 1:4 2:4", "S 1:7 2:7 S 1:8 2:8 
         # 2:6 and 2:60 are missing, 2:5 is late: one interval with a PDO of each
         # drive proves nothing.
         ("S 1:5 S 1:6 2:5 S 1:60 S 1:61 2:61", [61], 0),
+        # Another producer's SYNC once more: the two have one set of answers between them.
+        ("S S+0.2 1:5 2:5 S+0.8 1:6 2:6", [5, 6], 0),
+        ("S 1:5 S+0.2 2:5 S+0.8 1:6 2:6", [5, 6], 0),
+        ("S 1:5 2:5 S+0.2 S+0.8 1:6 2:6", [5, 6], 0),
+        ("S S+0.2 S+0.2 1:5 2:5 S+0.6 1:6 2:6", [5, 6], 0),
+        ("S S+0.1 S+0.1 1:5 2:5 S+0.8 1:6 2:6", [5, 6], 0),
+        # One of its own for each: an additional SYNC; SYNCs that were read late, in a burst.
+        ("S 1:5 2:5 S+0.2 1:55 2:55 S+0.8 1:6 2:6", [5, 55, 6], 0),
+        ("S+1.8 1:5 2:5 S+0.2 1:55 2:55 S 1:6 2:6", [5, 55, 6], 0),
+        ("S+2.8 S+0.1 S+0.1 1:5 2:5 1:55 2:55 1:6 2:6", [5, 55, 6], 0),
         # A SYNC that is not recorded, unnoticed, and then late answers: as many as
         # SYNCs, but not to these.
         ("S 1:5 2:5 1:6 2:6 S+2.4 S 1:55 2:55 1:56 2:56 S 1:60 2:60 S 1:61 2:61", [61], 0),
@@ -127,6 +137,14 @@ def answered(syncs: Iterable[int]) -> str:
         (f"{answered(range(2))} S 2:2 {answered(range(3, 9))} S 2:9 S 1:9 1:10 2:10 "
          f"{answered(range(11, 17))}",
          (0, 1, 4, 5, 6, 7, 8, *range(11, 17)), 0),
+        # Late by one, then 1:7 and 1:12 are lost: what comes between is in order if there are more
+        # such intervals in a row than late drives had: four; five after one with 1:61 and 2:6.
+        (f"{answered(range(5))} S 1:5 S 1:6 2:5 2:6 S 2:7 {answered(range(8, 12))} S 2:12 "
+         f"{answered(range(13, 21))}",
+         (*range(5), *range(9, 12), *range(14, 21)), 0),
+        (f"{answered(range(5))} S 1:5 S 1:6 2:5 S 1:61 2:6 2:61 S 2:7 {answered(range(8, 13))} "
+         f"S 2:13 {answered(range(14, 22))}",
+         (*range(5), *range(10, 13), *range(16, 22)), 0),
         # A counter tells what was lost.
         ("S#8 1:1 2:1 S#9 1:2 2:2 S+1#1 1:4 2:4 1:5 2:5 S#3 1:6 2:6", (1, 2, 4, 5, 6), 1),
     ],
@@ -177,3 +195,36 @@ def test_a_last_sync_that_is_not_recorded_stands_a_period_after_the_one_before()
     found = decoded(f"{BEFORE} S 1:5 2:5 + 1:6 2:6")
     assert np.diff(found.samples["stamp_ns"]).tolist() == [PERIOD_NS] * 5
     assert found.syncs_lost == 1
+
+
+def test_an_answer_behind_the_next_sync_is_late_unless_syncs_came_in_a_burst():
+    late = decoded(f"{BEFORE} S 1:5 S 1:6 2:5 2:6 {AFTER}")
+    assert [pdo.late for pdo in late.pdos] == [0, 1]
+    burst = decoded(f"{BEFORE} S+1.8 S+0.2 1:5 2:5 1:6 2:6 {AFTER}")
+    assert [pdo.late for pdo in burst.pdos] == [0, 0]
+    assert len(burst.stamps) == 9
+
+
+def test_a_repeat_after_which_a_sync_was_not_recorded_is_none():
+    """There are two sets of answers, but in two periods."""
+    found = decoded(
+        f"{answered(range(12))} S S+0.2 1:12 2:12 + 1:13 2:13 S+1.8 1:14 2:14 "
+        f"{answered(range(15, 30))}"
+    )
+    assert np.diff(found.stamps).tolist() == [PERIOD_NS] * 29
+    assert found.syncs_lost == 1
+
+
+def test_a_sync_that_we_sent_twice_is_two():
+    frames = sequence(f"{answered(range(12))} S S+0.2 1:12 2:12 S+0.8 {answered(range(13, 30))}")
+    frames["flags"] = SENT * (frames["can_id"] == 0x80)
+    assert decode(frames, ROBOT, BUS, "log").syncs == 32
+
+
+@pytest.mark.parametrize("again", ["S+0.2", "S+0.1 S+0.1", "S+0.001"])
+def test_repeats_of_a_sync_leave_the_times(again):
+    rest = 1 - sum(float(word[1:]) for word in again.split())
+    found = decoded(f"{BEFORE} S {again} 1:5 2:5 S+{rest} 1:6 2:6 {AFTER}")
+    assert found.syncs == 9
+    assert np.diff(found.stamps).tolist() == [PERIOD_NS] * 8
+    assert found.warnings == ()

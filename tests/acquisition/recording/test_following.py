@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_sync import PERIOD_NS, jittery
+from foreign_sync import ROBOT as FOREIGN
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
@@ -16,6 +18,7 @@ from made_up_recordings import header
 
 from acquisition.errors import BadInputError
 from acquisition.recording import Block, RecordingFollower, RecordingWriter, decode
+from acquisition.robot import Robot
 from acquisition.session import Recorder
 
 ROBOT = robot_of(bus_text(2))
@@ -39,8 +42,10 @@ def tenths(frames: Block) -> list[int]:
     return (np.flatnonzero(np.diff(frames["time_ns"] // 100_000_000)) + 1).tolist()
 
 
-def written(path: Path, frames: Block, edges: list[int]) -> Iterator[RecordingFollower]:
-    with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
+def written(
+    path: Path, frames: Block, edges: list[int], robot: Robot = ROBOT
+) -> Iterator[RecordingFollower]:
+    with RecordingWriter(path, header(robot, 500.0)) as writer:
         follower = RecordingFollower(path)
         for part in np.split(frames, edges):
             writer.frames("can0", part)
@@ -52,9 +57,9 @@ def written(path: Path, frames: Block, edges: list[int]) -> Iterator[RecordingFo
     yield follower
 
 
-def shown(path: Path, frames: Block) -> Block:
+def shown(path: Path, frames: Block, robot: Robot = ROBOT) -> Block:
     return np.concatenate(
-        [f.rows for f in written(path, frames, tenths(frames)) if f.rows is not None]
+        [f.rows for f in written(path, frames, tenths(frames), robot) if f.rows is not None]
     )
 
 
@@ -168,3 +173,18 @@ def test_a_drive_late_for_long_is_shown_as_it_is_decoded(tmp_path):
         shown(tmp_path / "log.mcap", frames).tobytes()
         == decode(frames, ROBOT, BUS, "log").samples.tobytes()
     )
+
+
+@pytest.mark.parametrize(("doubled", "lost"), [(0.0, 0.0), (0.01, 0.0), (0.0, 0.005)])
+@pytest.mark.parametrize("sd", [0.05, 0.2])
+def test_a_foreign_sync_that_is_received_late_is_shown_as_it_is_decoded(
+    tmp_path, sd, doubled, lost
+):
+    """Only times differ, by less than half a period: later SYNCs show what a delay was."""
+    for seed in range(3):
+        recording = jittery(seed, sd, syncs=1200, doubled=doubled, lost=lost)
+        whole = recording.decoded()[0].samples
+        rows = shown(tmp_path / f"{seed}.mcap", recording.frames, FOREIGN)
+        assert len(whole) > 1180
+        assert rows["position"].tolist() == whole["position"].tolist()
+        assert np.abs(rows["stamp_ns"] - whole["stamp_ns"]).max() < 0.5 * PERIOD_NS

@@ -7,15 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.recording.sync_grid import SyncTimes, sync_times
+from acquisition.recording.sync_grid import SyncTimes, sync_times, usual_period
 
 START_NS, PERIOD_NS = 1_000_000_000, 2_000_000
 
 
 def timed(times, *, ours: bool, index=None, nominal_ns: int = PERIOD_NS) -> SyncTimes:
     index = np.arange(len(times)) if index is None else np.array(index)
+    times = np.array(times, np.int64)
+    period = usual_period(times, nominal_ns)
     return sync_times(
-        np.array(times, np.int64), index, int(index[-1]) + 1, ours=ours, nominal_ns=nominal_ns
+        times, index, int(index[-1]) + 1, ours=ours, period=period, nominal_ns=nominal_ns
     )
 
 
@@ -79,3 +81,12 @@ def test_a_clock_that_is_set_back_is_found_and_time_goes_on():
     found = timed(times, ours=True)
     assert found.stamps.tolist() == (START_NS + PERIOD_NS * np.arange(100)).tolist()
     assert found.set_back == ((40, pytest.approx(0.5)),)
+
+
+@pytest.mark.parametrize("late", [[0.6], [0.9, 0.7], [0.6, 0.0, 0.8]])
+def test_a_first_sync_that_is_read_late_is_set_right(late):
+    true_ns = START_NS + PERIOD_NS * np.arange(200)
+    delay = np.zeros(200)
+    delay[: len(late)] = late
+    read_ns = true_ns + np.rint(delay * PERIOD_NS).astype(int)
+    assert np.abs(timed(read_ns, ours=False).stamps - true_ns).max() <= 1
