@@ -112,8 +112,9 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         raise BusFaultError(f"the session was cut short: {outcome.reason}", place=str(out))
     if recorded.no_samples:
         if recorded.path is None:
-            text = f"nothing was recorded, and no file is left: {recorded.no_samples}"
-            raise BadInputError(text, place=str(out))
+            raise BadInputError(
+                f"nothing was recorded, and no file is left: {recorded.no_samples}"
+            )
         raise BadInputError(
             f"no samples, but the frames are in the recording: {recorded.no_samples}"
         )
