@@ -173,7 +173,11 @@ class Place:
         shown: str = "",
     ) -> NoReturn:
         """Raise a `BadInputError` for a key of this place."""
-        key = f"{self.table}.{key}".strip(".")
         raise BadInputError(
-            text, place=self.name, key=key, value=value, shown=shown, expected=expected
+            text,
+            place=self.name,
+            key=f"{self.table}.{key}".strip("."),
+            value=value,
+            shown=shown,
+            expected=expected,
         )

@@ -81,9 +81,11 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 def refuse_to_send(*_: object, **__: object) -> None:
     """Raise `RefusedError`: replaces the sending functions of a passive bus."""
-    expected = "an active session for that"
     raise RefusedError(
-        "passive: nothing is ever sent", what="sending", place="bus", expected=expected
+        "passive: nothing is ever sent",
+        what="sending",
+        place="bus",
+        expected="an active session for that",
     )
 
 

@@ -65,7 +65,9 @@ def refuse_unconfirmed(bus: Any, place: str) -> None:
 
         if driver.GetValue(bus.m_PcanHandle, PCAN_LISTEN_ONLY) != (PCAN_ERROR_OK, 1):
             bus.shutdown()
-            expected = "a driver and an adapter that can; no other program may have it open"
             raise RefusedError(
-                "does not confirm listen-only", what="recording", place=place, expected=expected
+                "does not confirm listen-only",
+                what="recording",
+                place=place,
+                expected="a driver and an adapter that can; no other program may have it open",
             )

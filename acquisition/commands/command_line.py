@@ -314,8 +314,12 @@ def run_command(
             return _refuse(err, program, f"{place}{error.strerror or error}", 1)
         out.flush()
         if out.error is not None and out.error.errno != errno.EPIPE:
-            text = f"standard output: cannot be written: {out.error.strerror or out.error}"
-            return _refuse(err, program, text, 1)
+            return _refuse(
+                err,
+                program,
+                f"standard output: cannot be written: {out.error.strerror or out.error}",
+                1,
+            )
         return status
 
 

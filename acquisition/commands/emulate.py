@@ -40,9 +40,11 @@ def run(options: argparse.Namespace) -> None:
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
     if bus.file.interface == "virtual":
-        expected = "udp_multicast or socketcan"
         Place(str(options.robot), "bus").refuse(
-            "interface", "virtual", expected, text="other programs cannot join it"
+            "interface",
+            "virtual",
+            "udp_multicast or socketcan",
+            text="other programs cannot join it",
         )
     if options.replay is None:
         mechanism = driven_plant(robot, bus)

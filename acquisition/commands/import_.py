@@ -112,8 +112,11 @@ def run(options: argparse.Namespace) -> None:
         elif options.topic is None and options.map is None and _propose(options, robot):
             return
         elif robot is None:
-            expected = "the robot's description; only recordings have their own"
-            raise BadInputError(key="--robot", value=None, expected=expected)
+            raise BadInputError(
+                key="--robot",
+                value=None,
+                expected="the robot's description; only recordings have their own",
+            )
         elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
@@ -211,8 +214,12 @@ def _refuse_bag_options(options: argparse.Namespace) -> None:
         ("--resample-hz", options.resample_hz),
     ):
         if value is not None:
-            expected = "--topic; for tables, time.resample_hz and effort.unit in MAP.toml"
-            raise BadInputError("is only for ROS 2 bags", key=name, value=value, expected=expected)
+            raise BadInputError(
+                "is only for ROS 2 bags",
+                key=name,
+                value=value,
+                expected="--topic; for tables, time.resample_hz and effort.unit in MAP.toml",
+            )
 
 
 def _refuse_as_bag(options: argparse.Namespace) -> None:
@@ -226,9 +233,11 @@ def _refuse_as_bag(options: argparse.Namespace) -> None:
     if len(options.tables) > 1:
         raise BadInputError("is a second bag", place=str(options.tables[1]), expected="one")
     if options.effort_unit is None:
-        expected = "the unit that the driver's manual states: 'N m', A, ..."
         raise BadInputError(
-            "a bag does not contain it", key="--effort-unit", value=None, expected=expected
+            "a bag does not contain it",
+            key="--effort-unit",
+            value=None,
+            expected="the unit that the driver's manual states: 'N m', A, ...",
         )
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
         raise BadInputError(
@@ -240,11 +249,14 @@ def _refuse_as_recording(options: argparse.Namespace) -> None:
     if len(options.tables) > 1:
         raise BadInputError("is a second recording", place=str(options.tables[1]), expected="one")
     if options.payload is not None:
-        expected = (
-            "none with a recording, whose payload is kept; `robot-identify fit --payload` "
-            "replaces it"
+        raise BadInputError(
+            key="--payload",
+            value=options.payload,
+            expected=(
+                "none with a recording, whose payload is kept; `robot-identify fit --payload` "
+                "replaces it"
+            ),
         )
-        raise BadInputError(key="--payload", value=options.payload, expected=expected)
 
 
 def _refuse_as_log(paths: Sequence[Path]) -> None:
@@ -252,10 +264,18 @@ def _refuse_as_log(paths: Sequence[Path]) -> None:
 
     tables = [path for path in paths if not is_log(path)]
     if tables and is_bag(tables[0]):
-        expected = "the topic of its joint states, such as --topic /joint_states"
-        raise BadInputError("a ROS 2 bag needs --topic", place=str(tables[0]), expected=expected)
+        raise BadInputError(
+            "a ROS 2 bag needs --topic",
+            place=str(tables[0]),
+            expected="the topic of its joint states, such as --topic /joint_states",
+        )
     if tables:
-        expected = "the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, .trc)"
-        raise BadInputError("a table needs --map MAP.toml", place=str(tables[0]), expected=expected)
+        raise BadInputError(
+            "a table needs --map MAP.toml",
+            place=str(tables[0]),
+            expected=(
+                "the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, .trc)"
+            ),
+        )
     if len(paths) > 1:
         raise BadInputError("is a second CAN log", place=str(paths[1]), expected="one")

@@ -51,8 +51,11 @@ def run(options: argparse.Namespace) -> int:
         )
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
-        text = "nobody can confirm the joint positions"
-        raise BadInputError(text, place="--track", expected="a terminal, or --yes")
+        raise BadInputError(
+            "nobody can confirm the joint positions",
+            place="--track",
+            expected="a terminal, or --yes",
+        )
     stop, line = Stop(), StatusLine()
 
     def confirm(words: list[str], faults: list[str]) -> bool:
@@ -112,8 +115,9 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         raise BusFaultError(f"the session was cut short: {outcome.reason}", place=str(out))
     if recorded.no_samples:
         if recorded.path is None:
-            text = f"nothing was recorded, and no file is left: {recorded.no_samples}"
-            raise BadInputError(text, place=str(out))
+            raise BadInputError(
+                f"nothing was recorded, and no file is left: {recorded.no_samples}", place=str(out)
+            )
         raise BadInputError(
             f"no samples, but the frames are in the recording: {recorded.no_samples}"
         )

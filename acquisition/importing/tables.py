@@ -181,8 +181,11 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         )
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
         measured = f"{grid.rate_hz:.9g}, the rate of the times"
-        expected = measured if time.resample_hz is None else "none together with time.resample_hz"
-        source.place.refuse("sample_rate_hz", given_hz, expected)
+        source.place.refuse(
+            "sample_rate_hz",
+            given_hz,
+            measured if time.resample_hz is None else "none together with time.resample_hz",
+        )
     clock = "stamps" if time.ticks is None else "ticks"
     way_out = "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]"
     grid = with_warnings(grid, time_s, parts["position"], clock, way_out)
@@ -199,8 +202,11 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
     """
     place, rows = source.place, len(parts["position"])
     if (time.ticks is None) != (time.tick_s is None):
-        key = "time.tick_s" if time.tick_s is None else "time.ticks"
-        place.refuse(key, None, "ticks and tick_s together, or neither")
+        place.refuse(
+            "time.tick_s" if time.tick_s is None else "time.ticks",
+            None,
+            "ticks and tick_s together, or neither",
+        )
     if time.column is None and time.ticks is None:
         place.refuse("time.column", None, "it, or ticks and tick_s")
     if time.unit not in TIME_UNITS:
@@ -276,11 +282,13 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
     """Samples and robot; calls `warn` if samples are missing."""
     recording = read_recording(path)
     if recording.samples is None:
-        expected = (
-            "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
-            "that are not lost"
+        Place(str(path)).refuse(
+            text=recording.no_samples,
+            expected=(
+                "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
+                "that are not lost"
+            ),
         )
-        Place(str(path)).refuse(text=recording.no_samples, expected=expected)
     missing = [
         gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late
     ]

@@ -94,8 +94,10 @@ class GridValues:
         rows = len(self.parts[POSITION])
         start_s = max(0.0, self.start_s)
         if not start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
-            problem = f"{rows} rows at {self.rate_hz} Hz from {start_s} s"
-            Place(place).refuse(expected="68 years and 100 MHz at most", text=problem)
+            Place(place).refuse(
+                expected="68 years and 100 MHz at most",
+                text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
+            )
         steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
@@ -152,11 +154,14 @@ def resample(
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
-        expected = (
-            f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
-            f"{time_s[-1] - time_s[0]:.4g} s"
+        place.refuse(
+            "resample_hz",
+            rate_hz,
+            (
+                f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
+                f"{time_s[-1] - time_s[0]:.4g} s"
+            ),
         )
-        place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz)
     interpolated = {name: interpolate(time_s, x, grid) for name, x in parts.items()}
@@ -198,7 +203,6 @@ def rows_to_interpolate(
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
         after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
-        found = f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods"
         expected = (
             f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the "
             "parts before "
@@ -206,7 +210,7 @@ def rows_to_interpolate(
         place.refuse(
             "time",
             expected=f"{expected}and after it separately, or set time.largest_gap_periods",
-            text=found,
+            text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
         )
     return time_s, parts, replace(report, off=report.rows - len(rows))
 
@@ -218,22 +222,26 @@ def _drop_repeated_rows(
     steps = np.diff(time_s)
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
-        found = f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        expected = (
-            "growing times of one source: not two publishers, a clock that was set or a "
-            "counter that wrapped"
+        place.refuse(
+            f"row {row + 2}",
+            expected=(
+                "growing times of one source: not two publishers, a clock that was set or a "
+                "counter that wrapped"
+            ),
+            text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
-        place.refuse(f"row {row + 2}", expected=expected, text=found)
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
         differ = (x[same + 1] != x[same]).any(axis=1)
         if differ.any():
             row = int(same[np.argmax(differ)])
-            problem = f"{name} differs from the row before at the same time, {time_s[row]:.9g} s"
-            expected = (
-                "one row for each time; if stamps are too coarse, name a counter in time.ticks"
+            place.refuse(
+                f"row {row + 2}",
+                expected=(
+                    "one row for each time; if stamps are too coarse, name a counter in time.ticks"
+                ),
+                text=f"{name} differs from the row before at the same time, {time_s[row]:.9g} s",
             )
-            place.refuse(f"row {row + 2}", expected=expected, text=problem)
     keep = np.flatnonzero(np.concatenate([[True], steps > 0]))
     return time_s[keep], {name: taken(x, keep) for name, x in parts.items()}, len(same)
 
@@ -293,11 +301,10 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
     steps = np.diff(time_s)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
-        found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
         place.refuse(
             f"row {row + 2}",
             expected="a later time; time.resample_hz leaves out doubled rows",
-            text=found,
+            text=f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
     period = float(np.median(steps))
     bad = np.abs(steps - period) > 0.1 * period
@@ -305,21 +312,21 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
         row = int(np.argmax(bad))
         missing = round(steps[row] / period) - 1
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
-        found, expected = (
-            f"{steps[row]:.6g} s after the row before",
-            f"{period:.6g} s ({cause}); {way_out}",
+        place.refuse(
+            f"row {row + 2}",
+            expected=f"{period:.6g} s ({cause}); {way_out}",
+            text=f"{steps[row]:.6g} s after the row before",
         )
-        place.refuse(f"row {row + 2}", expected=expected, text=found)
     duration_s = float(time_s[-1] - time_s[0])
     period = duration_s / len(steps)
     off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
     if off.max() > 0.5 * period:
         row = int(np.argmax(off))
-        found, expected = (
-            f"{off[row]:.6g} s off a uniform grid",
-            f"{0.5 * period:.6g} s at most; {way_out}",
+        place.refuse(
+            f"row {row + 1}",
+            expected=f"{0.5 * period:.6g} s at most; {way_out}",
+            text=f"{off[row]:.6g} s off a uniform grid",
         )
-        place.refuse(f"row {row + 1}", expected=expected, text=found)
     # Rounded within the scatter of the times: 1000, not 1000.00000013.
     scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
     rate_hz = _roundest(1 / period, scatter)

@@ -285,8 +285,11 @@ def check_metadata(metadata: Mapping[str, str], place: str) -> None:
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
         Place(place).refuse("schema_version", text, "a whole number from 1")
     if int(text) > SCHEMA_VERSION:
-        expected = f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
-        Place(place).refuse("schema_version", int(text), expected)
+        Place(place).refuse(
+            "schema_version",
+            int(text),
+            f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
+        )
     if metadata.get("crc32") != metadata_crc(metadata):
         Place(f"{place}: metadata").refuse(
             "crc32", metadata.get("crc32"), repr(metadata_crc(metadata))

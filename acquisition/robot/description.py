@@ -305,10 +305,11 @@ class RobotFile(TomlTable, frozen=True):
                     self.refuse(f"{kind}[{i}].name", name, "a name not used before")
         for i, joint in enumerate(self.joint):
             if (joint.dh is None) == (self.urdf is None):
-                expected = (
-                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
+                self.refuse(
+                    f"joint[{i}].dh",
+                    joint.dh,
+                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
                 )
-                self.refuse(f"joint[{i}].dh", joint.dh, expected)
             # Not checked in the joint: one whose terms are chosen for a fit may
             # still state the speed.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
@@ -318,12 +319,18 @@ class RobotFile(TomlTable, frozen=True):
                 self.refuse(key, speed, 'the term "stribeck" in friction with it')
         for i, motor in enumerate(self.motor):
             if motor.ratio is not None and (motor.ratio == 0 or self.motor_matrix is not None):
-                expected = "a non-zero ratio, or motor_matrix for the whole robot, not both"
-                self.refuse(f"motor[{i}].ratio", motor.ratio, expected)
+                self.refuse(
+                    f"motor[{i}].ratio",
+                    motor.ratio,
+                    "a non-zero ratio, or motor_matrix for the whole robot, not both",
+                )
         unknown = [m.name for m in self.motor if m.gain is None]
         if 0 < len(unknown) < n:
-            expected = f"a drive gain for all motors or for none; missing for {', '.join(unknown)}"
-            self.refuse("motor.drive_gain", None, expected)
+            self.refuse(
+                "motor.drive_gain",
+                None,
+                f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+            )
         if self.motor_matrix is not None:
             self._check_matrix(self.motor_matrix)
         for name in GAINS:
@@ -340,5 +347,8 @@ class RobotFile(TomlTable, frozen=True):
         for i, row in enumerate(matrix):
             # names such as Ia2 and gains are by joint, so each joint needs its own motor
             if row[i] == 0:
-                expected = f"motor {i + 1} to turn joint {i + 1}: order the motors so"
-                self.refuse(f"motor_matrix[{i}]", list(row), expected)
+                self.refuse(
+                    f"motor_matrix[{i}]",
+                    list(row),
+                    f"motor {i + 1} to turn joint {i + 1}: order the motors so",
+                )

@@ -225,15 +225,18 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) 
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
     if step[k] > _MIN_JUMP_RATIO * neighbour:
-        problem = (
-            f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
-            f"({speed}; {limit})"
+        place.refuse(
+            text=(
+                f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
+                f"({speed}; {limit})"
+            ),
+            expected=(
+                "motion: a counter that wrapped, lost or foreign samples, or two recordings glued "
+                "together"
+            ),
         )
-        expected = (
-            "motion: a counter that wrapped, lost or foreign samples, or two recordings glued "
-            "together"
-        )
-        place.refuse(text=problem, expected=expected)
     causes = "a wrong unit (degrees read as radians), ratio or sample rate"
-    expected = f"a speed below it: {causes}, or {joint.key('speed')} of robot.toml"
-    place.refuse(text=f"joint {joint.name} at {speed}, {when}: {limit}", expected=expected)
+    place.refuse(
+        text=f"joint {joint.name} at {speed}, {when}: {limit}",
+        expected=f"a speed below it: {causes}, or {joint.key('speed')} of robot.toml",
+    )

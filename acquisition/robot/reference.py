@@ -114,20 +114,22 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         longest_s = min(MAX_TABLE_S, MAX_PATH_VALUES / robot.n * period_s)
         if length_s > longest_s:
             slower = f" at {speed:g} times its speed" if speed != 1 else ""
-            expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
-            at.refuse(text=f"{length_s:.6g} s from first to last{slower}", expected=expected)
+            at.refuse(
+                text=f"{length_s:.6g} s from first to last{slower}",
+                expected=f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s",
+            )
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
         except ValueError:  # rows so close, or numbers so large, that its equations overflow
             q = np.array([np.nan])
     if not np.isfinite(q).all():
-        found = (
-            f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to "
-            f"{np.abs(table[:, 1:]).max():.3g}"
-        )
         Place(str(path)).refuse(
-            text=found, expected="positions in rad or m with a smooth path through them"
+            text=(
+                f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to "
+                f"{np.abs(table[:, 1:]).max():.3g}"
+            ),
+            expected="positions in rad or m with a smooth path through them",
         )
     return q
 
@@ -139,9 +141,9 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:
-                problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
                 Place(place).refuse(
-                    text=problem, expected="one in robot.toml before anything moves"
+                    text=f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}",
+                    expected="one in robot.toml before anything moves",
                 )
     at_rest = np.concatenate([q[:1], q, q[-1:]])
     # values that are not finite are refused below

@@ -100,8 +100,9 @@ class Robot:
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
         if self.controller.bandwidth_hz is None:
-            expected = "the bandwidth of the position loop, Hz"
-            Place(f"robot {self.name}").refuse("controller.bandwidth_hz", None, expected)
+            Place(f"robot {self.name}").refuse(
+                "controller.bandwidth_hz", None, "the bandwidth of the position loop, Hz"
+            )
         return self.controller.bandwidth_hz
 
     @cached_property
@@ -196,8 +197,12 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
         for k, extra in enumerate(drive.extra):
             if not isinstance(extra, str):
-                expected = f"{extra['object']!r} alone: frames hold its raw integer"
-                place.refuse(f"bus.drive[{i}].extra[{k}]", extra, expected, shown="a table")
+                place.refuse(
+                    f"bus.drive[{i}].extra[{k}]",
+                    extra,
+                    f"{extra['object']!r} alone: frames hold its raw integer",
+                    shown="a table",
+                )
         if drive.dictionary is not None:
             label = dictionary_label(drive.dictionary)
             files[label] = _companion(path, drive.dictionary, f"bus.drive[{i}].dictionary")
@@ -219,11 +224,10 @@ def _refuse_idle_keys(c: Controller, place: Place) -> None:
         value = getattr(c, name)
         if value is not None:
             none = f"none, structure = {c.structure!r} has no integral"
-            expected = "controller.structure with it" if c.structure is None else none
             place.refuse(
                 name,
                 list(value) if isinstance(value, tuple) else value,
-                expected,
+                "controller.structure with it" if c.structure is None else none,
                 text="does nothing",
             )
 

@@ -146,10 +146,10 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
             return BusFaultError(f"left operational (NMT state {watch.nmt})", place=node)
         # A heartbeat that left the drive before START may arrive after it.
         if watch.unstarted >= LOST_HEARTBEATS:
-            text = (
-                f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
+            return BusFaultError(
+                f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})",
+                place=node,
             )
-            return BusFaultError(text, place=node)
         if watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
             return BusFaultError(
                 f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node
@@ -206,9 +206,12 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
         )
         if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
             moved = q[i] - motion.start[i]
-            expected = f"{largest:.4g} at most"
             return _limit_fault(
-                joint, "motion while drives were enabled", moved, joint.position_unit, expected
+                joint,
+                "motion while drives were enabled",
+                moved,
+                joint.position_unit,
+                f"{largest:.4g} at most",
             )
         largest = joint.si("following_error")
         if motion.target is not None and abs(q[i] - motion.target[i]) > largest:

@@ -64,8 +64,11 @@ class Pace:
             patience_ns = self._latest_ns if in_motion else MAX_ABSENT_PERIODS * self._period_ns
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
                 waited = f"{patience_ns / self._period_ns:.3g} periods"
-                expected = "the other producer's; or sync_producer = 'recorder'"
-                raise BusFaultError(f"no SYNC in {waited}", place="bus", expected=expected)
+                raise BusFaultError(
+                    f"no SYNC in {waited}",
+                    place="bus",
+                    expected="the other producer's; or sync_producer = 'recorder'",
+                )
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
         self._master.wait(
@@ -76,8 +79,12 @@ class Pace:
     def _refuse_late(self, in_motion: bool) -> None:
         late_ns = self._link.now_ns() - self.next_ns
         if in_motion and late_ns > self._latest_ns:
-            expected = f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
-            raise BusFaultError(f"SYNC {late_ns * 1e-9:.3g} s late in motion", expected=expected)
+            raise BusFaultError(
+                f"SYNC {late_ns * 1e-9:.3g} s late in motion",
+                expected=(
+                    f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
+                ),
+            )
 
 
 # of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
@@ -179,8 +186,11 @@ def sync_jitter(master: Master) -> Jitter:
         first = len(master.sync_times)
         for _ in range(count):
             if not master.wait_for_sync(link.now_ns() + MAX_ABSENT_PERIODS * period_ns):
-                text = f"no SYNC in {MAX_ABSENT_PERIODS} periods"
-                raise BusFaultError(text, place="bus", expected="the other producer's")
+                raise BusFaultError(
+                    f"no SYNC in {MAX_ABSENT_PERIODS} periods",
+                    place="bus",
+                    expected="the other producer's",
+                )
         times = master.sync_times[first:]
     deviation_s = np.abs(np.diff(times) - period_ns) * 1e-9
     return Jitter(

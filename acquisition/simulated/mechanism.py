@@ -239,8 +239,9 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
 
     plants = list(entry_points(group=GROUP))
     if not plants:
-        reason = f"no installed package offers the robot's dynamics (entry points {GROUP})"
-        return _independent_joints(robot, bus, reason)
+        return _independent_joints(
+            robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})"
+        )
     try:
         plant_of: PlantOf = plants[0].load()
     except (ImportError, AttributeError) as error:
