@@ -21,16 +21,15 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    text = (
+    add_path(
+        inputs,
+        "tables",
+        "FILE",
         "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, "
-        ".mcap, .db3); or one CAN "
+        ".mcap, .db3); or one CAN log (candump .log, .asc, .blf, .trc); or one EtherCAT capture "
+        "(pcap, pcapng); or one recording: its frames are decoded, and a cut one is repaired",
+        nargs="+",
     )
-    text += (
-        "log (candump .log, .asc, .blf, .trc); or one EtherCAT capture (pcap, pcapng); or one "
-        "recording: its frames "
-    )
-    text += "are decoded, and a cut one is repaired"
-    add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
     add_path(
         inputs,
@@ -40,27 +39,32 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
-    text = (
-        "topic of JointState; after a comma of JointTrajectoryControllerState (default: the "
-        "only one with the "
+    bag.add_argument(
+        "--topic",
+        metavar="NAME",
+        help="topic of JointState; after a comma of JointTrajectoryControllerState (default: the "
+        "only one with the joints)",
     )
-    text += "joints)"
-    bag.add_argument("--topic", metavar="NAME", help=text)
-    text = (
-        "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in "
-        "N), or A, V, ... at the "
+    bag.add_argument(
+        "--effort-unit",
+        metavar="UNIT",
+        help="required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in "
+        "N), or A, V, ... at the motors; one for all joints, or one per joint separated by commas",
     )
-    text += "motors; one for all joints, or one per joint separated by commas"
-    bag.add_argument("--effort-unit", metavar="UNIT", help=text)
-    text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
-    bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
-    capture = parser.add_argument_group("EtherCAT capture")
-    text = (
-        "for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the "
-        "order of the bus"
+    bag.add_argument(
+        "--resample-hz",
+        type=float,
+        metavar="HZ",
+        help="sample rate in Hz after interpolation (default: the rate of the time stamps, "
+        "rounded)",
     )
-    capture.add_argument(
-        "--mapping", metavar="0x6041:16,0x6064:32,...", action="append", default=[], help=text
+    parser.add_argument_group("EtherCAT capture").add_argument(
+        "--mapping",
+        metavar="0x6041:16,0x6064:32,...",
+        action="append",
+        default=[],
+        help="for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the "
+        "order of the bus",
     )
     outputs = parser.add_argument_group("outputs")
     add_path(
@@ -144,16 +148,15 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
     parts = [
         f"{found.out}: {found.robot}",
         f"{found.samples} samples at {found.sample_rate_hz:g} Hz",
+        *(
+            [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"]
+            if found.effort_units
+            else []
+        ),
+        *(["with reference"] if found.has_reference else []),
+        *(f"with {name.replace('_', ' ')}" for name in found.optional),
     ]
-    parts += (
-        [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
-    )
-    parts += ["with reference"] if found.has_reference else []
-    print(
-        one_line(
-            ", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])
-        )
-    )
+    print(one_line(", ".join(parts)))
     for name, text in (("times", found.times), ("reference", found.reference)):
         if text:
             print(one_line(f"{name}: {text}"))
@@ -201,9 +204,11 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
         )
         print(f"without a robot.toml: robot-identify init ARM.urdf --effort {effort} -o robot.toml")
     if robot is None or missing:
-        described = options.robot or "robot.toml"
         print(
-            one_line(f"next: robot-acquire import {table} --robot {described} -o {options.output}")
+            one_line(
+                f"next: robot-acquire import {table} --robot {options.robot or 'robot.toml'} "
+                f"-o {options.output}"
+            )
         )
     return robot is None or bool(missing)
 

@@ -18,8 +18,12 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """Declare the bus of a command without robot.toml."""
-    text = "interface name of python-can: socketcan, udp_multicast, ..."
-    parser.add_argument("--interface", required=True, metavar="NAME", help=text)
+    parser.add_argument(
+        "--interface",
+        required=True,
+        metavar="NAME",
+        help="interface name of python-can: socketcan, udp_multicast, ...",
+    )
     parser.add_argument(
         "--channel",
         required=True,

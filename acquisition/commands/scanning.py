@@ -65,20 +65,21 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
                 )
             )
         if is_drive(readings):
-            problems = {
-                reading.problem
-                for (index, _), reading in readings.items()
-                if 0x1400 <= index < 0x1C00
-            }
             unread = sorted(
-                problem for problem in problems if problem and "not exist" not in problem
+                {
+                    reading.problem
+                    for (index, _), reading in readings.items()
+                    if 0x1400 <= index < 0x1C00
+                    and reading.problem
+                    and "not exist" not in reading.problem
+                }
             )
             text = "; ".join([*_pdos(readings), *unread]) or "none is mapped"
             rows.append(Finding("PDOs", text, ok=not unread, node=node))
-    silent = [node for node in sorted(heard) if node not in nodes]
     return rows + [
         Finding("only heard", ", ".join(sorted(heard[node])), ok=False, node=node)
-        for node in silent
+        for node in sorted(heard)
+        if node not in nodes
     ]
 
 
@@ -137,9 +138,8 @@ def bus_lines(
     )
     free = max(set(range(1, 128)) - {*nodes, *heard}, default=None)
     if free != 127:
-        text = f"master_node = {free} # of this program; no device has it"
         yield (
-            text
+            f"master_node = {free} # of this program; no device has it"
             if free
             else f"# master_node = ... # {FILL_IN}: of this program; no node id is free"
         )
