@@ -272,9 +272,8 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
     ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
     text = (
         f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if "
-        "drives interpolate "
+        "drives interpolate linearly: shorten sync_period_s, or record an averaged object"
     )
-    text += "linearly: shorten sync_period_s, or record an averaged object"
     return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 
 

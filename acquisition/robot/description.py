@@ -158,8 +158,7 @@ class Joint(TomlTable, frozen=True):
         """Friction terms: the list `friction`, else by the keys `viscous`, `coulomb`, `offset`."""
         if isinstance(self.friction, tuple):
             return self.friction
-        stated: tuple[tuple[FrictionTerm, bool | None], ...]
-        stated = (
+        stated: tuple[tuple[FrictionTerm, bool | None], ...] = (
             ("viscous", self.viscous),
             ("coulomb", self.coulomb),
             ("offset", self.offset or False),

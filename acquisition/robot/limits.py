@@ -116,14 +116,12 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
     wrong gain, ratio or unit.
     """
     limits = effort_limits(robot)
-    found = zip(limits.names, limits.directions, limits.limits, limits.units, strict=True)
-    peaks = [
-        (name, float(np.abs(effort @ row).max(initial=0.0)), most, unit)
-        for name, row, most, unit in found
-    ]
+    peaks = [float(np.abs(effort @ row).max(initial=0.0)) for row in limits.directions]
     return tuple(
         f"effort of {name} up to {peak:.4g} {unit}: limit {most:.4g} {unit}"
-        for name, peak, most, unit in peaks
+        for name, peak, most, unit in zip(
+            limits.names, peaks, limits.limits, limits.units, strict=True
+        )
         if peak >= MIN_EFFORT_RATIO * most
     )
 
@@ -187,8 +185,10 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     k = int(np.argmax(beyond))
     if beyond[k] <= MIN_OVERSHOOT * (high - low):
         return []
-    text = f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s"
-    text += f": limits {_shown(joint, low)} and {_shown(joint, high)}"
+    text = (
+        f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
+        f"limits {_shown(joint, low)} and {_shown(joint, high)}"
+    )
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"
@@ -235,8 +235,10 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) 
                 "together"
             ),
         )
-    causes = "a wrong unit (degrees read as radians), ratio or sample rate"
     place.refuse(
         text=f"joint {joint.name} at {speed}, {when}: {limit}",
-        expected=f"a speed below it: {causes}, or {joint.key('speed')} of robot.toml",
+        expected=(
+            "a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or "
+            f"{joint.key('speed')} of robot.toml"
+        ),
     )

@@ -62,18 +62,17 @@ def fourier_reference(
         Place("").refuse(text=f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
         if joint.si("position") is None:
-            at = Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]")
-            at.refuse(
+            Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]").refuse(
                 joint.key("position"), None, "[lowest, highest]: the reference moves within it"
             )
-    rng = np.random.default_rng(seed)
     k = np.arange(1, harmonics + 1)
-    sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
+    sine, cosine = np.random.default_rng(seed).standard_normal((2, robot.n, harmonics)) / k
     # At t = 0 the speed is sum k sine, the acceleration sum k² cosine: subtract these parts.
     sine -= (sine @ k)[:, None] * k / (k @ k)
     cosine -= (cosine @ k**2)[:, None] * k**2 / (k**2 @ k**2)
-    raw = FourierReference(period_s=period_s, center=np.zeros(robot.n), sine=sine, cosine=cosine)
-    q, dq, ddq = raw.at(np.linspace(0.0, period_s, 2000))
+    q, dq, ddq = FourierReference(
+        period_s=period_s, center=np.zeros(robot.n), sine=sine, cosine=cosine
+    ).at(np.linspace(0.0, period_s, 2000))
     middle, scale = np.empty(robot.n), np.empty(robot.n)
     for j, joint in enumerate(robot.joints):
         low, high = joint.si("position")
@@ -145,14 +144,12 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
                     text=f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}",
                     expected="one in robot.toml before anything moves",
                 )
-    at_rest = np.concatenate([q[:1], q, q[-1:]])
     # values that are not finite are refused below
     with np.errstate(over="ignore", invalid="ignore"):
-        dq = np.diff(at_rest, axis=0) / period_s
+        dq = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / period_s
         ddq = np.diff(dq, axis=0) / period_s
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
-        unit = joint.position_unit
         speed, acceleration = joint.si("speed"), joint.si("acceleration")
         for name, values, bottom, top, per in (
             ("position", q[:, i], low, high, ""),
@@ -163,15 +160,11 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                at, shown = (
-                    Place(f"{place}: at {k * period_s:.4g} s"),
-                    f"{values[k]:.4g} {unit}{per}",
-                )
-                at.refuse(
+                Place(f"{place}: at {k * period_s:.4g} s").refuse(
                     f"{name} of {joint.name}",
                     float(values[k]),
                     f"{bottom:.4g} to {top:.4g}",
-                    shown=shown,
+                    shown=f"{values[k]:.4g} {joint.position_unit}{per}",
                 )
 
 

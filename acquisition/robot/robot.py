@@ -204,8 +204,9 @@ def load_robot(path: str | PathLike[str]) -> Robot:
                     shown="a table",
                 )
         if drive.dictionary is not None:
-            label = dictionary_label(drive.dictionary)
-            files[label] = _companion(path, drive.dictionary, f"bus.drive[{i}].dictionary")
+            files[dictionary_label(drive.dictionary)] = _companion(
+                path, drive.dictionary, f"bus.drive[{i}].dictionary"
+            )
     return robot_from_files(files, str(path))
 
 
@@ -223,11 +224,12 @@ def _refuse_idle_keys(c: Controller, place: Place) -> None:
     for name in idle:
         value = getattr(c, name)
         if value is not None:
-            none = f"none, structure = {c.structure!r} has no integral"
             place.refuse(
                 name,
                 list(value) if isinstance(value, tuple) else value,
-                "controller.structure with it" if c.structure is None else none,
+                "controller.structure with it"
+                if c.structure is None
+                else f"none, structure = {c.structure!r} has no integral",
                 text="does nothing",
             )
 
@@ -272,9 +274,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         # a typing error; the model looks at the tree
         if f.payload.frame is not None and f.payload.frame not in urdf:
             at.refuse("payload.frame", f.payload.frame, "a link of the URDF")
-    R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
-    if f.motor_matrix is not None:
-        R = np.array(f.motor_matrix, dtype=float)
+    ratios = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
+    R = ratios if f.motor_matrix is None else np.array(f.motor_matrix, dtype=float)
     zero, gravity = (
         np.array([j.si("zero") or 0.0 for j in f.joint]),
         np.array(f.gravity_m_s2, dtype=float),
