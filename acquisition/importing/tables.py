@@ -172,23 +172,31 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         f"{source.table('time.table', time.table)}: "
         f"{time.column if time.ticks is None else time.ticks}"
     )
-    gap = time.largest_gap_periods
     if time.resample_hz is None:
         grid = uniform_grid(time_s, parts, place)
     else:
         grid = resample(
-            time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=gap, place=place
+            time_s,
+            parts,
+            rate_hz=time.resample_hz,
+            largest_gap_periods=time.largest_gap_periods,
+            place=place,
         )
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
-        measured = f"{grid.rate_hz:.9g}, the rate of the times"
         source.place.refuse(
             "sample_rate_hz",
             given_hz,
-            measured if time.resample_hz is None else "none together with time.resample_hz",
+            f"{grid.rate_hz:.9g}, the rate of the times"
+            if time.resample_hz is None
+            else "none together with time.resample_hz",
         )
-    clock = "stamps" if time.ticks is None else "ticks"
-    way_out = "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]"
-    grid = with_warnings(grid, time_s, parts["position"], clock, way_out)
+    grid = with_warnings(
+        grid,
+        time_s,
+        parts["position"],
+        "stamps" if time.ticks is None else "ticks",
+        "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]",
+    )
     assert grid.report is not None
     return replace(
         grid,
@@ -213,8 +221,8 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
         place.refuse("time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}")
     stamp_s = None
     if time.column is not None:
-        table = source.table("time.table", time.table)
-        stamp_s = _column(table, time.column, rows, place) * TIME_UNITS[time.unit]
+        column = _column(source.table("time.table", time.table), time.column, rows, place)
+        stamp_s = column * TIME_UNITS[time.unit]
     if time.tick_s is None:
         assert stamp_s is not None
         return stamp_s, None
