@@ -219,13 +219,11 @@ def has_reference(path: Path) -> bool:
             summary = make_reader(file).get_summary()
     except (OSError, McapError):
         return True
-    channels = () if summary is None else summary.channels.values()
-    schemas = [
-        summary.schemas[c.schema_id].data
-        for c in channels
-        if summary is not None and c.topic == "/samples"
-    ]
-    return all(b"'reference'" in text for text in schemas)
+    return summary is None or all(
+        b"'reference'" in summary.schemas[channel.schema_id].data
+        for channel in summary.channels.values()
+        if channel.topic == "/samples"
+    )
 
 
 def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
@@ -255,16 +253,17 @@ def events_of(
     topics: Mapping[str, Messages], path: Path
 ) -> tuple[tuple[Event, ...], tuple[Health, ...]]:
     """Events and counters in messages by topic."""
-    events = _decode_json(topics, "/events", _EventText, path)
-    health = _decode_json(topics, "/health", dict[str, float | None], path)
     return (
-        tuple(Event(stamp_ns=stamp, kind=e.kind, text=e.text) for stamp, e in events),
+        tuple(
+            Event(stamp_ns=stamp, kind=event.kind, text=event.text)
+            for stamp, event in _decode_json(topics, "/events", _EventText, path)
+        ),
         tuple(
             Health(
                 stamp_ns=stamp,
                 counters={k: math.nan if v is None else v for k, v in counters.items()},
             )
-            for stamp, counters in health
+            for stamp, counters in _decode_json(topics, "/health", dict[str, float | None], path)
         ),
     )
 
