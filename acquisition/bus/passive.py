@@ -35,8 +35,12 @@ def listening_words(file: BusFile) -> str:
     if file.interface == "socketcan":
         shown = ""
         with suppress(OSError, subprocess.SubprocessError):
-            command = ["ip", "-details", "link", "show", "dev", file.channel]
-            shown = subprocess.run(command, capture_output=True, text=True, timeout=5).stdout
+            shown = subprocess.run(
+                ["ip", "-details", "link", "show", "dev", file.channel],
+                capture_output=True,
+                text=True,
+                timeout=5,
+            ).stdout
         if re.search(r"(?m)^\s+vx?can ", shown):
             return ""
         listens, verb = (

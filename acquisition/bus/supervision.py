@@ -245,9 +245,12 @@ def refuse_unsupervised(master: Master) -> None:
     """Raise `RefusedError` where a drive does not supervise its master or its following error."""
     for drive in master.bus.drives:
         if refusal := supervision_refusal(master, drive):
-            where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"
             raise RefusedError(
-                refusal, what="motion", place=where, key="supervision", expected=expected
+                refusal,
+                what="motion",
+                place=f"node {drive.node} ({drive.name})",
+                key="supervision",
+                expected="both; or --unsupervised-drives",
             )
 
 

@@ -63,9 +63,8 @@ class Pace:
         else:
             patience_ns = self._latest_ns if in_motion else MAX_ABSENT_PERIODS * self._period_ns
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
-                waited = f"{patience_ns / self._period_ns:.3g} periods"
                 raise BusFaultError(
-                    f"no SYNC in {waited}",
+                    f"no SYNC in {patience_ns / self._period_ns:.3g} periods",
                     place="bus",
                     expected="the other producer's; or sync_producer = 'recorder'",
                 )
@@ -205,8 +204,13 @@ def refuse_jitter(master: Master) -> Jitter:
     """Measured jitter of SYNC. Raises `RefusedError` where it is too large to move a robot."""
     found = sync_jitter(master)
     if not found.fit_for_motion:
-        why = f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion"
-        expected = "less; end other programs, or permit SCHED_FIFO (acquisition/README.md)"
-        sd = {"key": "SYNC jitter sd", "value": found.sd_s, "shown": f"{found.sd_s * 1e3:.3f} ms"}
-        raise RefusedError(why, what="motion", place="bus", **sd, expected=expected)
+        raise RefusedError(
+            f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion",
+            what="motion",
+            place="bus",
+            key="SYNC jitter sd",
+            value=found.sd_s,
+            shown=f"{found.sd_s * 1e3:.3f} ms",
+            expected="less; end other programs, or permit SCHED_FIFO (acquisition/README.md)",
+        )
     return found
