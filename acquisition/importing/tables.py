@@ -29,8 +29,6 @@ from .time_base import (
     write_samples,
 )
 
-Periods = Annotated[float, msgspec.Meta(ge=1.5)]
-
 MAX_TICK_ERROR = 0.01  # relative difference from the tick of the stamps; more is a mistake
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 
@@ -51,7 +49,7 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     tick_s: Annotated[Positive | None, note("time of one count, s; with ticks")] = None
     resample_hz: Annotated[Positive | None, note("rate to interpolate all values to, Hz")] = None
     largest_gap_periods: Annotated[
-        Periods, note("longest step that is interpolated, in periods")
+        float, note("longest step that is interpolated, in periods", ge=1.5)
     ] = MAX_GAP_PERIODS
 
 

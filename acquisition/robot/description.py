@@ -15,8 +15,6 @@ from .bus import BusFile
 from .fit_tables import GAINS, Controller, Identification, PayloadFile
 from .toml import Name, Positive, TomlTable, note
 
-EffortUnit = Literal["A", "V", "N m", "N", "%"]
-GainUnit = Literal["N m/A", "N m/V", "N m/%", "N/A", "N/V", "N/%"]
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
 Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
 Matrix = tuple[tuple[float, ...], ...]
@@ -191,14 +189,16 @@ class Motor(TomlTable, frozen=True):
         float | None, note("motor rad (or m) per joint rad (or m), sign included (default: 1)")
     ] = None
     effort_unit: Annotated[
-        EffortUnit | None, note("unit of the recorded effort if there is no drive gain")
+        Literal["A", "V", "N m", "N", "%"] | None,
+        note("unit of the recorded effort if there is no drive gain"),
     ] = None
     drive_gain: Annotated[
         float | None, note("motor torque or force per unit of effort, in drive_gain_unit")
     ] = None
-    drive_gain_unit: Annotated[GainUnit | None, note("unit of the drive gain; with drive_gain")] = (
-        None
-    )
+    drive_gain_unit: Annotated[
+        Literal["N m/A", "N m/V", "N m/%", "N/A", "N/V", "N/%"] | None,
+        note("unit of the drive gain; with drive_gain"),
+    ] = None
     drive_gain_half_width: Annotated[
         Positive | None, note("half of its 95 % interval, same unit (default: 0)")
     ] = None
