@@ -100,8 +100,11 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
     """
     import can
 
-    failed = isinstance(error.__cause__, OSError)  # of the socket itself
-    return isinstance(error, can.CanOperationError) and is_group(bus) and not failed
+    return (
+        isinstance(error, can.CanOperationError)
+        and is_group(bus)
+        and not isinstance(error.__cause__, OSError)  # of the socket itself
+    )
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:

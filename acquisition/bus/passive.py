@@ -51,12 +51,11 @@ def listening_words(file: BusFile) -> str:
             f"to prevent it: ip link set {file.channel} type can bitrate {file.bitrate} "
             "listen-only on, while it is down"
         )
-    text = f"{verb} all frames, and destroys them at a wrong bit rate; {way_out}"
-    if listens:
-        text = (
-            "listens only: a drive that is alone on the bus gets no acknowledge, and repeats "
-            "its frame"
-        )
+    text = (
+        "listens only: a drive that is alone on the bus gets no acknowledge, and repeats its frame"
+        if listens
+        else f"{verb} all frames, and destroys them at a wrong bit rate; {way_out}"
+    )
     return f"{file.interface} {file.channel} {text}"
 
 

@@ -123,12 +123,11 @@ def run(options: argparse.Namespace) -> None:
             )
         elif options.topic is not None:
             _refuse_as_bag(options)
-            units = [unit.strip() for unit in options.effort_unit.split(",")]
             topic, _, other = (name.strip() for name in options.topic.partition(","))
             bag = BagOptions(
                 topic=topic,
                 reference_topic=other,
-                effort_unit=units,
+                effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
                 resample_hz=options.resample_hz,
             )
             found = import_bag(tables[0], robot, out, bag, payload)

@@ -89,8 +89,13 @@ def run(options: argparse.Namespace) -> int:
     interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=note)
     try:
         with stop_on_signals(stop):
-            chosen = from_options(RecordOptions, options)
-            outcome, recorded = record(robot, str(options.robot), options.output, chosen, interface)
+            outcome, recorded = record(
+                robot,
+                str(options.robot),
+                options.output,
+                from_options(RecordOptions, options),
+                interface,
+            )
     finally:
         line.show()
     return _report(options.output, robot, outcome, recorded)
@@ -100,9 +105,11 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
     from ..session import INTERRUPTED
 
     if outcome.fault:  # the reason is printed before what was recorded
-        reason = "; ".join((outcome.reason, *outcome.reports))
         print(
-            one_line(f"robot-acquire: {out}: ended by a fault: {reason}"),
+            one_line(
+                f"robot-acquire: {out}: ended by a fault: "
+                f"{'; '.join((outcome.reason, *outcome.reports))}"
+            ),
             file=sys.stderr,
             flush=True,
         )

@@ -38,11 +38,14 @@ def run(options: argparse.Namespace) -> None:
     from ..session import Stop, replay, stop_on_signals
 
     stop = Stop()
-    file = BusFile(
-        interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
-    )
     with stop_on_signals(stop):
         count = replay(
-            options.recording, file, stop, speed=options.speed, onto_bus=options.onto_bus
+            options.recording,
+            BusFile(
+                interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
+            ),
+            stop,
+            speed=options.speed,
+            onto_bus=options.onto_bus,
         )
     print(one_line(f"{count} frames sent on {options.interface} {options.channel}"))

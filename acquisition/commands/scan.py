@@ -51,7 +51,6 @@ def run(options: argparse.Namespace) -> None:
         raise BadInputError(
             "already exists", place=str(out), expected="a new name; descriptions are not replaced"
         )
-    bit_s = {} if bitrate is None else {"bitrate": bitrate}
     # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node
     # id of many new drives.
     file = BusFile(
@@ -60,7 +59,7 @@ def run(options: argparse.Namespace) -> None:
         drive=(),
         sync_period_s=1.0,
         master_node=0,
-        **bit_s,
+        **({} if bitrate is None else {"bitrate": bitrate}),
     )
     with closing(open_link(file, passive=False)) as link, Progress("listening") as line:
         uploads = Uploads(link, file, line.say)

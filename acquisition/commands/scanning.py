@@ -38,9 +38,14 @@ GROUPS = {
 }
 _SUBS = {0x1016: (), 0x1018: (1, 2, 3, 4)} | dict.fromkeys((0x6092, 0x6091, 0x608F, 0x607D), (1, 2))
 OBJECTS = [
-    (index, sub) for group in GROUPS.values() for index in group for sub in _SUBS.get(index, (0,))
+    *(
+        (index, sub)
+        for group in GROUPS.values()
+        for index in group
+        for sub in _SUBS.get(index, (0,))
+    ),
+    *((parameters, 1) for parameters, _ in PDOS.values()),
 ]
-OBJECTS += [(parameters, 1) for parameters, _ in PDOS.values()]
 ARRAYS = (0x1016, *(mapping for _, mapping in PDOS.values()))
 _HEXADECIMAL = (0x1000, 0x1016, 0x1018, 0x6041, 0x6065, 0x6502)
 

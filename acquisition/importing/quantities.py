@@ -106,12 +106,12 @@ class Source:
         units, values = self._read(key, quantity, EFFORT_UNITS)
         side = effort_side(self.robot, units, quantity.side, key, self.place)
         unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
-        columns = ", ".join(str(column) for column in quantity.columns)
         what = f"{unit} at the {side}"
         joint_effort, rule = effort_at_joint(self.robot, values, side)
         return (
             joint_effort,
-            f"{self.tables[quantity.table - 1].name}: {columns}: {what}; {rule}",
+            f"{self.tables[quantity.table - 1].name}: "
+            f"{', '.join(map(str, quantity.columns))}: {what}; {rule}",
             what,
         )
 

@@ -115,9 +115,13 @@ class Recording:
     @property
     def effort_timing(self) -> EffortTiming:
         """The instants that efforts belong to, as the recording states."""
-        stated = self.metadata.get("effort_timing")
         return next(
-            (timing for timing, text in EFFORT_TIMINGS.items() if text == stated), "unknown"
+            (
+                timing
+                for timing, text in EFFORT_TIMINGS.items()
+                if text == self.metadata.get("effort_timing")
+            ),
+            "unknown",
         )
 
     @property

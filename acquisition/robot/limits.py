@@ -65,13 +65,11 @@ def effort_limits(robot: Robot) -> EffortLimits:
     # Recorded efforts of the motors = to_motor · joint efforts.
     to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]
     uncoupled = np.count_nonzero(to_motor, axis=1) == 1
-    axes = np.eye(robot.n)
-    for j, joint in enumerate(robot.joints):
+    for j, (joint, axis) in enumerate(zip(robot.joints, np.eye(robot.n), strict=True)):
         stated = joint.si("effort") if robot.gain_known else None
-        limit = math.inf if stated is None else stated
-        for m in np.flatnonzero(uncoupled & (to_motor[:, j] != 0)):
-            limit = min(limit, float(ranges[m] / abs(to_motor[m, j])))
-        rows.append((f"joint {joint.name}", axes[j], limit, robot.effort_units[j]))
+        own = np.flatnonzero(uncoupled & (to_motor[:, j] != 0))
+        limit = np.min(ranges[own] / np.abs(to_motor[own, j]), initial=stated or math.inf)
+        rows.append((f"joint {joint.name}", axis, float(limit), robot.effort_units[j]))
     rows += [
         (f"motor {motor.name}", row, float(limit), motor.recorded_unit)
         for motor, row, limit, single in zip(robot.motors, to_motor, ranges, uncoupled, strict=True)
