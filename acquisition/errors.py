@@ -98,7 +98,7 @@ class RobotIdimError(Exception):
         elif value is not _NO_VALUE:
             key = f"{key} = {shown or repr(value)}"[: len(key) + _MAX_VALUE_LENGTH]
         parts = (place, key, text, expected and f"expected {expected}")
-        super().__init__(one_line(": ".join(part for part in parts if part)))
+        super().__init__(one_line(": ".join(filter(None, parts))))
 
     def __str__(self) -> str:
         parts = self.args[0].split("`")
@@ -173,7 +173,11 @@ class Place:
         shown: str = "",
     ) -> NoReturn:
         """Raise a `BadInputError` for a key of this place."""
-        key = f"{self.table}.{key}".strip(".")
         raise BadInputError(
-            text, place=self.name, key=key, value=value, shown=shown, expected=expected
+            text,
+            place=self.name,
+            key=f"{self.table}.{key}".strip("."),
+            value=value,
+            shown=shown,
+            expected=expected,
         )

@@ -8,11 +8,9 @@ from typing import Any
 
 
 def lazy_names(
-    package: str, names_of: Mapping[str, Sequence[str]], *others: str
+    package: str, names_of: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package; `names_of` lists the imported names by module,
-    `others` its own names.
-    """
+    """`__getattr__` and `__dir__` of a package; `names_of` lists the imported names by module."""
     module_of = {name: module for module, names in names_of.items() for name in names}
 
     def get(name: str) -> Any:
@@ -20,4 +18,4 @@ def lazy_names(
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(import_module(f"{package}.{module_of[name]}"), name)
 
-    return get, lambda: sorted((*module_of, *others))
+    return get, lambda: sorted(module_of)

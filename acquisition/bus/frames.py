@@ -87,8 +87,11 @@ def command_ids(bus: Bus) -> set[int]:
     """Identifiers of the frames by which a master commands the drives of `bus`: NMT, SDO
     requests, PDOs to drives.
     """
-    to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
-    return {0} | to_drives | {REQUEST + drive.node for drive in bus.drives}
+    return {
+        0,
+        *(REQUEST + drive.node for drive in bus.drives),
+        *(pdo.can_id for drive in bus.drives for pdo in drive.rpdos),
+    }
 
 
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:

@@ -81,9 +81,11 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 def refuse_to_send(*_: object, **__: object) -> None:
     """Raise `RefusedError`: replaces the sending functions of a passive bus."""
-    expected = "an active session for that"
     raise RefusedError(
-        "passive: nothing is ever sent", what="sending", place="bus", expected=expected
+        "passive: nothing is ever sent",
+        what="sending",
+        place="bus",
+        expected="an active session for that",
     )
 
 
@@ -98,8 +100,11 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
     """
     import can
 
-    failed = isinstance(error.__cause__, OSError)  # of the socket itself
-    return isinstance(error, can.CanOperationError) and is_group(bus) and not failed
+    return (
+        isinstance(error, can.CanOperationError)
+        and is_group(bus)
+        and not isinstance(error.__cause__, OSError)  # of the socket itself
+    )
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
@@ -141,13 +146,14 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         NotImplementedError,
     ) as error:
         problem = str(error) or type(error).__name__
-        expected = ""
-        if file.interface == "socketcan":
-            expected = (
-                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
-            )
         raise BusFaultError(
-            f"cannot be opened: {problem}", place=place, expected=expected
+            f"cannot be opened: {problem}",
+            place=place,
+            expected=(
+                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
+                if file.interface == "socketcan"
+                else ""
+            ),
         ) from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
@@ -188,11 +194,12 @@ class Link:
     """
 
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
-        self._bus, self._passive, self._tap = bus, passive, tap
+        self._bus, self._passive = bus, passive
+        self._tap: Tap = tap or (lambda frame: None)
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         # Sent frames that a multicast group or an adapter will return to us.
         echoes = is_group(bus) or type(bus).__module__.split(".")[-1] in ECHOING
-        self._own: deque[tuple[int, bytes]] | None = deque(maxlen=1000) if echoes else None
+        self._own: deque[tuple[int, bytes]] = deque(maxlen=1000 if echoes else 0)
 
     def now_ns(self) -> int:
         """Time of this link, of events and deadlines: the wall clock's at opening, continued
@@ -209,8 +216,7 @@ class Link:
             refuse_to_send()
         import can
 
-        if self._own is not None:
-            self._own.append((can_id, data))
+        self._own.append((can_id, data))
         try:
             self._bus.send(
                 can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05
@@ -219,8 +225,7 @@ class Link:
             raise BusFaultError(
                 f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus"
             ) from error
-        if self._tap is not None:
-            self._tap(Frame(self.now_ns(), can_id, data, SENT))
+        self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
         """The next frame, None when there is none until `until_ns`."""
@@ -246,20 +251,14 @@ class Link:
             if message is None:
                 return None
             if getattr(message, "is_fd", False):
-                if self._tap is not None:
-                    self._tap(frame_of(message))
+                self._tap(frame_of(message))
                 continue
             sent = (message.arbitration_id, bytes(message.data))
-            if (
-                not self._own
-                or sent not in self._own
-                or (message.is_rx and not is_group(self._bus))
-            ):
+            if sent not in self._own or (message.is_rx and not is_group(self._bus)):
                 break
             self._own.remove(sent)
         frame = frame_of(message)
-        if self._tap is not None:
-            self._tap(frame)
+        self._tap(frame)
         return frame
 
     def close(self) -> None:

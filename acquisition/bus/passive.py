@@ -35,8 +35,12 @@ def listening_words(file: BusFile) -> str:
     if file.interface == "socketcan":
         shown = ""
         with suppress(OSError, subprocess.SubprocessError):
-            command = ["ip", "-details", "link", "show", "dev", file.channel]
-            shown = subprocess.run(command, capture_output=True, text=True, timeout=5).stdout
+            shown = subprocess.run(
+                ["ip", "-details", "link", "show", "dev", file.channel],
+                capture_output=True,
+                text=True,
+                timeout=5,
+            ).stdout
         if re.search(r"(?m)^\s+vx?can ", shown):
             return ""
         listens, verb = (
@@ -47,12 +51,11 @@ def listening_words(file: BusFile) -> str:
             f"to prevent it: ip link set {file.channel} type can bitrate {file.bitrate} "
             "listen-only on, while it is down"
         )
-    text = f"{verb} all frames, and destroys them at a wrong bit rate; {way_out}"
-    if listens:
-        text = (
-            "listens only: a drive that is alone on the bus gets no acknowledge, and repeats "
-            "its frame"
-        )
+    text = (
+        "listens only: a drive that is alone on the bus gets no acknowledge, and repeats its frame"
+        if listens
+        else f"{verb} all frames, and destroys them at a wrong bit rate; {way_out}"
+    )
     return f"{file.interface} {file.channel} {text}"
 
 
@@ -65,7 +68,9 @@ def refuse_unconfirmed(bus: Any, place: str) -> None:
 
         if driver.GetValue(bus.m_PcanHandle, PCAN_LISTEN_ONLY) != (PCAN_ERROR_OK, 1):
             bus.shutdown()
-            expected = "a driver and an adapter that can; no other program may have it open"
             raise RefusedError(
-                "does not confirm listen-only", what="recording", place=place, expected=expected
+                "does not confirm listen-only",
+                what="recording",
+                place=place,
+                expected="a driver and an adapter that can; no other program may have it open",
             )

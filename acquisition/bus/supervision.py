@@ -165,9 +165,11 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
         if behaviour is None
         else _in_words(ERROR_BEHAVIOUR, behaviour)
     )
-    missed = f"{timer}: an error after {timer} ms without the PDO"
-    if not timer:
-        missed = f"{0 if timer == 0 else NOT_THERE}: a missing PDO to the drive has no effect"
+    missed = (
+        f"{timer}: an error after {timer} ms without the PDO"
+        if timer
+        else f"{NOT_THERE if timer is None else 0}: a missing PDO to the drive has no effect"
+    )
     return [
         _consumers(master, drive),
         _option(master, drive, cia.ABORT_CONNECTION, "reaction"),
@@ -229,9 +231,12 @@ def refuse_unsupervised(master: Master) -> None:
     """Raise `RefusedError` where a drive does not supervise its master or its following error."""
     for drive in master.bus.drives:
         if refusal := supervision_refusal(master, drive):
-            where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"
             raise RefusedError(
-                refusal, what="motion", place=where, key="supervision", expected=expected
+                refusal,
+                what="motion",
+                place=f"node {drive.node} ({drive.name})",
+                key="supervision",
+                expected="both; or --unsupervised-drives",
             )
 
 

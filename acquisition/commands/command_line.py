@@ -79,8 +79,12 @@ class Program:
         parser = _Parser(
             prog=self.name, description=self.description, epilog=STATUSES, allow_abbrev=False
         )
-        versions = "versions of this program and its dependencies"
-        parser.add_argument("--version", action=_Versions, nargs=0, help=versions)
+        parser.add_argument(
+            "--version",
+            action=_Versions,
+            nargs=0,
+            help="versions of this program and its dependencies",
+        )
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
         for name, help_text in self.commands.items():
             command = commands.add_parser(
@@ -132,9 +136,9 @@ class _Parser(argparse.ArgumentParser):
         commands = [
             c for a in self._actions if isinstance(a.choices, dict) for c in a.choices.values()
         ]
-        known = [str(choice) for action in self._actions for choice in action.choices or ()]
-        known += [
-            option for parser in (self, *commands) for option in parser._option_string_actions
+        known = [
+            *(str(choice) for action in self._actions for choice in action.choices or ()),
+            *(option for parser in (self, *commands) for option in parser._option_string_actions),
         ]
         wrong = re.findall(
             r"(?:unrecognized arguments|invalid choice): (.*?)(?: \(choose|$)", message
@@ -162,8 +166,8 @@ class _Versions(argparse.Action):
             except PackageNotFoundError:
                 return "not installed"
 
-        print(f"{parser.prog} {of(DISTRIBUTION)}")
         print(
+            f"{parser.prog} {of(DISTRIBUTION)}",
             f"Python {sys.version.split()[0]}",
             *(f"{package} {of(package)}" for package in PACKAGES),
             sep="\n",
@@ -314,8 +318,12 @@ def run_command(
             return _refuse(err, program, f"{place}{error.strerror or error}", 1)
         out.flush()
         if out.error is not None and out.error.errno != errno.EPIPE:
-            text = f"standard output: cannot be written: {out.error.strerror or out.error}"
-            return _refuse(err, program, text, 1)
+            return _refuse(
+                err,
+                program,
+                f"standard output: cannot be written: {out.error.strerror or out.error}",
+                1,
+            )
         return status
 
 

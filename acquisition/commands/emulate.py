@@ -40,9 +40,11 @@ def run(options: argparse.Namespace) -> None:
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
     if bus.file.interface == "virtual":
-        expected = "udp_multicast or socketcan"
         Place(str(options.robot), "bus").refuse(
-            "interface", "virtual", expected, text="other programs cannot join it"
+            "interface",
+            "virtual",
+            "udp_multicast or socketcan",
+            text="other programs cannot join it",
         )
     if options.replay is None:
         mechanism = driven_plant(robot, bus)
@@ -52,16 +54,19 @@ def run(options: argparse.Namespace) -> None:
             raise BadInputError(
                 recording.no_samples, place=str(options.replay), expected="some to replay"
             )
-        plant = TablePlant(recording.samples, recording.sample_rate_hz)
-        # the loops have no effect
-        mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))
+        mechanism = DrivenPlant(
+            plant=TablePlant(recording.samples, recording.sample_rate_hz),
+            loops=cascaded_loops(robot, np.ones(robot.n)),  # they have no effect
+        )
     stop, end_s = (
         Stop(),
         time.monotonic() + (options.duration if options.duration is not None else float("inf")),
     )
-    nodes = ", ".join(str(drive.node) for drive in bus.drives)
-    text = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"
-    text += f"; {mechanism.warning}" if mechanism.warning else ""
+    text = (
+        f"simulated drives, nodes {', '.join(str(drive.node) for drive in bus.drives)}, "
+        f"on {bus.file.interface} {bus.file.channel}"
+        f"{f'; {mechanism.warning}' if mechanism.warning else ''}"
+    )
     with stop_on_signals(stop):
         serve(
             SimulatedDrives(robot, bus, mechanism, supervised=not options.unsupervised),

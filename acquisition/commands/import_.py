@@ -21,16 +21,15 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    text = (
+    add_path(
+        inputs,
+        "tables",
+        "FILE",
         "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, "
-        ".mcap, .db3); or one CAN "
+        ".mcap, .db3); or one CAN log (candump .log, .asc, .blf, .trc); or one EtherCAT capture "
+        "(pcap, pcapng); or one recording: its frames are decoded, and a cut one is repaired",
+        nargs="+",
     )
-    text += (
-        "log (candump .log, .asc, .blf, .trc); or one EtherCAT capture (pcap, pcapng); or one "
-        "recording: its frames "
-    )
-    text += "are decoded, and a cut one is repaired"
-    add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
     add_path(
         inputs,
@@ -40,27 +39,32 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
-    text = (
-        "topic of JointState; after a comma of JointTrajectoryControllerState (default: the "
-        "only one with the "
+    bag.add_argument(
+        "--topic",
+        metavar="NAME",
+        help="topic of JointState; after a comma of JointTrajectoryControllerState (default: the "
+        "only one with the joints)",
     )
-    text += "joints)"
-    bag.add_argument("--topic", metavar="NAME", help=text)
-    text = (
-        "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in "
-        "N), or A, V, ... at the "
+    bag.add_argument(
+        "--effort-unit",
+        metavar="UNIT",
+        help="required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in "
+        "N), or A, V, ... at the motors; one for all joints, or one per joint separated by commas",
     )
-    text += "motors; one for all joints, or one per joint separated by commas"
-    bag.add_argument("--effort-unit", metavar="UNIT", help=text)
-    text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
-    bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
-    capture = parser.add_argument_group("EtherCAT capture")
-    text = (
-        "for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the "
-        "order of the bus"
+    bag.add_argument(
+        "--resample-hz",
+        type=float,
+        metavar="HZ",
+        help="sample rate in Hz after interpolation (default: the rate of the time stamps, "
+        "rounded)",
     )
-    capture.add_argument(
-        "--mapping", metavar="0x6041:16,0x6064:32,...", action="append", default=[], help=text
+    parser.add_argument_group("EtherCAT capture").add_argument(
+        "--mapping",
+        metavar="0x6041:16,0x6064:32,...",
+        action="append",
+        default=[],
+        help="for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the "
+        "order of the bus",
     )
     outputs = parser.add_argument_group("outputs")
     add_path(
@@ -112,16 +116,18 @@ def run(options: argparse.Namespace) -> None:
         elif options.topic is None and options.map is None and _propose(options, robot):
             return
         elif robot is None:
-            expected = "the robot's description; only recordings have their own"
-            raise BadInputError(key="--robot", value=None, expected=expected)
+            raise BadInputError(
+                key="--robot",
+                value=None,
+                expected="the robot's description; only recordings have their own",
+            )
         elif options.topic is not None:
             _refuse_as_bag(options)
-            units = [unit.strip() for unit in options.effort_unit.split(",")]
             topic, _, other = (name.strip() for name in options.topic.partition(","))
             bag = BagOptions(
                 topic=topic,
                 reference_topic=other,
-                effort_unit=units,
+                effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
                 resample_hz=options.resample_hz,
             )
             found = import_bag(tables[0], robot, out, bag, payload)
@@ -141,16 +147,15 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
     parts = [
         f"{found.out}: {found.robot}",
         f"{found.samples} samples at {found.sample_rate_hz:g} Hz",
+        *(
+            [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"]
+            if found.effort_units
+            else []
+        ),
+        *(["with reference"] if found.has_reference else []),
+        *(f"with {name.replace('_', ' ')}" for name in found.optional),
     ]
-    parts += (
-        [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
-    )
-    parts += ["with reference"] if found.has_reference else []
-    print(
-        one_line(
-            ", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])
-        )
-    )
+    print(one_line(", ".join(parts)))
     for name, text in (("times", found.times), ("reference", found.reference)):
         if text:
             print(one_line(f"{name}: {text}"))
@@ -198,9 +203,11 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
         )
         print(f"without a robot.toml: robot-identify init ARM.urdf --effort {effort} -o robot.toml")
     if robot is None or missing:
-        described = options.robot or "robot.toml"
         print(
-            one_line(f"next: robot-acquire import {table} --robot {described} -o {options.output}")
+            one_line(
+                f"next: robot-acquire import {table} --robot {options.robot or 'robot.toml'} "
+                f"-o {options.output}"
+            )
         )
     return robot is None or bool(missing)
 
@@ -211,8 +218,12 @@ def _refuse_bag_options(options: argparse.Namespace) -> None:
         ("--resample-hz", options.resample_hz),
     ):
         if value is not None:
-            expected = "--topic; for tables, time.resample_hz and effort.unit in MAP.toml"
-            raise BadInputError("is only for ROS 2 bags", key=name, value=value, expected=expected)
+            raise BadInputError(
+                "is only for ROS 2 bags",
+                key=name,
+                value=value,
+                expected="--topic; for tables, time.resample_hz and effort.unit in MAP.toml",
+            )
 
 
 def _refuse_as_bag(options: argparse.Namespace) -> None:
@@ -226,9 +237,11 @@ def _refuse_as_bag(options: argparse.Namespace) -> None:
     if len(options.tables) > 1:
         raise BadInputError("is a second bag", place=str(options.tables[1]), expected="one")
     if options.effort_unit is None:
-        expected = "the unit that the driver's manual states: 'N m', A, ..."
         raise BadInputError(
-            "a bag does not contain it", key="--effort-unit", value=None, expected=expected
+            "a bag does not contain it",
+            key="--effort-unit",
+            value=None,
+            expected="the unit that the driver's manual states: 'N m', A, ...",
         )
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
         raise BadInputError(
@@ -240,11 +253,14 @@ def _refuse_as_recording(options: argparse.Namespace) -> None:
     if len(options.tables) > 1:
         raise BadInputError("is a second recording", place=str(options.tables[1]), expected="one")
     if options.payload is not None:
-        expected = (
-            "none with a recording, whose payload is kept; `robot-identify fit --payload` "
-            "replaces it"
+        raise BadInputError(
+            key="--payload",
+            value=options.payload,
+            expected=(
+                "none with a recording, whose payload is kept; `robot-identify fit --payload` "
+                "replaces it"
+            ),
         )
-        raise BadInputError(key="--payload", value=options.payload, expected=expected)
 
 
 def _refuse_as_log(paths: Sequence[Path]) -> None:
@@ -252,10 +268,18 @@ def _refuse_as_log(paths: Sequence[Path]) -> None:
 
     tables = [path for path in paths if not is_log(path)]
     if tables and is_bag(tables[0]):
-        expected = "the topic of its joint states, such as --topic /joint_states"
-        raise BadInputError("a ROS 2 bag needs --topic", place=str(tables[0]), expected=expected)
+        raise BadInputError(
+            "a ROS 2 bag needs --topic",
+            place=str(tables[0]),
+            expected="the topic of its joint states, such as --topic /joint_states",
+        )
     if tables:
-        expected = "the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, .trc)"
-        raise BadInputError("a table needs --map MAP.toml", place=str(tables[0]), expected=expected)
+        raise BadInputError(
+            "a table needs --map MAP.toml",
+            place=str(tables[0]),
+            expected=(
+                "the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, .trc)"
+            ),
+        )
     if len(paths) > 1:
         raise BadInputError("is a second CAN log", place=str(paths[1]), expected="one")

@@ -27,8 +27,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_options(session, RecordOptions, "payload", "passive", "dry_run", "duration_s", "speed")
     add_flag(session, "--yes", "start --track without asking whether the joint positions are right")
     add_options(session, RecordOptions, "reset_faults", "unsupervised_drives")
-    outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --output", "LOG.mcap", "the recording to write", required=True)
+    add_path(
+        parser.add_argument_group("outputs"),
+        "-o --output",
+        "LOG.mcap",
+        "the recording to write",
+        required=True,
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -51,8 +56,11 @@ def run(options: argparse.Namespace) -> int:
         )
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
-        text = "nobody can confirm the joint positions"
-        raise BadInputError(text, place="--track", expected="a terminal, or --yes")
+        raise BadInputError(
+            "nobody can confirm the joint positions",
+            place="--track",
+            expected="a terminal, or --yes",
+        )
     stop, line = Stop(), StatusLine()
 
     def confirm(words: list[str], faults: list[str]) -> bool:
@@ -81,8 +89,13 @@ def run(options: argparse.Namespace) -> int:
     interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=note)
     try:
         with stop_on_signals(stop):
-            chosen = from_options(RecordOptions, options)
-            outcome, recorded = record(robot, str(options.robot), options.output, chosen, interface)
+            outcome, recorded = record(
+                robot,
+                str(options.robot),
+                options.output,
+                from_options(RecordOptions, options),
+                interface,
+            )
     finally:
         line.show()
     return _report(options.output, robot, outcome, recorded)
@@ -92,16 +105,22 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
     from ..session import INTERRUPTED
 
     if outcome.fault:  # the reason is printed before what was recorded
-        reason = "; ".join((outcome.reason, *outcome.reports))
         print(
-            one_line(f"robot-acquire: {out}: ended by a fault: {reason}"),
+            one_line(
+                f"robot-acquire: {out}: ended by a fault: "
+                f"{'; '.join((outcome.reason, *outcome.reports))}"
+            ),
             file=sys.stderr,
             flush=True,
         )
     for text in () if outcome.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
-    counts = f"{recorded.samples} samples, {recorded.frames} CAN frames"
-    print(one_line(f"{out}: {robot.name}, {counts}; {outcome.reason}"))
+    print(
+        one_line(
+            f"{out}: {robot.name}, {recorded.samples} samples, {recorded.frames} CAN frames; "
+            f"{outcome.reason}"
+        )
+    )
     if recorded.path is not None and recorded.path.absolute() != out.absolute():
         raise BadInputError(f"was deleted: the recording is in {recorded.path}", place=str(out))
     if outcome.fault:
@@ -112,9 +131,7 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         raise BusFaultError(f"the session was cut short: {outcome.reason}", place=str(out))
     if recorded.no_samples:
         if recorded.path is None:
-            raise BadInputError(
-                f"nothing was recorded, and no file is left: {recorded.no_samples}"
-            )
+            raise BadInputError(f"nothing was recorded, and no file is left: {recorded.no_samples}")
         raise BadInputError(
             f"no samples, but the frames are in the recording: {recorded.no_samples}"
         )
@@ -174,13 +191,14 @@ class StatusLine:
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
     """Rate, losses (true if there are any), range of each joint so far, time left."""
-    parts = [(f"{status.rate_hz:.0f} frames/s", False)]
-    for count, name in (
-        (status.drops, "dropped"),
-        (status.missing, "missing"),
-        (status.late, "late"),
-    ):
-        parts.append((f", {count} {name}", bool(count)))
-    for joint, low, high in zip(robot.joints, status.lowest, status.highest, strict=False):
-        parts.append((f", {joint.name} {low:.3f}..{high:.3f} {joint.position_unit}", False))
-    return [*parts, *([] if left_s is None else [(f", {left_s:.0f} s left", False)])]
+    losses = ((status.drops, "dropped"), (status.missing, "missing"), (status.late, "late"))
+    ranges = zip(robot.joints, status.lowest, status.highest, strict=False)
+    return [
+        (f"{status.rate_hz:.0f} frames/s", False),
+        *((f", {count} {name}", bool(count)) for count, name in losses),
+        *(
+            (f", {j.name} {low:.3f}..{high:.3f} {j.position_unit}", False)
+            for j, low, high in ranges
+        ),
+        *([] if left_s is None else [(f", {left_s:.0f} s left", False)]),
+    ]

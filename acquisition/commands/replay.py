@@ -18,8 +18,12 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """Declare the bus of a command without robot.toml."""
-    text = "interface name of python-can: socketcan, udp_multicast, ..."
-    parser.add_argument("--interface", required=True, metavar="NAME", help=text)
+    parser.add_argument(
+        "--interface",
+        required=True,
+        metavar="NAME",
+        help="interface name of python-can: socketcan, udp_multicast, ...",
+    )
     parser.add_argument(
         "--channel",
         required=True,
@@ -34,11 +38,14 @@ def run(options: argparse.Namespace) -> None:
     from ..session import Stop, replay, stop_on_signals
 
     stop = Stop()
-    file = BusFile(
-        interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
-    )
     with stop_on_signals(stop):
         count = replay(
-            options.recording, file, stop, speed=options.speed, onto_bus=options.onto_bus
+            options.recording,
+            BusFile(
+                interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
+            ),
+            stop,
+            speed=options.speed,
+            onto_bus=options.onto_bus,
         )
     print(one_line(f"{count} frames sent on {options.interface} {options.channel}"))

@@ -34,18 +34,23 @@ def run(options: argparse.Namespace) -> None:
 
     interface, bitrate, out = options.interface, options.bitrate, options.toml
     if interface == "socketcan" and bitrate is not None:
-        expected = f"none: ip link set {options.channel} type can bitrate {bitrate}"
-        raise BadInputError("of socketcan", key="--bitrate", value=bitrate, expected=expected)
-    if bitrate not in BITRATES and (bitrate is not None or interface not in SHARED):
-        text = "a wrong one destroys the frames of others"
         raise BadInputError(
-            text, key="--bitrate", value=bitrate, expected=f"one of {', '.join(map(str, BITRATES))}"
+            "of socketcan",
+            key="--bitrate",
+            value=bitrate,
+            expected=f"none: ip link set {options.channel} type can bitrate {bitrate}",
+        )
+    if bitrate not in BITRATES and (bitrate is not None or interface not in SHARED):
+        raise BadInputError(
+            "a wrong one destroys the frames of others",
+            key="--bitrate",
+            value=bitrate,
+            expected=f"one of {', '.join(map(str, BITRATES))}",
         )
     if out is not None and out.exists():
         raise BadInputError(
             "already exists", place=str(out), expected="a new name; descriptions are not replaced"
         )
-    bit_s = {} if bitrate is None else {"bitrate": bitrate}
     # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node
     # id of many new drives.
     file = BusFile(
@@ -54,16 +59,17 @@ def run(options: argparse.Namespace) -> None:
         drive=(),
         sync_period_s=1.0,
         master_node=0,
-        **bit_s,
+        **({} if bitrate is None else {"bitrate": bitrate}),
     )
     with closing(open_link(file, passive=False)) as link, Progress("listening") as line:
         uploads = Uploads(link, file, line.say)
         nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
     print(*table(findings_of(nodes, uploads.heard)), sep="\n")
     if not nodes:
-        expected = "one at least: drives on, cable, terminators, bitrate"
         raise BadInputError(
-            "no node answers", place=f"bus: {interface} {options.channel}", expected=expected
+            "no node answers",
+            place=f"bus: {interface} {options.channel}",
+            expected="one at least: drives on, cable, terminators, bitrate",
         )
     if out is not None:
         text = "\n".join([*bus_lines(file, nodes, uploads.heard), ""])

@@ -38,9 +38,14 @@ GROUPS = {
 }
 _SUBS = {0x1016: (), 0x1018: (1, 2, 3, 4)} | dict.fromkeys((0x6092, 0x6091, 0x608F, 0x607D), (1, 2))
 OBJECTS = [
-    (index, sub) for group in GROUPS.values() for index in group for sub in _SUBS.get(index, (0,))
+    *(
+        (index, sub)
+        for group in GROUPS.values()
+        for index in group
+        for sub in _SUBS.get(index, (0,))
+    ),
+    *((parameters, 1) for parameters, _ in PDOS.values()),
 ]
-OBJECTS += [(parameters, 1) for parameters, _ in PDOS.values()]
 ARRAYS = (0x1016, *(mapping for _, mapping in PDOS.values()))
 _HEXADECIMAL = (0x1000, 0x1016, 0x1018, 0x6041, 0x6065, 0x6502)
 
@@ -65,20 +70,21 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
                 )
             )
         if is_drive(readings):
-            problems = {
-                reading.problem
-                for (index, _), reading in readings.items()
-                if 0x1400 <= index < 0x1C00
-            }
             unread = sorted(
-                problem for problem in problems if problem and "not exist" not in problem
+                {
+                    reading.problem
+                    for (index, _), reading in readings.items()
+                    if 0x1400 <= index < 0x1C00
+                    and reading.problem
+                    and "not exist" not in reading.problem
+                }
             )
             text = "; ".join([*_pdos(readings), *unread]) or "none is mapped"
             rows.append(Finding("PDOs", text, ok=not unread, node=node))
-    silent = [node for node in sorted(heard) if node not in nodes]
     return rows + [
         Finding("only heard", ", ".join(sorted(heard[node])), ok=False, node=node)
-        for node in silent
+        for node in sorted(heard)
+        if node not in nodes
     ]
 
 
@@ -137,9 +143,8 @@ def bus_lines(
     )
     free = max(set(range(1, 128)) - {*nodes, *heard}, default=None)
     if free != 127:
-        text = f"master_node = {free} # of this program; no device has it"
         yield (
-            text
+            f"master_node = {free} # of this program; no device has it"
             if free
             else f"# master_node = ... # {FILL_IN}: of this program; no node id is free"
         )

@@ -61,8 +61,6 @@ _UNITS |= {
     "°": "deg",
     "u/min": "rpm",
     "n": "N",
-}
-_UNITS |= {
     "rads": "rad/s",
     "degs": "deg/s",
     "degps": "deg/s",
@@ -70,8 +68,12 @@ _UNITS |= {
     "\u03bcs": "us",
     "a": "A",
     "ma": "mA",
+    "v": "V",
+    "nm": "N m",
+    "n*m": "N m",
+    "mnm": "mN m",
+    "‰": "per mille",
 }
-_UNITS |= {"v": "V", "nm": "N m", "n*m": "N m", "mnm": "mN m", "‰": "per mille"}
 _TOKEN = re.compile(r"[^\W\d_]+|\d+")
 _UNIT = re.compile(  # in brackets, or a word
     r"[\[(]([^\])\d]+)[\])]|(?<![a-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![a-z])",
@@ -122,9 +124,13 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     unit, side = _position_unit(position, robot, maker), _side(position, robot, maker)
     lines = [
         f"# Proposed by robot-acquire import for {table.name}. {FILL_IN} marks what the table does "
-        "not say."
+        "not say.",
+        *time,
+        "[position]",
+        _listed(position, why),
+        unit,
+        side,
     ]
-    lines += [*time, "[position]", _listed(position, why), unit, side]
     reference, why = _only(groups, ["position"], size, "reference")
     q = _values(position)
     if reference and position and not _moves_as(_values(reference), q):
@@ -181,9 +187,15 @@ def _columns(names: list[str], values: Array, maker: str) -> list[_Column]:
         words = {_KIND[token]: token for token in tokens if token in _KIND}
         if "current" in words and {"position", "velocity"} & {*words}:
             words["measured"] = words.pop("current")  # the current position, of now
-        label = tuple(token for token in tokens if token not in _KIND)
-        key = name if name and names.count(name) == 1 else k + 1
-        found.append(_Column(key=key, words=words, label=label, unit=unit, x=values[:, k]))
+        found.append(
+            _Column(
+                key=name if name and names.count(name) == 1 else k + 1,
+                words=words,
+                label=tuple(token for token in tokens if token not in _KIND),
+                unit=unit,
+                x=values[:, k],
+            )
+        )
     return found
 
 
@@ -330,12 +342,11 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
     found = [
         c
         for c in columns
-        if "time" in c.words and not {*c.words} & {"position", "velocity", *_EFFORTS}
-    ]
-    found = [
-        c
-        for c in found
-        if (steps := np.diff(c.x)).size and (steps >= 0).all() and np.median(steps) > 0
+        if "time" in c.words
+        and not {*c.words} & {"position", "velocity", *_EFFORTS}
+        and (steps := np.diff(c.x)).size
+        and (steps >= 0).all()
+        and np.median(steps) > 0
     ]
     found = [c for c in found if not c.label] or found
     found = found[:1] if all(np.array_equal(c.x, found[0].x) for c in found) else found

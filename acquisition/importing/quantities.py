@@ -106,12 +106,12 @@ class Source:
         units, values = self._read(key, quantity, EFFORT_UNITS)
         side = effort_side(self.robot, units, quantity.side, key, self.place)
         unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
-        columns = ", ".join(str(column) for column in quantity.columns)
         what = f"{unit} at the {side}"
         joint_effort, rule = effort_at_joint(self.robot, values, side)
         return (
             joint_effort,
-            f"{self.tables[quantity.table - 1].name}: {columns}: {what}; {rule}",
+            f"{self.tables[quantity.table - 1].name}: "
+            f"{', '.join(map(str, quantity.columns))}: {what}; {rule}",
             what,
         )
 
@@ -121,9 +121,11 @@ class Source:
         """
         side, why = ONE_SIDE[key]
         if side == "joint" and not self.robot.gain_known:
-            problem = "cannot be added to efforts in " + join_units(self.robot.effort_units)
-            expected = "the drive gains in robot.toml, which make them N m or N"
-            self.place.refuse(key, expected=expected, text=problem)
+            self.place.refuse(
+                key,
+                expected="the drive gains in robot.toml, which make them N m or N",
+                text="cannot be added to efforts in " + join_units(self.robot.effort_units),
+            )
         if quantity.side not in (None, side):
             self.place.refuse(f"{key}.side", quantity.side, f"{side!r}, {why}")
         units, values = self._read(key, quantity, EFFORT_UNITS)
@@ -147,9 +149,11 @@ class Source:
             # A motor that turns may drive any joint; a motor that slides drives
             # a joint that slides.
             if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
-                expected = "an angle" if joint.type == "revolute" else "a length"
-                problem = f"in {unit} for joint {i + 1} ({joint.name})"
-                self.place.refuse(f"{key}.unit", expected=expected, text=problem)
+                self.place.refuse(
+                    f"{key}.unit",
+                    expected="an angle" if joint.type == "revolute" else "a length",
+                    text=f"in {unit} for joint {i + 1} ({joint.name})",
+                )
 
 
 def si_units(
@@ -170,10 +174,15 @@ def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Si
     if side == "joint" and robot.zero.any():
         joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
         name = "zero_deg" if joint.type == "revolute" else "zero_m"
-        problem = (
-            f"{name} of joint {joint.name} in robot.toml has no effect on positions at the joint"
+        place.refuse(
+            f"{key}.side",
+            side,
+            f"'motor', or no {name}",
+            text=(
+                f"{name} of joint {joint.name} in robot.toml has no effect on positions at the "
+                "joint"
+            ),
         )
-        place.refuse(f"{key}.side", side, f"'motor', or no {name}", text=problem)
     return side
 
 

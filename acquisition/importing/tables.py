@@ -29,8 +29,6 @@ from .time_base import (
     write_samples,
 )
 
-Periods = Annotated[float, msgspec.Meta(ge=1.5)]
-
 MAX_TICK_ERROR = 0.01  # relative difference from the tick of the stamps; more is a mistake
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 
@@ -51,7 +49,7 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     tick_s: Annotated[Positive | None, note("time of one count, s; with ticks")] = None
     resample_hz: Annotated[Positive | None, note("rate to interpolate all values to, Hz")] = None
     largest_gap_periods: Annotated[
-        Periods, note("longest step that is interpolated, in periods")
+        float, note("longest step that is interpolated, in periods", ge=1.5)
     ] = MAX_GAP_PERIODS
 
 
@@ -172,20 +170,31 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         f"{source.table('time.table', time.table)}: "
         f"{time.column if time.ticks is None else time.ticks}"
     )
-    gap = time.largest_gap_periods
     if time.resample_hz is None:
         grid = uniform_grid(time_s, parts, place)
     else:
         grid = resample(
-            time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=gap, place=place
+            time_s,
+            parts,
+            rate_hz=time.resample_hz,
+            largest_gap_periods=time.largest_gap_periods,
+            place=place,
         )
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
-        measured = f"{grid.rate_hz:.9g}, the rate of the times"
-        expected = measured if time.resample_hz is None else "none together with time.resample_hz"
-        source.place.refuse("sample_rate_hz", given_hz, expected)
-    clock = "stamps" if time.ticks is None else "ticks"
-    way_out = "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]"
-    grid = with_warnings(grid, time_s, parts["position"], clock, way_out)
+        source.place.refuse(
+            "sample_rate_hz",
+            given_hz,
+            f"{grid.rate_hz:.9g}, the rate of the times"
+            if time.resample_hz is None
+            else "none together with time.resample_hz",
+        )
+    grid = with_warnings(
+        grid,
+        time_s,
+        parts["position"],
+        "stamps" if time.ticks is None else "ticks",
+        "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]",
+    )
     assert grid.report is not None
     return replace(
         grid,
@@ -199,16 +208,19 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
     """
     place, rows = source.place, len(parts["position"])
     if (time.ticks is None) != (time.tick_s is None):
-        key = "time.tick_s" if time.tick_s is None else "time.ticks"
-        place.refuse(key, None, "ticks and tick_s together, or neither")
+        place.refuse(
+            "time.tick_s" if time.tick_s is None else "time.ticks",
+            None,
+            "ticks and tick_s together, or neither",
+        )
     if time.column is None and time.ticks is None:
         place.refuse("time.column", None, "it, or ticks and tick_s")
     if time.unit not in TIME_UNITS:
         place.refuse("time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}")
     stamp_s = None
     if time.column is not None:
-        table = source.table("time.table", time.table)
-        stamp_s = _column(table, time.column, rows, place) * TIME_UNITS[time.unit]
+        column = _column(source.table("time.table", time.table), time.column, rows, place)
+        stamp_s = column * TIME_UNITS[time.unit]
     if time.tick_s is None:
         assert stamp_s is not None
         return stamp_s, None
@@ -276,11 +288,13 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
     """Samples and robot; calls `warn` if samples are missing."""
     recording = read_recording(path)
     if recording.samples is None:
-        expected = (
-            "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
-            "that are not lost"
+        Place(str(path)).refuse(
+            text=recording.no_samples,
+            expected=(
+                "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
+                "that are not lost"
+            ),
         )
-        Place(str(path)).refuse(text=recording.no_samples, expected=expected)
     missing = [
         gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late
     ]

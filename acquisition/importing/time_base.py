@@ -53,15 +53,13 @@ class TimeReport:
     @property
     def text(self) -> str:
         """The report in one line."""
-        times = (self.shortest_s, self.longest_s, self.period_s, self.jitter_s)
-        shortest, longest, period, jitter = (f"{1e3 * x:.4g}" for x in times)
         parts = [
-            f"{self.clock} of {self.rows} rows: steps {shortest} to {longest} ms, median {period} "
-            "ms"
+            f"{self.clock} of {self.rows} rows: steps {1e3 * self.shortest_s:.4g} to "
+            f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms",
+            f"jitter sd {1e3 * self.jitter_s:.4g} ms",
+            f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps",
+            f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows",
         ]
-        parts.append(f"jitter sd {jitter} ms")
-        parts.append(f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps")
-        parts.append(f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows")
         if self.off:
             parts.append(f"{self.off} rows left out whose {self.clock} the motion contradicts")
         if self.stamps_off_s is not None:
@@ -94,8 +92,10 @@ class GridValues:
         rows = len(self.parts[POSITION])
         start_s = max(0.0, self.start_s)
         if not start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
-            problem = f"{rows} rows at {self.rate_hz} Hz from {start_s} s"
-            Place(place).refuse(expected="68 years and 100 MHz at most", text=problem)
+            Place(place).refuse(
+                expected="68 years and 100 MHz at most",
+                text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
+            )
         steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
@@ -118,14 +118,13 @@ def time_report(time_s: Array, doubled: int = 0) -> TimeReport:
     steps = np.diff(time_s)
     period = float(np.median(steps))
     long = steps > MIN_GAP_STEP * period
-    regular = steps[~long]
     return TimeReport(
         rows=len(time_s),
         doubled=doubled,
         period_s=period,
         shortest_s=float(steps.min()),
         longest_s=float(steps.max()),
-        jitter_s=float(np.std(regular)),
+        jitter_s=float(np.std(steps[~long])),
         gaps=int(long.sum()),
         missing=int((np.rint(steps[long] / period) - 1).sum()),
     )
@@ -152,15 +151,21 @@ def resample(
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
-        expected = (
-            f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
-            f"{time_s[-1] - time_s[0]:.4g} s"
+        place.refuse(
+            "resample_hz",
+            rate_hz,
+            (
+                f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
+                f"{time_s[-1] - time_s[0]:.4g} s"
+            ),
         )
-        place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
-    report = replace(report, grid_hz=rate_hz)
-    interpolated = {name: interpolate(time_s, x, grid) for name, x in parts.items()}
-    return GridValues(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
+    return GridValues(
+        parts={name: interpolate(time_s, x, grid) for name, x in parts.items()},
+        start_s=float(time_s[0]),
+        rate_hz=rate_hz,
+        report=replace(report, grid_hz=rate_hz),
+    )
 
 
 def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
@@ -198,15 +203,13 @@ def rows_to_interpolate(
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
         after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
-        found = f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods"
-        expected = (
-            f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the "
-            "parts before "
-        )
         place.refuse(
             "time",
-            expected=f"{expected}and after it separately, or set time.largest_gap_periods",
-            text=found,
+            expected=(
+                f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the "
+                "parts before and after it separately, or set time.largest_gap_periods"
+            ),
+            text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
         )
     return time_s, parts, replace(report, off=report.rows - len(rows))
 
@@ -218,22 +221,26 @@ def _drop_repeated_rows(
     steps = np.diff(time_s)
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
-        found = f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        expected = (
-            "growing times of one source: not two publishers, a clock that was set or a "
-            "counter that wrapped"
+        place.refuse(
+            f"row {row + 2}",
+            expected=(
+                "growing times of one source: not two publishers, a clock that was set or a "
+                "counter that wrapped"
+            ),
+            text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
-        place.refuse(f"row {row + 2}", expected=expected, text=found)
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
         differ = (x[same + 1] != x[same]).any(axis=1)
         if differ.any():
             row = int(same[np.argmax(differ)])
-            problem = f"{name} differs from the row before at the same time, {time_s[row]:.9g} s"
-            expected = (
-                "one row for each time; if stamps are too coarse, name a counter in time.ticks"
+            place.refuse(
+                f"row {row + 2}",
+                expected=(
+                    "one row for each time; if stamps are too coarse, name a counter in time.ticks"
+                ),
+                text=f"{name} differs from the row before at the same time, {time_s[row]:.9g} s",
             )
-            place.refuse(f"row {row + 2}", expected=expected, text=problem)
     keep = np.flatnonzero(np.concatenate([[True], steps > 0]))
     return time_s[keep], {name: taken(x, keep) for name, x in parts.items()}, len(same)
 
@@ -247,8 +254,7 @@ def roundest_rate_hz(time_s: Array) -> float:
         * float(np.std(time_s - time_s[0] - start - period * rows))
         / float(time_s[-1] - time_s[0])
     )
-    scatter = min(max(scatter, 1e-12), 1e-2)
-    return _roundest(1 / period, scatter)
+    return _roundest(1 / period, min(max(scatter, 1e-12), 1e-2))
 
 
 def _roundest(rate_hz: float, scatter: float) -> float:
@@ -266,22 +272,21 @@ def rate_warnings(report: TimeReport | None) -> list[str]:
         return []
     warnings, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
     if report.off > MAX_LEFT_OUT * report.rows:
-        share = 100 * report.off / report.rows
         warnings.append(
-            f"{share:.2g} % of the rows are left out because the motion contradicts their "
-            f"{report.clock}: use another clock"
+            f"{100 * report.off / report.rows:.2g} % of the rows are left out because the motion "
+            f"contradicts their {report.clock}: use another clock"
         )
     if ratio < MIN_RATE_RATIO:
-        text = (
-            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above "
-            "half of it is aliased"
-        )
         warnings.append(
-            f"{text} into the samples; interpolate to the rows' own rate, a fit decimates by itself"
+            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above "
+            "half of it is aliased into the samples; interpolate to the rows' own rate, a fit "
+            "decimates by itself"
         )
     if ratio > MAX_RATE_RATIO:
-        text = f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz"
-        warnings.append(f"{text}: samples between rows are interpolated and add no information")
+        warnings.append(
+            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: "
+            "samples between rows are interpolated and add no information"
+        )
     return warnings
 
 
@@ -293,11 +298,10 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
     steps = np.diff(time_s)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
-        found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
         place.refuse(
             f"row {row + 2}",
             expected="a later time; time.resample_hz leaves out doubled rows",
-            text=found,
+            text=f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
     period = float(np.median(steps))
     bad = np.abs(steps - period) > 0.1 * period
@@ -305,26 +309,28 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
         row = int(np.argmax(bad))
         missing = round(steps[row] / period) - 1
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
-        found, expected = (
-            f"{steps[row]:.6g} s after the row before",
-            f"{period:.6g} s ({cause}); {way_out}",
+        place.refuse(
+            f"row {row + 2}",
+            expected=f"{period:.6g} s ({cause}); {way_out}",
+            text=f"{steps[row]:.6g} s after the row before",
         )
-        place.refuse(f"row {row + 2}", expected=expected, text=found)
     duration_s = float(time_s[-1] - time_s[0])
     period = duration_s / len(steps)
     off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
     if off.max() > 0.5 * period:
         row = int(np.argmax(off))
-        found, expected = (
-            f"{off[row]:.6g} s off a uniform grid",
-            f"{0.5 * period:.6g} s at most; {way_out}",
+        place.refuse(
+            f"row {row + 1}",
+            expected=f"{0.5 * period:.6g} s at most; {way_out}",
+            text=f"{off[row]:.6g} s off a uniform grid",
         )
-        place.refuse(f"row {row + 1}", expected=expected, text=found)
     # Rounded within the scatter of the times: 1000, not 1000.00000013.
     scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
-    rate_hz = _roundest(1 / period, scatter)
     return GridValues(
-        parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=time_report(time_s)
+        parts=parts,
+        start_s=float(time_s[0]),
+        rate_hz=_roundest(1 / period, scatter),
+        report=time_report(time_s),
     )
 
 

@@ -110,10 +110,16 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
     if records.first != _MAGIC:
         kind = Path(place).suffix.lower()
         if kind in _IMPORTED:
-            expected = f"a recording: first `robot-acquire import {place} --robot ROBOT.toml`"
-            raise BadInputError(f"is a {kind[1:].upper()} file", place=place, expected=expected)
-        expected = "a recording, as `robot-acquire record` or `import` writes it"
-        raise BadInputError("is not an MCAP file", place=place, expected=expected)
+            raise BadInputError(
+                f"is a {kind[1:].upper()} file",
+                place=place,
+                expected=f"a recording: first `robot-acquire import {place} --robot ROBOT.toml`",
+            )
+        raise BadInputError(
+            "is not an MCAP file",
+            place=place,
+            expected="a recording, as `robot-acquire record` or `import` writes it",
+        )
     found = _Found(place, name, accept, wanted)
     for opcode, at, content in records:
         try:

@@ -29,8 +29,11 @@ def add_mark(recording: Path, text: str) -> None:
         status = os.fstat(file.fileno())
         file.seek(max(0, status.st_size - 8))
         if file.read() == b"\x89MCAP0\r\n" or time.time() - status.st_mtime > MAX_SILENT_S:
-            expected = "a recording that `robot-acquire record` is writing"
-            raise BadInputError("is not being written", place=str(recording), expected=expected)
+            raise BadInputError(
+                "is not being written",
+                place=str(recording),
+                expected="a recording that `robot-acquire record` is writing",
+            )
         with open(f"{recording.resolve()}.marks", "ab", buffering=0) as marks:  # not beside a link
             marks.write(json.dumps([time.time_ns(), one_line(text)]).encode() + b"\n")
 

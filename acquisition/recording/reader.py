@@ -115,9 +115,13 @@ class Recording:
     @property
     def effort_timing(self) -> EffortTiming:
         """The instants that efforts belong to, as the recording states."""
-        stated = self.metadata.get("effort_timing")
         return next(
-            (timing for timing, text in EFFORT_TIMINGS.items() if text == stated), "unknown"
+            (
+                timing
+                for timing, text in EFFORT_TIMINGS.items()
+                if text == self.metadata.get("effort_timing")
+            ),
+            "unknown",
         )
 
     @property
@@ -219,13 +223,11 @@ def has_reference(path: Path) -> bool:
             summary = make_reader(file).get_summary()
     except (OSError, McapError):
         return True
-    channels = () if summary is None else summary.channels.values()
-    schemas = [
-        summary.schemas[c.schema_id].data
-        for c in channels
-        if summary is not None and c.topic == "/samples"
-    ]
-    return all(b"'reference'" in text for text in schemas)
+    return summary is None or all(
+        b"'reference'" in summary.schemas[channel.schema_id].data
+        for channel in summary.channels.values()
+        if channel.topic == "/samples"
+    )
 
 
 def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
@@ -255,16 +257,17 @@ def events_of(
     topics: Mapping[str, Messages], path: Path
 ) -> tuple[tuple[Event, ...], tuple[Health, ...]]:
     """Events and counters in messages by topic."""
-    events = _decode_json(topics, "/events", _EventText, path)
-    health = _decode_json(topics, "/health", dict[str, float | None], path)
     return (
-        tuple(Event(stamp_ns=stamp, kind=e.kind, text=e.text) for stamp, e in events),
+        tuple(
+            Event(stamp_ns=stamp, kind=event.kind, text=event.text)
+            for stamp, event in _decode_json(topics, "/events", _EventText, path)
+        ),
         tuple(
             Health(
                 stamp_ns=stamp,
                 counters={k: math.nan if v is None else v for k, v in counters.items()},
             )
-            for stamp, counters in health
+            for stamp, counters in _decode_json(topics, "/health", dict[str, float | None], path)
         ),
     )
 
@@ -285,8 +288,11 @@ def check_metadata(metadata: Mapping[str, str], place: str) -> None:
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
         Place(place).refuse("schema_version", text, "a whole number from 1")
     if int(text) > SCHEMA_VERSION:
-        expected = f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
-        Place(place).refuse("schema_version", int(text), expected)
+        Place(place).refuse(
+            "schema_version",
+            int(text),
+            f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
+        )
     if metadata.get("crc32") != metadata_crc(metadata):
         Place(f"{place}: metadata").refuse(
             "crc32", metadata.get("crc32"), repr(metadata_crc(metadata))

@@ -25,20 +25,21 @@ def overview(recording: Recording) -> dict[str, Any]:
     else None. `health`: the last counters. `attachments`: sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
-    joints, first_ns = [], None
+    joints: list[dict[str, Any]] = []
     spans = {
         channel: _ranges(block, "time_ns")[0]
         for channel, block in recording.frames.items()
         if len(block)
     }
+    first_ns = min((int(first) for first, _ in spans.values()), default=None)
     if samples is not None:
         units = ("name", "position_unit", "position", "effort_unit", "effort")
         columns = (_ranges(samples, "position"), robot.effort_units, _ranges(samples, "effort"))
-        for joint, *found in zip(robot.joints, *columns, strict=True):
-            joints.append(dict(zip(units, (joint.name, joint.position_unit, *found), strict=True)))
+        joints = [
+            dict(zip(units, (joint.name, joint.position_unit, *found), strict=True))
+            for joint, *found in zip(robot.joints, *columns, strict=True)
+        ]
         first_ns = int(samples["stamp_ns"][0])
-    elif spans:
-        first_ns = int(min(first for first, _ in spans.values()))
     return {
         "robot": robot.name,
         **{key: metadata.get(key, "") for key in ("source", "created", "software")},
@@ -113,37 +114,39 @@ def as_tables(found: Mapping[str, Any]) -> Group:
     """The overview for a terminal. Texts from the file are shown as plain text,
     without control characters.
     """
-    first = "sample" if found["samples"] else "frame"
-    since = "at, s" if found["first_ns"] is None else f"s from the first {first}"
-    facts = _table(("", ""), [(Text(name, style="bold"), value) for name, value in _facts(found)])
-    joints = _table(
-        ("joint", "position", "", "unit", "effort", "", "unit"),
-        [
-            (j["name"], *j["position"], j["position_unit"], *j["effort"], j["effort_unit"])
-            for j in found["joints"]
-        ],
-    )
-    holes = _table(
-        ("gap after row", since, "samples missing"),
-        [
-            (
-                str(gap.row + 1),
-                _seconds(gap.stamp_ns, found),
-                f"none: SYNC {gap.missing} periods late" if gap.late else str(gap.missing),
-            )
-            for gap in found["gaps"][:_SHOWN]
-        ],
-    )
-    events = _table(
-        ("event", since, ""),
-        [
-            (event.kind, _seconds(event.stamp_ns, found), event.text)
-            for k, event in enumerate(found["events"])
-            if k < _SHOWN or event.kind == "operator"
-        ],
-    )
-    tables = [table for table in (facts, joints, holes, events) if table.row_count]
-    return Group(*(part for table in tables for part in (table, Text())))
+    since = f"s from the first {'sample' if found['samples'] else 'frame'}"
+    if found["first_ns"] is None:
+        since = "at, s"
+    tables = [
+        _table(("", ""), [(Text(name, style="bold"), value) for name, value in _facts(found)]),
+        _table(
+            ("joint", "position", "", "unit", "effort", "", "unit"),
+            [
+                (j["name"], *j["position"], j["position_unit"], *j["effort"], j["effort_unit"])
+                for j in found["joints"]
+            ],
+        ),
+        _table(
+            ("gap after row", since, "samples missing"),
+            [
+                (
+                    str(gap.row + 1),
+                    _seconds(gap.stamp_ns, found),
+                    f"none: SYNC {gap.missing} periods late" if gap.late else str(gap.missing),
+                )
+                for gap in found["gaps"][:_SHOWN]
+            ],
+        ),
+        _table(
+            ("event", since, ""),
+            [
+                (event.kind, _seconds(event.stamp_ns, found), event.text)
+                for k, event in enumerate(found["events"])
+                if k < _SHOWN or event.kind == "operator"
+            ],
+        ),
+    ]
+    return Group(*(part for table in tables if table.row_count for part in (table, Text())))
 
 
 def _seconds(stamp_ns: int, found: Mapping[str, Any]) -> str:
@@ -156,11 +159,10 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "created", f"{found['created']} by {found['software']}"
     yield "end", "missing: only what was written before the cut" if found["cut"] else "whole"
     if found["samples"]:
-        reference = "with reference" if found["has_reference"] else "without reference"
         yield (
             "samples",
             f"{found['samples']} at {found['sample_rate_hz']:g} Hz, {found['duration_s']:g} s, "
-            f"{reference}",
+            f"{'with' if found['has_reference'] else 'without'} reference",
         )
         missing = sum(gap.missing for gap in found["gaps"] if not gap.late)
         late = sum(gap.late for gap in found["gaps"])

@@ -23,10 +23,7 @@ HomedName = Annotated[
 ]
 Counts = Annotated[float, msgspec.Meta(gt=0, le=1e12)]  # per turn or metre
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
-
-Int32 = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)]
 Sign = Literal[1, -1]
-Mapping = Literal["table", "dictionary", "traffic"]
 # the instants that recorded efforts belong to
 EffortTiming = Literal["command", "mean", "measured", "unknown"]
 
@@ -36,8 +33,10 @@ USUAL_SYNC = 0x80
 # marks lines of a description that a program wrote and an engineer has to complete
 FILL_IN = "FILL IN"
 AXIS = 0x800  # between the objects of two axes of a drive (CiA 402-2)
-_WORDS: dict[str, Iterable[str]] = dict.fromkeys(("reference_rule", "actual_rule"), RULES)
-_WORDS |= dict.fromkeys(("rated_current_unit", "rated_torque_unit"), RATED_UNITS)
+_WORDS: dict[str, Iterable[str]] = {
+    **dict.fromkeys(("reference_rule", "actual_rule"), RULES),
+    **dict.fromkeys(("rated_current_unit", "rated_torque_unit"), RATED_UNITS),
+}
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 
@@ -100,13 +99,14 @@ class DriveFile(TomlTable, frozen=True):
     )
     sign: Annotated[Sign, note("-1: the drive counts against the motor")] = 1
     effort_sign: Annotated[Sign | None, note("-1: effort against the motor (default: sign)")] = None
-    zero_counts: Annotated[Int32, note("position at motor zero, counts")] = 0
+    zero_counts: Annotated[int, note("position at motor zero, counts", ge=-(2**31), lt=2**31)] = 0
     homed: Annotated[
         HomedName | None,
         note("what shows that the drive is homed: a set bit, 6041.8, or an object not 0, 2000:1"),
     ] = None
     mapping: Annotated[
-        Mapping, note("source of the PDOs: this table, a DCF, or what the drives confirmed by SDO")
+        Literal["table", "dictionary", "traffic"],
+        note("source of the PDOs: this table, a DCF, or what the drives confirmed by SDO"),
     ] = "table"
     tpdo: Annotated[
         tuple[PdoFile, ...], note("PDOs from the drive (default: status, position, effort)")
@@ -272,9 +272,8 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
     ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
     text = (
         f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if "
-        "drives interpolate "
+        "drives interpolate linearly: shorten sync_period_s, or record an averaged object"
     )
-    text += "linearly: shorten sync_period_s, or record an averaged object"
     return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 
 

@@ -15,8 +15,6 @@ from .bus import BusFile
 from .fit_tables import GAINS, Controller, Identification, PayloadFile
 from .toml import Name, Positive, TomlTable, note
 
-EffortUnit = Literal["A", "V", "N m", "N", "%"]
-GainUnit = Literal["N m/A", "N m/V", "N m/%", "N/A", "N/V", "N/%"]
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
 Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
 Matrix = tuple[tuple[float, ...], ...]
@@ -158,8 +156,7 @@ class Joint(TomlTable, frozen=True):
         """Friction terms: the list `friction`, else by the keys `viscous`, `coulomb`, `offset`."""
         if isinstance(self.friction, tuple):
             return self.friction
-        stated: tuple[tuple[FrictionTerm, bool | None], ...]
-        stated = (
+        stated: tuple[tuple[FrictionTerm, bool | None], ...] = (
             ("viscous", self.viscous),
             ("coulomb", self.coulomb),
             ("offset", self.offset or False),
@@ -192,14 +189,16 @@ class Motor(TomlTable, frozen=True):
         float | None, note("motor rad (or m) per joint rad (or m), sign included (default: 1)")
     ] = None
     effort_unit: Annotated[
-        EffortUnit | None, note("unit of the recorded effort if there is no drive gain")
+        Literal["A", "V", "N m", "N", "%"] | None,
+        note("unit of the recorded effort if there is no drive gain"),
     ] = None
     drive_gain: Annotated[
         float | None, note("motor torque or force per unit of effort, in drive_gain_unit")
     ] = None
-    drive_gain_unit: Annotated[GainUnit | None, note("unit of the drive gain; with drive_gain")] = (
-        None
-    )
+    drive_gain_unit: Annotated[
+        Literal["N m/A", "N m/V", "N m/%", "N/A", "N/V", "N/%"] | None,
+        note("unit of the drive gain; with drive_gain"),
+    ] = None
     drive_gain_half_width: Annotated[
         Positive | None, note("half of its 95 % interval, same unit (default: 0)")
     ] = None
@@ -305,10 +304,11 @@ class RobotFile(TomlTable, frozen=True):
                     self.refuse(f"{kind}[{i}].name", name, "a name not used before")
         for i, joint in enumerate(self.joint):
             if (joint.dh is None) == (self.urdf is None):
-                expected = (
-                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
+                self.refuse(
+                    f"joint[{i}].dh",
+                    joint.dh,
+                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
                 )
-                self.refuse(f"joint[{i}].dh", joint.dh, expected)
             # Not checked in the joint: one whose terms are chosen for a fit may
             # still state the speed.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
@@ -318,12 +318,18 @@ class RobotFile(TomlTable, frozen=True):
                 self.refuse(key, speed, 'the term "stribeck" in friction with it')
         for i, motor in enumerate(self.motor):
             if motor.ratio is not None and (motor.ratio == 0 or self.motor_matrix is not None):
-                expected = "a non-zero ratio, or motor_matrix for the whole robot, not both"
-                self.refuse(f"motor[{i}].ratio", motor.ratio, expected)
+                self.refuse(
+                    f"motor[{i}].ratio",
+                    motor.ratio,
+                    "a non-zero ratio, or motor_matrix for the whole robot, not both",
+                )
         unknown = [m.name for m in self.motor if m.gain is None]
         if 0 < len(unknown) < n:
-            expected = f"a drive gain for all motors or for none; missing for {', '.join(unknown)}"
-            self.refuse("motor.drive_gain", None, expected)
+            self.refuse(
+                "motor.drive_gain",
+                None,
+                f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+            )
         if self.motor_matrix is not None:
             self._check_matrix(self.motor_matrix)
         for name in GAINS:
@@ -340,5 +346,8 @@ class RobotFile(TomlTable, frozen=True):
         for i, row in enumerate(matrix):
             # names such as Ia2 and gains are by joint, so each joint needs its own motor
             if row[i] == 0:
-                expected = f"motor {i + 1} to turn joint {i + 1}: order the motors so"
-                self.refuse(f"motor_matrix[{i}]", list(row), expected)
+                self.refuse(
+                    f"motor_matrix[{i}]",
+                    list(row),
+                    f"motor {i + 1} to turn joint {i + 1}: order the motors so",
+                )

@@ -13,11 +13,6 @@ Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
 Edges = Literal["smooth", "matlab"]
 GAINS = ("position_gain", "velocity_gain", "integral_gain")
 Gains = tuple[float, ...] | None
-SpeedEstimate = Literal["exact", "backward_difference", "two_sample_mean"]
-OwnKind = Literal["Off", "Fv", "Fc"]
-Structure = Literal[
-    "pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"
-]
 
 
 class Controller(TomlTable, frozen=True):
@@ -33,9 +28,13 @@ class Controller(TomlTable, frozen=True):
             "motion)"
         ),
     ] = None
-    structure: Annotated[Structure | None, note("control law (default: a PD of the bandwidth)")] = (
-        None
-    )
+    structure: Annotated[
+        Literal[
+            "pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"
+        ]
+        | None,
+        note("control law (default: a PD of the bandwidth)"),
+    ] = None
     sample_rate_hz: Annotated[Positive | None, note("rate of the control law, Hz")] = None
     position_gain: Annotated[
         Gains, note("per motor, effort per rad or m (computed_torque: 1/s²)")
@@ -47,7 +46,8 @@ class Controller(TomlTable, frozen=True):
         Gains, note("per motor, effort per rad s or m s; none without an integral")
     ] = None
     velocity_estimate: Annotated[
-        SpeedEstimate | None, note("speed from positions (default: backward_difference)")
+        Literal["exact", "backward_difference", "two_sample_mean"] | None,
+        note("speed from positions (default: backward_difference)"),
     ] = None
     gravity_feedforward: Annotated[
         bool, note("whether gravity at the measured position is added to the law")
@@ -112,7 +112,7 @@ class Identification(TomlTable, frozen=True):
     ] = 2.5
     max_iterations: Annotated[RowStep, note("maximum number of passes of iv")] = 10
     own: Annotated[
-        tuple[OwnKind, ...] | None,
+        tuple[Literal["Off", "Fv", "Fc"], ...] | None,
         note(
             "kinds of parameters that several recordings do not share (default: Fv and Fc with "
             "--gains, else none)"

@@ -65,13 +65,11 @@ def effort_limits(robot: Robot) -> EffortLimits:
     # Recorded efforts of the motors = to_motor · joint efforts.
     to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]
     uncoupled = np.count_nonzero(to_motor, axis=1) == 1
-    axes = np.eye(robot.n)
-    for j, joint in enumerate(robot.joints):
+    for j, (joint, axis) in enumerate(zip(robot.joints, np.eye(robot.n), strict=True)):
         stated = joint.si("effort") if robot.gain_known else None
-        limit = math.inf if stated is None else stated
-        for m in np.flatnonzero(uncoupled & (to_motor[:, j] != 0)):
-            limit = min(limit, float(ranges[m] / abs(to_motor[m, j])))
-        rows.append((f"joint {joint.name}", axes[j], limit, robot.effort_units[j]))
+        own = np.flatnonzero(uncoupled & (to_motor[:, j] != 0))
+        limit = np.min(ranges[own] / np.abs(to_motor[own, j]), initial=stated or math.inf)
+        rows.append((f"joint {joint.name}", axis, float(limit), robot.effort_units[j]))
     rows += [
         (f"motor {motor.name}", row, float(limit), motor.recorded_unit)
         for motor, row, limit, single in zip(robot.motors, to_motor, ranges, uncoupled, strict=True)
@@ -116,14 +114,12 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
     wrong gain, ratio or unit.
     """
     limits = effort_limits(robot)
-    found = zip(limits.names, limits.directions, limits.limits, limits.units, strict=True)
-    peaks = [
-        (name, float(np.abs(effort @ row).max(initial=0.0)), most, unit)
-        for name, row, most, unit in found
-    ]
+    peaks = [float(np.abs(effort @ row).max(initial=0.0)) for row in limits.directions]
     return tuple(
         f"effort of {name} up to {peak:.4g} {unit}: limit {most:.4g} {unit}"
-        for name, peak, most, unit in peaks
+        for name, peak, most, unit in zip(
+            limits.names, peaks, limits.limits, limits.units, strict=True
+        )
         if peak >= MIN_EFFORT_RATIO * most
     )
 
@@ -187,8 +183,10 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     k = int(np.argmax(beyond))
     if beyond[k] <= MIN_OVERSHOOT * (high - low):
         return []
-    text = f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s"
-    text += f": limits {_shown(joint, low)} and {_shown(joint, high)}"
+    text = (
+        f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
+        f"limits {_shown(joint, low)} and {_shown(joint, high)}"
+    )
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"
@@ -225,15 +223,20 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) 
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
     if step[k] > _MIN_JUMP_RATIO * neighbour:
-        problem = (
-            f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
-            f"({speed}; {limit})"
+        place.refuse(
+            text=(
+                f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
+                f"({speed}; {limit})"
+            ),
+            expected=(
+                "motion: a counter that wrapped, lost or foreign samples, or two recordings glued "
+                "together"
+            ),
         )
-        expected = (
-            "motion: a counter that wrapped, lost or foreign samples, or two recordings glued "
-            "together"
-        )
-        place.refuse(text=problem, expected=expected)
-    causes = "a wrong unit (degrees read as radians), ratio or sample rate"
-    expected = f"a speed below it: {causes}, or {joint.key('speed')} of robot.toml"
-    place.refuse(text=f"joint {joint.name} at {speed}, {when}: {limit}", expected=expected)
+    place.refuse(
+        text=f"joint {joint.name} at {speed}, {when}: {limit}",
+        expected=(
+            "a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or "
+            f"{joint.key('speed')} of robot.toml"
+        ),
+    )

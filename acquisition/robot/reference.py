@@ -62,18 +62,17 @@ def fourier_reference(
         Place("").refuse(text=f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
         if joint.si("position") is None:
-            at = Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]")
-            at.refuse(
+            Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]").refuse(
                 joint.key("position"), None, "[lowest, highest]: the reference moves within it"
             )
-    rng = np.random.default_rng(seed)
     k = np.arange(1, harmonics + 1)
-    sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
+    sine, cosine = np.random.default_rng(seed).standard_normal((2, robot.n, harmonics)) / k
     # At t = 0 the speed is sum k sine, the acceleration sum k² cosine: subtract these parts.
     sine -= (sine @ k)[:, None] * k / (k @ k)
     cosine -= (cosine @ k**2)[:, None] * k**2 / (k**2 @ k**2)
-    raw = FourierReference(period_s=period_s, center=np.zeros(robot.n), sine=sine, cosine=cosine)
-    q, dq, ddq = raw.at(np.linspace(0.0, period_s, 2000))
+    q, dq, ddq = FourierReference(
+        period_s=period_s, center=np.zeros(robot.n), sine=sine, cosine=cosine
+    ).at(np.linspace(0.0, period_s, 2000))
     middle, scale = np.empty(robot.n), np.empty(robot.n)
     for j, joint in enumerate(robot.joints):
         low, high = joint.si("position")
@@ -114,20 +113,22 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         longest_s = min(MAX_TABLE_S, MAX_PATH_VALUES / robot.n * period_s)
         if length_s > longest_s:
             slower = f" at {speed:g} times its speed" if speed != 1 else ""
-            expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
-            at.refuse(text=f"{length_s:.6g} s from first to last{slower}", expected=expected)
+            at.refuse(
+                text=f"{length_s:.6g} s from first to last{slower}",
+                expected=f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s",
+            )
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
         except ValueError:  # rows so close, or numbers so large, that its equations overflow
             q = np.array([np.nan])
     if not np.isfinite(q).all():
-        found = (
-            f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to "
-            f"{np.abs(table[:, 1:]).max():.3g}"
-        )
         Place(str(path)).refuse(
-            text=found, expected="positions in rad or m with a smooth path through them"
+            text=(
+                f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to "
+                f"{np.abs(table[:, 1:]).max():.3g}"
+            ),
+            expected="positions in rad or m with a smooth path through them",
         )
     return q
 
@@ -148,14 +149,12 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     """
     for problem in missing_limits(robot):
         Place(place).refuse(text=problem, expected="one in robot.toml before anything moves")
-    at_rest = np.concatenate([q[:1], q, q[-1:]])
     # values that are not finite are refused below
     with np.errstate(over="ignore", invalid="ignore"):
-        dq = np.diff(at_rest, axis=0) / period_s
+        dq = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / period_s
         ddq = np.diff(dq, axis=0) / period_s
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
-        unit = joint.position_unit
         speed, acceleration = joint.si("speed"), joint.si("acceleration")
         for name, values, bottom, top, per in (
             ("position", q[:, i], low, high, ""),
@@ -166,15 +165,11 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                at, shown = (
-                    Place(f"{place}: at {k * period_s:.4g} s"),
-                    f"{values[k]:.4g} {unit}{per}",
-                )
-                at.refuse(
+                Place(f"{place}: at {k * period_s:.4g} s").refuse(
                     f"{name} of {joint.name}",
                     float(values[k]),
                     f"{bottom:.4g} to {top:.4g}",
-                    shown=shown,
+                    shown=f"{values[k]:.4g} {joint.position_unit}{per}",
                 )
 
 

@@ -101,8 +101,9 @@ class Robot:
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
         if self.controller.bandwidth_hz is None:
-            expected = "the bandwidth of the position loop, Hz"
-            Place(f"robot {self.name}").refuse("controller.bandwidth_hz", None, expected)
+            Place(f"robot {self.name}").refuse(
+                "controller.bandwidth_hz", None, "the bandwidth of the position loop, Hz"
+            )
         return self.controller.bandwidth_hz
 
     @cached_property
@@ -197,11 +198,16 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
         for k, extra in enumerate(drive.extra):
             if not isinstance(extra, str):
-                expected = f"{extra['object']!r} alone: frames hold its raw integer"
-                place.refuse(f"bus.drive[{i}].extra[{k}]", extra, expected, shown="a table")
+                place.refuse(
+                    f"bus.drive[{i}].extra[{k}]",
+                    extra,
+                    f"{extra['object']!r} alone: frames hold its raw integer",
+                    shown="a table",
+                )
         if drive.dictionary is not None:
-            label = dictionary_label(drive.dictionary)
-            files[label] = _companion(path, drive.dictionary, f"bus.drive[{i}].dictionary")
+            files[dictionary_label(drive.dictionary)] = _companion(
+                path, drive.dictionary, f"bus.drive[{i}].dictionary"
+            )
     return robot_from_files(files, str(path))
 
 
@@ -219,12 +225,12 @@ def _refuse_idle_keys(c: Controller, place: Place) -> None:
     for name in idle:
         value = getattr(c, name)
         if value is not None:
-            none = f"none, structure = {c.structure!r} has no integral"
-            expected = "controller.structure with it" if c.structure is None else none
             place.refuse(
                 name,
                 list(value) if isinstance(value, tuple) else value,
-                expected,
+                "controller.structure with it"
+                if c.structure is None
+                else f"none, structure = {c.structure!r} has no integral",
                 text="does nothing",
             )
 
@@ -269,9 +275,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         # a typing error; the model looks at the tree
         if f.payload.frame is not None and f.payload.frame not in urdf:
             at.refuse("payload.frame", f.payload.frame, "a link of the URDF")
-    R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
-    if f.motor_matrix is not None:
-        R = np.array(f.motor_matrix, dtype=float)
+    ratios = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
+    R = ratios if f.motor_matrix is None else np.array(f.motor_matrix, dtype=float)
     zero, gravity = (
         np.array([j.si("zero") or 0.0 for j in f.joint]),
         np.array(f.gravity_m_s2, dtype=float),

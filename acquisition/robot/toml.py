@@ -51,8 +51,10 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
-        expected = f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most"
-        file.refuse(text=f"{len(text)} bytes, a line of {longest}", expected=expected)
+        file.refuse(
+            text=f"{len(text)} bytes, a line of {longest}",
+            expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most",
+        )
     try:
         data = tomllib.loads(text.decode("utf-8"))
         _refuse_nonfinite(data, "", file)

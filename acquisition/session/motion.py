@@ -65,12 +65,10 @@ def enable(
             if watch.state is State.OPERATION_ENABLED:
                 command = Command.ENABLE_OPERATION
             if command is Command.FAULT_RESET and watch.drive.node not in in_fault:
-                place, expected = (
-                    f"node {watch.drive.node} ({watch.drive.name})",
-                    "switch on disabled, as before",
-                )
                 raise BusFaultError(
-                    "went into fault after the session began", place=place, expected=expected
+                    "went into fault after the session began",
+                    place=f"node {watch.drive.node} ({watch.drive.name})",
+                    expected="switch on disabled, as before",
                 )
             if command is Command.FAULT_RESET and k % 2:
                 command = None  # a drive acts on the rising edge of this bit
@@ -93,9 +91,9 @@ def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
         states = [watch.state for watch in master.nodes]
         if all(state in (State.SWITCH_ON_DISABLED, State.FAULT) for state in states):
             return
-        downs = [_DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states]
         yield [
-            (command.controlword, target) for command, target in zip(downs, targets, strict=True)
+            (_DOWN.get(state, Command.DISABLE_VOLTAGE).controlword, target)
+            for state, target in zip(states, targets, strict=True)
         ]
     raise BusFaultError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")
 
@@ -146,10 +144,10 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
             return BusFaultError(f"left operational (NMT state {watch.nmt})", place=node)
         # A heartbeat that left the drive before START may arrive after it.
         if watch.unstarted >= LOST_HEARTBEATS:
-            text = (
-                f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
+            return BusFaultError(
+                f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})",
+                place=node,
             )
-            return BusFaultError(text, place=node)
         if watch.beats and watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
             return BusFaultError(
                 f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node
@@ -168,8 +166,11 @@ def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
         name = f"node {node} ({watch.drive.name})"
         if watch.state is not State.OPERATION_ENABLED or word is None:
             if not motion.enabling or node in motion.enabled:
-                state = "unknown" if word is None else status_words(word)
-                return BusFaultError(f"{state} in motion", place=name, expected="operation enabled")
+                return BusFaultError(
+                    f"{'unknown' if word is None else status_words(word)} in motion",
+                    place=name,
+                    expected="operation enabled",
+                )
             continue
         motion.enabled.add(node)
         motion.bits_seen[node] = motion.bits_seen.get(node, 0) | word
@@ -205,16 +206,21 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
             else file.enable_motion_m
         )
         if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
-            moved = q[i] - motion.start[i]
-            expected = f"{largest:.4g} at most"
             return _limit_fault(
-                joint, "motion while drives were enabled", moved, joint.position_unit, expected
+                joint,
+                "motion while drives were enabled",
+                q[i] - motion.start[i],
+                joint.position_unit,
+                f"{largest:.4g} at most",
             )
         largest = joint.si("following_error")
         if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
-            error = abs(q[i] - motion.target[i])
             return _limit_fault(
-                joint, "following error", error, joint.position_unit, f"{largest:.4g} at most"
+                joint,
+                "following error",
+                abs(q[i] - motion.target[i]),
+                joint.position_unit,
+                f"{largest:.4g} at most",
             )
         largest = joint.si("speed")
         if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:

@@ -63,9 +63,11 @@ class Pace:
         else:
             patience_ns = self._latest_ns if in_motion else MAX_ABSENT_PERIODS * self._period_ns
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
-                waited = f"{patience_ns / self._period_ns:.3g} periods"
-                expected = "the other producer's; or sync_producer = 'recorder'"
-                raise BusFaultError(f"no SYNC in {waited}", place="bus", expected=expected)
+                raise BusFaultError(
+                    f"no SYNC in {patience_ns / self._period_ns:.3g} periods",
+                    place="bus",
+                    expected="the other producer's; or sync_producer = 'recorder'",
+                )
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
         self._master.wait(
@@ -76,8 +78,12 @@ class Pace:
     def _refuse_late(self, in_motion: bool) -> None:
         late_ns = self._link.now_ns() - self.next_ns
         if in_motion and late_ns > self._latest_ns:
-            expected = f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
-            raise BusFaultError(f"SYNC {late_ns * 1e-9:.3g} s late in motion", expected=expected)
+            raise BusFaultError(
+                f"SYNC {late_ns * 1e-9:.3g} s late in motion",
+                expected=(
+                    f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
+                ),
+            )
 
 
 # of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
@@ -179,8 +185,11 @@ def sync_jitter(master: Master) -> Jitter:
         first = len(master.sync_times)
         for _ in range(count):
             if not master.wait_for_sync(link.now_ns() + MAX_ABSENT_PERIODS * period_ns):
-                text = f"no SYNC in {MAX_ABSENT_PERIODS} periods"
-                raise BusFaultError(text, place="bus", expected="the other producer's")
+                raise BusFaultError(
+                    f"no SYNC in {MAX_ABSENT_PERIODS} periods",
+                    place="bus",
+                    expected="the other producer's",
+                )
         times = master.sync_times[first:]
     deviation_s = np.abs(np.diff(times) - period_ns) * 1e-9
     return Jitter(
@@ -195,8 +204,13 @@ def refuse_jitter(master: Master) -> Jitter:
     """Measured jitter of SYNC. Raises `RefusedError` where it is too large to move a robot."""
     found = sync_jitter(master)
     if not found.fit_for_motion:
-        why = f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion"
-        expected = "less; end other programs, or permit SCHED_FIFO (acquisition/README.md)"
-        sd = {"key": "SYNC jitter sd", "value": found.sd_s, "shown": f"{found.sd_s * 1e3:.3f} ms"}
-        raise RefusedError(why, what="motion", place="bus", **sd, expected=expected)
+        raise RefusedError(
+            f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion",
+            what="motion",
+            place="bus",
+            key="SYNC jitter sd",
+            value=found.sd_s,
+            shown=f"{found.sd_s * 1e3:.3f} ms",
+            expected="less; end other programs, or permit SCHED_FIFO (acquisition/README.md)",
+        )
     return found

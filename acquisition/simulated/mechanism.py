@@ -239,8 +239,9 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
 
     plants = list(entry_points(group=GROUP))
     if not plants:
-        reason = f"no installed package offers the robot's dynamics (entry points {GROUP})"
-        return _independent_joints(robot, bus, reason)
+        return _independent_joints(
+            robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})"
+        )
     try:
         plant_of: PlantOf = plants[0].load()
     except (ImportError, AttributeError) as error:
@@ -251,12 +252,14 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
 
 def _independent_joints(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
     rated = rated_motor_effort(bus)
-    warning = (
-        "simulated as independent joints with a gravity-like load, not as the described "
-        f"robot: {why}"
+    return DrivenPlant(
+        plant=typical_plant(robot, rated),
+        loops=cascaded_loops(robot, typical_inertia(robot, rated)),
+        warning=(
+            "simulated as independent joints with a gravity-like load, not as the described "
+            f"robot: {why}"
+        ),
     )
-    loops = cascaded_loops(robot, typical_inertia(robot, rated))
-    return DrivenPlant(plant=typical_plant(robot, rated), loops=loops, warning=warning)
 
 
 def rated_motor_effort(bus: Bus) -> Array:

@@ -19,9 +19,11 @@ def units_and_limits(bus: Bus, i: int) -> dict[tuple[int, int], int]:
         Fraction(bus.file.drive[i].counts_per_turn or 0).limit_denominator(1000),
     )
     position, velocity, motor_speed = MOTION_LIMITS
-    values = {(SUPPORTED_MODES, 0): 1 << Mode.CYCLIC_SYNCHRONOUS_POSITION - 1}
     texts = zip(TEXTS, (b"sim", b"none", b"none"), strict=True)  # of four bytes: in one frame
-    values |= {(index, 0): int.from_bytes(text, "little") for index, text in texts}
+    values = {
+        (SUPPORTED_MODES, 0): 1 << Mode.CYCLIC_SYNCHRONOUS_POSITION - 1,
+        **{(index, 0): int.from_bytes(text, "little") for index, text in texts},
+    }
     speeds = {velocity: drive.speed_limit or 0.0}
     if per_turn:
         for index, units in zip(POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):
