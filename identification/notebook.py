@@ -17,27 +17,21 @@ from acquisition.robot import Robot, parse_payload
 
 from . import design, export, methods, report, study
 from .arrays import Array
-from .data import RecordingFile as RecordingFile
-from .data import Recordings as Recordings
-from .data import Signals as Signals
-from .data import Work as Work
-from .data import load_signals as load_signals
-from .data import signals_from_arrays
-from .design import Excitation
-from .design import ExcitationSettings as ExcitationSettings
-from .design import select_friction as select_friction
-from .errors import BadInputError as BadInputError
-from .errors import DoNotUseWarning as DoNotUseWarning
-from .errors import NoFitError as NoFitError
-from .errors import RobotIdimError as RobotIdimError
-from .fits import AnyFit, File
-from .fits import StoredFit as StoredFit
-from .methods import Iteration as Iteration
-from .regression import Overrides as Overrides
+from .data import (
+    RecordingFile,
+    Recordings,
+    Signals,
+    Work,
+    load_signals,
+    signals_from_arrays,
+)
+from .design import Excitation, ExcitationSettings, select_friction
+from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
+from .fits import AnyFit, File, StoredFit
+from .methods import Iteration
+from .regression import Overrides
 from .report import ValidationFile
-from .study import Noise as Noise
-from .study import Run
-from .study import Study as Study
+from .study import Noise, Run, Study
 
 P = ParamSpec("P")
 
