@@ -53,8 +53,11 @@ def draw_graph(graph: Graph) -> str:
             for x, y in zip(*_places(axes, (dots[:, 0], dots[:, 1])), strict=True)
         )
         parts.append(f'<path class="l cloud {CLASSES[color]}" d="{path}"/>')
-    drawn = (_curve(curve, axes) for curve in sorted(curves, key=lambda curve: curve.key))
-    parts += [f'<g transform="scale({1 / STEPS:g})">', *drawn, "</g>"]
+    parts += [
+        f'<g transform="scale({1 / STEPS:g})">',
+        *(_curve(curve, axes) for curve in sorted(curves, key=lambda curve: curve.key)),
+        "</g>",
+    ]
     return _svg(graph.title, WIDTH, HEIGHT, parts)
 
 
