@@ -42,6 +42,7 @@ from .fit_file import (
     versions,
 )
 from .parameters import (
+    PER_INTERVAL,
     ConsistentFile,
     Covariance,
     DriveGain,

@@ -69,8 +69,11 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
         noises = [float(f"{part * np.ptp(signals.q, axis=0).min():.1g}") for part in NOISES]
     variants = [Variant(changed="none", to="the rules")]
     for to, factor in CUTOFFS.items():
-        overrides = Overrides(cutoff_hz=factor * robot.bandwidth_hz)
-        variants.append(Variant(changed="cut-off", to=to, overrides=overrides))
+        variants.append(
+            Variant(
+                changed="cut-off", to=to, overrides=Overrides(cutoff_hz=factor * robot.bandwidth_hz)
+            )
+        )
     for factor in DECIMATIONS:
         overrides = Overrides(decimation=max(1, round(factor * decimation)))
         variants.append(
@@ -97,10 +100,13 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     noise = np.random.default_rng(0).standard_normal(signals.q.shape)
     signals = replace(signals, q=signals.q + variant.noise * noise)
     try:
-        iteration = Iteration(
-            inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update
+        fit = identify_iv(
+            signals,
+            variant.overrides,
+            Iteration(
+                inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update
+            ),
         )
-        fit = identify_iv(signals, variant.overrides, iteration)
     except RobotIdimError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
@@ -108,14 +114,13 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     values = dict(
         zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True)
     )
-    passes = len(fit.iv.passes) if fit.iv else 0
     base, model = fit.base, fit.problem.model
     described = described_parameters(model, base).tolist() if signals.robot.parameters else ()
     known = "true" if signals.provenance.startswith("simulated") else "described"
     return VariedFit(
         variant=variant,
         ended=fit.status,
-        passes=passes,
+        passes=len(fit.iv.passes) if fit.iv else 0,
         values=values,
         essential=fit.essential_names,
         units=dict(zip(base.names, base.units, strict=True)),
@@ -128,8 +133,7 @@ def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
     their own; NaN without.
     """
     ls, _, iv, half = fits[0].values[name]
-    none = (np.nan,) * 4
-    values = np.array([fit.values.get(name, none) for fit in fits])
+    values = np.array([fit.values.get(name, (np.nan,) * 4) for fit in fits])
     moved = np.abs(values[:, [0, 2]] - [ls, iv])
     return np.asarray(np.c_[moved / half, moved / values[:, [1, 3]]])
 
@@ -158,8 +162,11 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         f"{recording}: LS moves by up to {ls} half-widths with {worst.changed} {worst.to}, IV "
         f"by {iv}"
     )
-    heads = columns("changed", "to", numbers=("LS moves",)) + columns(
-        "at", numbers=("own", "IV moves")
+    heads = (
+        *columns("changed", "to", numbers=("LS moves",)),
+        *columns("at", numbers=("own", "IV moves")),
+        *columns("at", numbers=("own", "passes")),
+        *columns("iv ended"),
     )
     lines = (
         "moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest "
@@ -168,12 +175,14 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         "position noise is added to the recording, after the control loop; start: inertias of the "
         "first pass",
     )
-    heads += columns("at", numbers=("own", "passes")) + columns("iv ended")
-    moves_table = Table(columns=heads, rows=tuple(rows))
-    whole = columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%"))
-    table = Table(columns=whole, rows=tuple(values))
-    sections = (
-        Section(table=moves_table, lines=lines),
-        Section(title="values", table=table, short=Section()),
+    table = Table(
+        columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")),
+        rows=tuple(values),
     )
-    return Document(title=title, sections=sections)
+    return Document(
+        title=title,
+        sections=(
+            Section(table=Table(columns=heads, rows=tuple(rows)), lines=lines),
+            Section(title="values", table=table, short=Section()),
+        ),
+    )
