@@ -335,8 +335,10 @@ def excitation_document(excitation: Excitation) -> Document:
         (joint.name, *percents[j : 3 * n : n], efforts.pop(f"effort of joint {joint.name}", ""))
         for j, joint in enumerate(e.robot.joints)
     ]
-    for name, percent in efforts.items():
-        table.append((name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent))
+    table += [
+        (name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent)
+        for name, percent in efforts.items()
+    ]
     apart = () if e.nearest is None else (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)
     return Document(
         title=f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} "

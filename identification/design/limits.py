@@ -120,10 +120,9 @@ class Limits:
         """(L,) the limited quantities: position, speed and acceleration of each
         joint, efforts by load.
         """
-        names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
         loads = ("", " with the payload")[: len(self.models)]
         return (
-            *names,
+            *(f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints),
             *(f"effort of {name}{load}" for load in loads for name in self.effort.names),
         )
 

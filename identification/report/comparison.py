@@ -102,13 +102,11 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
     named = {
         (value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()
     }
-    found = dict[str, str]()
-    for name, x in a.parameters.items():
-        if partner := named.get(
-            (x.expression, name.partition("@")[2]), named.get((x.expression, ""))
-        ):
-            found[name] = partner
-    return found
+    shared = {
+        name: named.get((x.expression, name.partition("@")[2]), named.get((x.expression, "")))
+        for name, x in a.parameters.items()
+    }
+    return {name: partner for name, partner in shared.items() if partner}
 
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:

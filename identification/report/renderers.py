@@ -158,13 +158,15 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
     """
     # the tiles have the figures
     title = document.title.split("; ")[0] if document.badge else document.title
-    parts, sections = [_element(f"h{heading}", title), *_tiles(document)], list(document.sections)
+    sections = document.sections
     first = next((k for k, section in enumerate(sections) if section.table), len(sections))
-    for section in sections[:first]:
-        parts += _html_section(section, heading + 1)
-    parts += [figures] if figures else []
-    for section in sections[first:]:
-        parts += _html_section(section, heading + 1)
+    parts = [
+        _element(f"h{heading}", title),
+        *_tiles(document),
+        *(part for section in sections[:first] for part in _html_section(section, heading + 1)),
+        *([figures] if figures else []),
+        *(part for section in sections[first:] for part in _html_section(section, heading + 1)),
+    ]
     return "\n".join(parts)
 
 
@@ -176,12 +178,14 @@ def _tiles(document: Document) -> list[str]:
         f"color:#fff;background:{BADGES[document.badge]};padding:.2em "
         ".8em;border-radius:1em;font-weight:700"
     )
-    tiles = [f'<span style="{badge}">{escape(document.badge)}</span>']
-    for what, text in document.figures:
-        tiles.append(
+    tiles = [
+        f'<span style="{badge}">{escape(document.badge)}</span>',
+        *(
             "<span><b "
             f'style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>'
-        )
+            for what, text in document.figures
+        ),
+    ]
     return [
         '<div style="display:flex;flex-wrap:wrap;gap:.6em '
         f'2em;align-items:center">{"".join(tiles)}</div>'

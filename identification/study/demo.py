@@ -126,9 +126,10 @@ def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
         text,
     )
     text = re.sub('reference = "6074"|actual = "6077"', 'actual = "6078"', text)
-    rated = r"rated_torque_nm = ([\d.]+)"
     text = re.sub(
-        rated, lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text
+        r"rated_torque_nm = ([\d.]+)",
+        lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}",
+        text,
     )
     return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
 
@@ -154,8 +155,10 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     for fit, half in zip(fits, halves, strict=True):
         within = int((np.abs(fit.beta - true) <= half).sum())
         error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
-        inside = f"{within} of {len(true)} true values inside ({0.95 * len(true):.0f} expected)"
-        lines.append(f"{fit.method}: {inside}; total error {error:.2f} %")
+        lines.append(
+            f"{fit.method}: {within} of {len(true)} true values inside "
+            f"({0.95 * len(true):.0f} expected); total error {error:.2f} %"
+        )
     headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
     section = Section(
         title="compared with the simulated values",

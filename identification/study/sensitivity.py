@@ -67,26 +67,25 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
     if noises is None:
         noises = [float(f"{part * np.ptp(signals.q, axis=0).min():.1g}") for part in NOISES]
-    variants = [Variant(changed="none", to="the rules")]
-    for to, factor in CUTOFFS.items():
-        variants.append(
-            Variant(
-                changed="cut-off", to=to, overrides=Overrides(cutoff_hz=factor * robot.bandwidth_hz)
-            )
-        )
-    for factor in DECIMATIONS:
-        overrides = Overrides(decimation=max(1, round(factor * decimation)))
-        variants.append(
-            Variant(changed="decimation", to=f"{overrides.decimation}", overrides=overrides)
-        )
+    cutoffs_hz = {to: factor * robot.bandwidth_hz for to, factor in CUTOFFS.items()}
+    decimations = [max(1, round(factor * decimation)) for factor in DECIMATIONS]
     units = " or ".join(
         {"rad" if joint.type == "revolute" else "m": None for joint in robot.joints}
     )
-    variants += [
-        Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises
+    variants = [
+        Variant(changed="none", to="the rules"),
+        *(
+            Variant(changed="cut-off", to=to, overrides=Overrides(cutoff_hz=x))
+            for to, x in cutoffs_hz.items()
+        ),
+        *(
+            Variant(changed="decimation", to=f"{x}", overrides=Overrides(decimation=x))
+            for x in decimations
+        ),
+        *(Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises),
+        *(Variant(changed="start", to=f"{x:g}", start=x) for x in STARTS),
+        Variant(changed="gain update", to="off", gain_update=False),
     ]
-    variants += [Variant(changed="start", to=f"{x:g}", start=x) for x in STARTS]
-    variants.append(Variant(changed="gain update", to="off", gain_update=False))
     fits = list(work.run(fit_variant, [(source, variant) for variant in variants]))
     if not fits[0].values:
         raise NoFitError(fits[0].ended)

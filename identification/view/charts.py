@@ -42,11 +42,16 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
         ticks={x: f"{x:+g}" if x else "0" for x in (-ends, -1.0, 0.0, 1.0, ends)},
     )
     off = [{d.name: d.off_sigma or 0.0 for d in differences(own, values)} for values in others]
-    legend = [("● essential", ORANGE), ("○ not essential", GREY)]
-    for values, color in zip(others, COMPARED, strict=False):
-        exact = all(p.sigma == 0 for p in values.parameters.values())
-        legend.append((f"{'|' if exact else '×'} {values.label}", color))
-    legend += [("beyond 3 σ", VERMILLION)] if others else []
+    exact = [all(p.sigma == 0 for p in values.parameters.values()) for values in others]
+    legend = [
+        ("● essential", ORANGE),
+        ("○ not essential", GREY),
+        *(
+            (f"{'|' if is_exact else '×'} {values.label}", color)
+            for values, is_exact, color in zip(others, exact, COMPARED, strict=False)
+        ),
+        *([("beyond 3 σ", VERMILLION)] if others else []),
+    ]
     for part in _parts(names, MAX_ROWS):
         heads, halves, marks = list[tuple[str, Color]](), list[Mark](), list[Mark]()
         for row, name in enumerate(part):
@@ -115,12 +120,14 @@ def trust_charts(trust: Trust) -> list[Rows]:
         if line.figures:
             color = LEVEL_COLORS.get(line.level, GREY)
             marks = [
-                Mark(row=k, value=f.expected, color=GREEN, shape="tick")
-                for k, f in enumerate(line.figures)
-            ]
-            marks += [
-                Mark(row=k, value=f.value, half=f.half_width, color=color)
-                for k, f in enumerate(line.figures)
+                *(
+                    Mark(row=k, value=f.expected, color=GREEN, shape="tick")
+                    for k, f in enumerate(line.figures)
+                ),
+                *(
+                    Mark(row=k, value=f.value, half=f.half_width, color=color)
+                    for k, f in enumerate(line.figures)
+                ),
             ]
             value = "● value ± 95 %" if any(f.half_width for f in line.figures) else "● value"
             legend = ((value, color), ("| expected", GREEN))

@@ -326,15 +326,17 @@ class LivePage:
         """The state, red where the file has stopped growing in the session."""
         begin_ns, planned_s = self._left_from
         left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
-        words = [f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}"]
-        words += [
-            f"{name.replace('kernel_drops', 'dropped')} {count:g}"
-            for name, count in self._losses.items()
+        old = ["THE FILE HAS STOPPED GROWING: what is shown is old"]
+        words = [
+            *(old if stalled and not self.over else []),
+            f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}",
+            *(
+                f"{name.replace('kernel_drops', 'dropped')} {count:g}"
+                for name, count in self._losses.items()
+            ),
+            *([f"no rows: {problem}"] if problem else []),
         ]
-        words += [f"no rows: {problem}"] * bool(problem)
         color = GREY if self.over else RED if stalled else GREEN
-        if stalled and not self.over:
-            words.insert(0, "THE FILE HAS STOPPED GROWING: what is shown is old")
         self._recording.log(
             "state/bar",
             rr.LineStrips2D(

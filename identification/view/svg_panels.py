@@ -68,9 +68,13 @@ def draw_rows(rows: Rows) -> str:
     bands = "".join(
         f"M0 {HEAD + PITCH * row:g}H{width:g}v{PITCH:g}H0z" for row in range(0, count, 2)
     )
-    parts = [f'<path class="band" d="{bands}"/>']
-    for row, (name, color) in enumerate(rows.names):
-        parts.append(_text(4, HEAD + PITCH * row + 13, name, color, "start"))
+    parts = [
+        f'<path class="band" d="{bands}"/>',
+        *(
+            _text(4, HEAD + PITCH * row + 13, name, color, "start")
+            for row, (name, color) in enumerate(rows.names)
+        ),
+    ]
     step = (width - left) / len(rows.columns)
     for number, column in enumerate(rows.columns):
         edges = left + step * number + 16, left + step * (number + 1) - 18
@@ -79,8 +83,10 @@ def draw_rows(rows: Rows) -> str:
             line = f"M{_n(float(column.axis.place(value, *edges)))} {HEAD:g}V{bottom:g}"
             width_of_line = 1.5 if value in column.lines else 0.6
             parts.append(f'<path class="l soft grey" stroke-width="{width_of_line:g}" d="{line}"/>')
-        for value, text in column.axis.ticks.items():
-            parts.append(_text(float(column.axis.place(value, *edges)), HEAD - 5, text, GREY))
+        parts += [
+            _text(float(column.axis.place(value, *edges)), HEAD - 5, text, GREY)
+            for value, text in column.axis.ticks.items()
+        ]
         parts += [_mark(mark, column.axis, edges) for mark in column.marks]
     return _svg(rows.title, width, bottom + 4, parts)
 
