@@ -1,8 +1,6 @@
 """Errors and warnings of the package: those of both, and one of its own."""
 
-from acquisition.errors import BadInputError as BadInputError
-from acquisition.errors import NoFitError as NoFitError
-from acquisition.errors import RobotIdimError as RobotIdimError
+from acquisition.errors import BadInputError, NoFitError, RobotIdimError
 
 
 class DoNotUseWarning(UserWarning):

@@ -76,9 +76,11 @@ class AnyFit:
         """
         for line in report.frame_lines(self.file, other.file, ("this fit", "the other")):
             warnings.warn(line, stacklevel=2)
-        pairs = ((self.file, "this fit"), (other.file, "the other"))
         return tuple(
-            report.differences(*(report.ParameterSet.of_file(file, label) for file, label in pairs))
+            report.differences(
+                report.ParameterSet.of_file(self.file, "this fit"),
+                report.ParameterSet.of_file(other.file, "the other"),
+            )
         )
 
     def export(
@@ -90,8 +92,8 @@ class AnyFit:
         Returns what each format cannot represent, as Markdown. Raises `BadInputError`: the verdict
         is `do not use` and not `allow_untrusted`; a fit in A or V; impossible parameters.
         """
-        outputs = (("urdf", urdf), ("mjcf", mjcf), ("toml", toml))
-        paths = {kind: Path(path) for kind, path in outputs if path is not None}
+        outputs = {"urdf": urdf, "mjcf": mjcf, "toml": toml}
+        paths = {kind: Path(path) for kind, path in outputs.items() if path is not None}
         return report.to_markdown(
             export.export_fit(self.file, self.place, untrusted=allow_untrusted, **paths)
         )
@@ -111,24 +113,27 @@ class StoredFit(AnyFit):
             (p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g"))
             for p in best
         ]
-        table = report.Table(
-            columns=report.columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows)
-        )
         doubts = tuple(
             line.text for line in self.file.trust or () if line.level in ("do not use", "caution")
         )
-        moving, held = (
-            self.file.moving_relative_error_percent,
-            self.file.held_out_error_percent or None,
-        )
         percents = {p.name: 100 * p.half / abs(p.value) for p in self.parameters if p.essential}
         shown = report.Section(
-            title=f"the {len(rows)} best known parameters", warnings=doubts, table=table
+            title=f"the {len(rows)} best known parameters",
+            warnings=doubts,
+            table=report.Table(
+                columns=report.columns("name", "unit", numbers=("value", "±95%")),
+                rows=tuple(rows),
+            ),
         )
         document = report.Document(
             title=f"{self.place}: {self.file.summary}",
             badge=self.verdict or "",
-            figures=methods.main_figures(moving, held, {}, percents),
+            figures=methods.main_figures(
+                self.file.moving_relative_error_percent,
+                self.file.held_out_error_percent or None,
+                {},
+                percents,
+            ),
             sections=(shown,),
         )
         (chart,) = deviation_charts(

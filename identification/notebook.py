@@ -17,27 +17,21 @@ from acquisition.robot import Robot, parse_payload
 
 from . import design, export, methods, report, study
 from .arrays import Array
-from .data import RecordingFile as RecordingFile
-from .data import Recordings as Recordings
-from .data import Signals as Signals
-from .data import Work as Work
-from .data import load_signals as load_signals
-from .data import signals_from_arrays
-from .design import Excitation
-from .design import ExcitationSettings as ExcitationSettings
-from .design import select_friction as select_friction
-from .errors import BadInputError as BadInputError
-from .errors import DoNotUseWarning as DoNotUseWarning
-from .errors import NoFitError as NoFitError
-from .errors import RobotIdimError as RobotIdimError
-from .fits import AnyFit, File
-from .fits import StoredFit as StoredFit
-from .methods import Iteration as Iteration
-from .regression import Overrides as Overrides
+from .data import (
+    RecordingFile,
+    Recordings,
+    Signals,
+    Work,
+    load_signals,
+    signals_from_arrays,
+)
+from .design import Excitation, ExcitationSettings, select_friction
+from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
+from .fits import AnyFit, File, StoredFit
+from .methods import Iteration
+from .regression import Overrides
 from .report import ValidationFile
-from .study import Noise as Noise
-from .study import Run
-from .study import Study as Study
+from .study import Noise, Run, Study
 
 P = ParamSpec("P")
 
@@ -257,19 +251,17 @@ def fit(
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
     first = q[0] if isinstance(q, list | tuple) and q else ()
     several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
-    arrays = {
+    arguments: dict[str, Any] = {
         "q": q,
         "effort": tau,
         "q_ref": q_ref,
         "velocity": velocity,
         "known_torque": known_torque,
-    }
-    others = {
         "feedforward": feedforward,
         "sample_rate_hz": sample_rate_hz,
         "payload": payload or "",
     }
-    given: dict[str, Any] = {name: x for name, x in (arrays | others).items() if x is not None}
+    given = {name: x for name, x in arguments.items() if x is not None}
     count, sources = len(given["q"]) if several else 1, list[Signals]()
     for name, x in given.items():
         given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
@@ -280,21 +272,26 @@ def fit(
     for k in range(count):
         one = {name: x[k] for name, x in given.items()}
         text, signals = one.pop("payload"), signals_from_arrays(robot=described, **one)
-        payload_k = parse_payload(text, described, "payload") if text else None
-        name = f"{signals.recording} {k + 1}" if several else signals.recording
-        sources.append(replace(signals, recording=name, payload=payload_k))
-    overrides = Overrides(
-        cutoff_hz=cutoff_hz,
-        decimation=decimation,
-        low_speed_percent=low_speed_percent,
-        torque_lag_s=torque_lag_s,
-        gains=tuple(gains) or None,
-    )
-    return _of_user(
-        methods.identify(
-            Recordings(sources=tuple(sources)), overrides, method=method, essential=essential
+        sources.append(
+            replace(
+                signals,
+                recording=f"{signals.recording} {k + 1}" if several else signals.recording,
+                payload=parse_payload(text, described, "payload") if text else None,
+            )
         )
+    found = methods.identify(
+        Recordings(sources=tuple(sources)),
+        Overrides(
+            cutoff_hz=cutoff_hz,
+            decimation=decimation,
+            low_speed_percent=low_speed_percent,
+            torque_lag_s=torque_lag_s,
+            gains=tuple(gains) or None,
+        ),
+        method=method,
+        essential=essential,
     )
+    return _of_user(found)
 
 
 # `help` would write out numpy's ArrayLike, in 5000 characters
@@ -317,8 +314,12 @@ def validate(
     )
     settings, of_lag = methods.stored_settings(fit.file, signals, overrides or Overrides())
     each, errors = methods.validate_all([(signals, settings)], fit.file, "the fit")
-    doubts = (*each[0].settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit"))
-    return methods.validation_file(each, "the fit", errors, doubts)
+    return methods.validation_file(
+        each,
+        "the fit",
+        errors,
+        (*each[0].settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit")),
+    )
 
 
 def design_reference(
@@ -364,8 +365,12 @@ def simulate_recording(
     """
     described = _robot(robot)
     refuse_clash((), Path(out))
-    carried = parse_payload(payload, described, "payload") if payload else None
-    study.simulate_recording(described, Path(out), settings or Study(), carried)
+    study.simulate_recording(
+        described,
+        Path(out),
+        settings or Study(),
+        parse_payload(payload, described, "payload") if payload else None,
+    )
     return load_signals(out)
 
 

@@ -78,24 +78,25 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     """The recordings, and an optional description instead of their own."""
     add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
-    text = (
-        "what the robot carried in the recording NAME, instead of what is stored there: kg and "
-        "centre of mass in m, "
-    )
-    text += "none, or unknown; once for each recording"
     inputs.add_argument(
-        "--payload", metavar="NAME=KG[@X,Y,Z]", action="append", default=[], help=text
+        "--payload",
+        metavar="NAME=KG[@X,Y,Z]",
+        action="append",
+        default=[],
+        help="what the robot carried in the recording NAME, instead of what is stored there: kg "
+        "and centre of mass in m, none, or unknown; once for each recording",
     )
 
 
 def add_method(settings: "argparse._ActionsContainer") -> None:
     """`--method`."""
-    text = (
-        "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables "
-        "(default: iv if every "
+    settings.add_argument(
+        "--method",
+        choices=["ols", "wls", "iv"],
+        type=str.lower,
+        help="ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables "
+        "(default: iv if every recording has its reference, else wls)",
     )
-    text += "recording has its reference, else wls)"
-    settings.add_argument("--method", choices=["ols", "wls", "iv"], type=str.lower, help=text)
 
 
 def sources(options: argparse.Namespace) -> list["RecordingFile"]:
@@ -115,21 +116,20 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
             )
             raise BadInputError(key="--payload", value=text, expected=expected)
         payloads[name] = payload
-    paths = options.recordings
     return [
         RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem)))
-        for path in paths
+        for path in options.recordings
     ]
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
     """Where tasks run: on the cores of this machine, or on a cluster."""
-    text = (
-        "number of processes (default: all cores), or the address of a Dask scheduler, as "
-        "tcp://HOST:8786"
-    )
     parser.add_argument_group("where it runs").add_argument(
-        "--workers", type=workers, metavar="N", help=text
+        "--workers",
+        type=workers,
+        metavar="N",
+        help="number of processes (default: all cores), or the address of a Dask scheduler, as "
+        "tcp://HOST:8786",
     )
 
 

@@ -30,11 +30,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         default="tx40",
         help="the simulated robot (default tx40)",
     )
-    text = (
+    add_flag(
+        parser,
+        "--gains",
         "instead record drives in A, without and with 2 kg, and compare the drive gains with "
-        "the true ones"
+        "the true ones",
     )
-    add_flag(parser, "--gains", text)
     add_flag(parser, "--all", "print the whole fits by least squares and iv, and all parameters")
     add_overwrite(parser)
 
@@ -80,10 +81,11 @@ def run(options: argparse.Namespace) -> None:
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
         write_json(out / "truth.json", base_file(base, robot, true))
-        fits = {}
         progress.say("least squares")
-        fits["ls"] = identify_ls(signals, Overrides())
-        fits["iv"] = identify_iv(signals, Overrides(), Iteration(), say=progress.say)
+        fits = {
+            "ls": identify_ls(signals, Overrides()),
+            "iv": identify_iv(signals, Overrides(), Iteration(), say=progress.say),
+        }
         reports = [fit_document(signals, fit) for fit in fits.values()]
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(fit))

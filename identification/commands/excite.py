@@ -17,19 +17,27 @@ def add(parser: argparse.ArgumentParser) -> None:
         "FIT.json",
         "take parameters and noise from this fit (default: [parameters])",
     )
-    text = "earlier recordings of the robot, whose information is added to that of the trajectory"
-    add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
-    text = (
-        "payload of a second run of the reference, to identify drive gains: kg, and its centre "
-        "of mass in m"
+    add_path(
+        inputs,
+        "--after",
+        "LOG.mcap",
+        "earlier recordings of the robot, whose information is added to that of the trajectory",
+        nargs="+",
+        default=[],
     )
-    inputs.add_argument("--payload", metavar="KG[@X,Y,Z]", help=text)
-    text = (
-        "standard deviation of the torque noise per row of the fit, in the unit of the effort, "
-        "one value or one per "
+    inputs.add_argument(
+        "--payload",
+        metavar="KG[@X,Y,Z]",
+        help="payload of a second run of the reference, to identify drive gains: kg, and its "
+        "centre of mass in m",
     )
-    text += "joint (default: of FIT.json, else 2 %% of the rms torque)"
-    inputs.add_argument("--noise", type=list_of_values, metavar="A,B", help=text)
+    inputs.add_argument(
+        "--noise",
+        type=list_of_values,
+        metavar="A,B",
+        help="standard deviation of the torque noise per row of the fit, in the unit of the "
+        "effort, one value or one per joint (default: of FIT.json, else 2 %% of the rms torque)",
+    )
     add_options(parser.add_argument_group("reference"), ReferenceOptions)
     outputs = parser.add_argument_group("outputs")
     add_path(
@@ -57,17 +65,21 @@ def run(options: argparse.Namespace) -> None:
         from ..design import ExcitationSettings, excitation_document, excite, prior_information
 
         robot = load_robot(options.robot)
-        payload = parse_payload(options.payload, robot) if options.payload else None
-        settings = from_options(ExcitationSettings, options)
         prior = prior_information(
             robot,
             options.robot.parent,
             fit=options.fit,
             noise=options.noise,
             after=options.after,
-            payload=payload,
+            payload=parse_payload(options.payload, robot) if options.payload else None,
         )
-        found = excite(robot, settings, prior, str(options.robot), progress.say)
+        found = excite(
+            robot,
+            from_options(ExcitationSettings, options),
+            prior,
+            str(options.robot),
+            progress.say,
+        )
     document = excitation_document(found)
     try:
         found.write(options.out)

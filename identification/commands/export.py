@@ -37,8 +37,12 @@ def run(options: argparse.Namespace) -> None:
         from ..export import export_fit
         from ..report import read_fit
 
-        outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
         document = export_fit(
-            read_fit(options.fit), str(options.fit), untrusted=options.allow_untrusted, **outputs
+            read_fit(options.fit),
+            str(options.fit),
+            untrusted=options.allow_untrusted,
+            urdf=options.urdf,
+            mjcf=options.mjcf,
+            toml=options.toml,
         )
     print_results(document, everything=False)

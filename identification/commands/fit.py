@@ -33,16 +33,19 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--consistent",
         "also compute physically possible standard parameters of all links",
     )
-    text = (
+    add_path(
+        consistent,
+        "--prior",
+        "ROBOT.toml|URDF",
         "a-priori link parameters, from [parameters] or a URDF (default: the recording's "
-        "description)"
+        "description)",
     )
-    add_path(consistent, "--prior", "ROBOT.toml|URDF", text)
-    text = (
-        "initial parameters of iv: unit inertias (regular, default), least squares, or a fit's "
-        "JSON file"
+    settings.add_argument(
+        "--start",
+        metavar="regular|ls|FIT.json",
+        help="initial parameters of iv: unit inertias (regular, default), least squares, or a "
+        "fit's JSON file",
     )
-    settings.add_argument("--start", metavar="regular|ls|FIT.json", help=text)
     shared.add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument(
@@ -81,8 +84,10 @@ def run(options: argparse.Namespace) -> int:
         from ..methods import fit_document, fit_file
         from ..report import write_json
 
-        work = shared.work_of(options, len(options.recordings))
-        recordings = Recordings(sources=tuple(shared.sources(options)), work=work)
+        recordings = Recordings(
+            sources=tuple(shared.sources(options)),
+            work=shared.work_of(options, len(options.recordings)),
+        )
         prior = _prior(options) if options.consistent else None
         fit = _identify(options, recordings, progress.say)
         if options.consistent:
@@ -124,19 +129,18 @@ def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
     """A line for each robot.toml, beside a recording or in the working folder, that differs
     from the recording's own.
     """
-    lines = dict[str, None]()
+    lines = list[str]()
     for one, path in zip(fit.recordings, recordings, strict=True):
         robot = one.problem.signals.robot
         for beside in (path.parent / "robot.toml", Path("robot.toml")):
             content = beside.read_bytes() if beside.is_file() else b""
             same_name = f'name = "{robot.name}"'.encode() in content.split(b"[[", 1)[0]
             if same_name and content != robot.files["robot.toml"]:
-                line = (
+                lines.append(
                     f"{beside} differs from the description in {path.name}, which was used: "
                     f"--robot {beside} uses it"
                 )
-                lines[line] = None
-    return list(lines)
+    return list(dict.fromkeys(lines))
 
 
 def _prior(options: argparse.Namespace) -> "Robot | None":
@@ -157,10 +161,15 @@ def _identify(
     from ..methods import Iteration, identify, stored_beta
     from ..report import read_fit
 
-    overrides = from_options(Overrides, options)
     iteration = None if options.start is None else Iteration(start=options.start)
     if options.start not in (None, "regular", "ls"):
         values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
         iteration = Iteration(start=options.start, values=values)
-    chosen = {"method": options.method, "essential": options.essential}
-    return identify(recordings, overrides, iteration=iteration, say=say, **chosen)
+    return identify(
+        recordings,
+        from_options(Overrides, options),
+        method=options.method,
+        essential=options.essential,
+        iteration=iteration,
+        say=say,
+    )

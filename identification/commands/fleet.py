@@ -34,11 +34,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recordings' own")
     add_method(parser.add_argument_group("settings of the fit"))
     add_work(parser)
-    text = (
+    add_path(
+        parser.add_argument_group("outputs"),
+        "-o --out",
+        "OUT",
         "the table to write, .parquet or .csv; the folder OUT.rows keeps its fits, which the "
-        "next run does not make again"
+        "next run does not make again",
+        required=True,
     )
-    add_path(parser.add_argument_group("outputs"), "-o --out", "OUT", text, required=True)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -42,9 +42,10 @@ def run(options: argparse.Namespace) -> None:
         from ..design import friction_document, friction_file, select_friction, write_friction
         from ..report import write_json
 
-        overrides = from_options(Overrides, options)
         choice = select_friction(
-            Recordings(sources=tuple(shared.sources(options))), overrides, say=progress.say
+            Recordings(sources=tuple(shared.sources(options))),
+            from_options(Overrides, options),
+            say=progress.say,
         )
     document = friction_document(choice)
     try:

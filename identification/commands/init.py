@@ -32,24 +32,40 @@ _EFFORTS = {"--ratio": ("A", "N m", "%"), "--drive-gain": ("A", "%"), "--torque-
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "robot", "ROBOT.urdf", "the URDF", nargs="?")
-    text = (
-        "without a URDF: a letter for each joint, R revolute or P prismatic; the DH rows are "
-        "to be filled in"
+    parser.add_argument(
+        "--dh",
+        metavar="RRPRRR",
+        help="without a URDF: a letter for each joint, R revolute or P prismatic; the DH rows are "
+        "to be filled in",
     )
-    parser.add_argument("--dh", metavar="RRPRRR", help=text)
     group = parser.add_argument_group(
         "what a URDF lacks: one value for all joints, or one per joint, as A,B,C"
     )
-    text = "joints to identify, from the base outwards (default: the longest serial chain)"
-    group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
+    group.add_argument(
+        "--joints",
+        type=list_of_names,
+        metavar="A,B",
+        help="joints to identify, from the base outwards (default: the longest serial chain)",
+    )
     for option, (metavar, text) in _URDF_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
-    text = "unit of the recorded efforts; %% of the rated torque"
-    group.add_argument("--effort", choices=_EFFORTS["--ratio"], help=text)
-    text = "with --effort: motor rad (or m) per joint rad (or m), sign included"
-    group.add_argument("--ratio", type=list_of_ratios, metavar="R", help=text)
-    text = "with --effort A or %%: motor torque in N m (or force in N) per unit of effort"
-    group.add_argument("--drive-gain", type=list_of_values, metavar="K", help=text)
+    group.add_argument(
+        "--effort",
+        choices=_EFFORTS["--ratio"],
+        help="unit of the recorded efforts; %% of the rated torque",
+    )
+    group.add_argument(
+        "--ratio",
+        type=list_of_ratios,
+        metavar="R",
+        help="with --effort: motor rad (or m) per joint rad (or m), sign included",
+    )
+    group.add_argument(
+        "--drive-gain",
+        type=list_of_values,
+        metavar="K",
+        help="with --effort A or %%: motor torque in N m (or force in N) per unit of effort",
+    )
     add_flag(
         group,
         "--torque-sensor",
@@ -87,10 +103,10 @@ def run(options: argparse.Namespace) -> None:
         else read_chain(options.robot, options.joints or ())
     )
     given = {
-        option: getattr(options, option[2:].replace("-", "_"))
+        option: values
         for option in (*_URDF_OPTIONS, *_EFFORTS)
+        if (values := getattr(options, option[2:].replace("-", "_")))
     }
-    given = {option: values for option, values in given.items() if values}
     for option, units in _EFFORTS.items():
         if option in given and (
             options.effort not in units or (option == "--ratio" and options.torque_sensor)
@@ -116,15 +132,17 @@ def run(options: argparse.Namespace) -> None:
         return
     with atomic_write(out) as partial:
         partial.write_text(text, encoding="utf-8")
-    lines = [f"{out}: {len(chain.joints)} joints of {options.robot or options.dh}"]
-    lines += [f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)]
-    lines += [f"locked at zero: {locked}" for locked in chain.locked]
-    lines += [f"note: {note}" for note in chain.notes]
-    if chain.torque_sensors:
-        lines += [
-            "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
-            "includes its rotor"
-        ]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
-    for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
+    sensors_only = (
+        "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
+        "includes its rotor",
+    )
+    for line in (
+        f"{out}: {len(chain.joints)} joints of {options.robot or options.dh}",
+        *(f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)),
+        *(f"locked at zero: {locked}" for locked in chain.locked),
+        *(f"note: {note}" for note in chain.notes),
+        *(sensors_only if chain.torque_sensors else ()),
+        f"to be filled in: {missing} lines with {FILL_IN}",
+    ):
         print(one_line(line))

@@ -23,8 +23,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recordings", "LOG.mcap", "the recording", nargs=1)
     add_path(parser, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
-    text = "white noise to add to the recorded position, rad or m rms (default: by the travel)"
-    parser.add_argument("--position-noise", type=list_of_values, metavar="A,B", help=text)
+    parser.add_argument(
+        "--position-noise",
+        type=list_of_values,
+        metavar="A,B",
+        help="white noise to add to the recorded position, rad or m rms (default: by the travel)",
+    )
     add_flag(parser, "--all", "also print the values and intervals of all fits")
     add_report(parser)
     add_work(parser)
@@ -36,8 +40,11 @@ def run(options: argparse.Namespace) -> None:
     with Progress("fitting"):
         from ..study import sensitivity_document, vary
 
-        work = work_of(options, len(options.position_noise or "abc") + 9)
-        fits = vary(sources(options)[0], options.position_noise, work)
+        fits = vary(
+            sources(options)[0],
+            options.position_noise,
+            work_of(options, len(options.position_noise or "abc") + 9),
+        )
         document = sensitivity_document(options.recordings[0].name, fits)
     try:
         (path,) = options.recordings

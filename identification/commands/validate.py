@@ -19,9 +19,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
     shared.add_recordings(inputs)
-    text = "The settings in FIT.json stand in for the defaults below."
     add_options(
-        parser.add_argument_group("settings of the fit", text),
+        parser.add_argument_group(
+            "settings of the fit", "The settings in FIT.json stand in for the defaults below."
+        ),
         Overrides,
         "cutoff_hz",
         "torque_lag_s",
@@ -29,11 +30,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
     shared.add_report(outputs)
-    text = (
-        "exit status 3 if the torque error of all rows is larger (with --consistent: of the "
-        "consistent set)"
+    outputs.add_argument(
+        "--max-error-percent",
+        type=above_zero,
+        metavar="P",
+        help="exit status 3 if the torque error of all rows is larger (with --consistent: of the "
+        "consistent set)",
     )
-    outputs.add_argument("--max-error-percent", type=above_zero, metavar="P", help=text)
     add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")
 
 
@@ -54,9 +57,8 @@ def run(options: argparse.Namespace) -> int:
         stored, recordings, notes = read_fit(options.fit), [], []
         consistent = methods.consistent_fit(stored, place) if options.consistent else None
         for path, source in zip(options.recordings, shared.sources(options), strict=True):
-            chosen = options.robot is not None
             signals, lines = methods.signals_as_fitted(
-                source.load(), path, stored, place, chosen=chosen
+                source.load(), path, stored, place, chosen=options.robot is not None
             )
             overrides, of_lag = methods.stored_settings(
                 stored, signals, from_options(Overrides, options)

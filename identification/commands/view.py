@@ -64,8 +64,11 @@ def run(options: argparse.Namespace) -> None:
                 out, draw_recording(signals, from_options(Overrides, options))
             )
     names = " ".join(map(str, outs))
-    plots = f"open the plots: rerun --bind 127.0.0.1 {names}"
-    print_results(f"open the report: {names} in a browser" if is_page else plots)
+    print_results(
+        f"open the report: {names} in a browser"
+        if is_page
+        else f"open the plots: rerun --bind 127.0.0.1 {names}"
+    )
 
 
 def _follow(options: argparse.Namespace) -> None:

@@ -103,9 +103,10 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
             if name in columns:
                 columns[name] = to_joint(to_motor(columns[name]))
     provenance = recording.metadata.get("effort_provenance", "")
-    times_s = (1e-9 * (event.stamp_ns - first_ns) for event in recording.events)
-    pairs = zip(times_s, recording.events, strict=True)
-    events = tuple(SignalEvent(t_s=t_s, kind=event.kind, text=event.text) for t_s, event in pairs)
+    events = tuple(
+        SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
+        for event in recording.events
+    )
     return Signals(
         t_s=grid * 1e-9,
         q=columns.pop("position"),
@@ -148,9 +149,11 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
     ):
         for (name, before), now in zip(old, new, strict=True):
             if before != now:
-                key = f"unit of {kind} {name} in robot {robot.name}"
                 raise BadInputError(
-                    place=str(path), key=key, value=now, expected=f"{before}, as recorded"
+                    place=str(path),
+                    key=f"unit of {kind} {name} in robot {robot.name}",
+                    value=now,
+                    expected=f"{before}, as recorded",
                 )
 
 
@@ -181,8 +184,7 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     else:
         period = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
     at = since / period
-    nearest = np.arange(len(stamps)) if whole else np.rint(at)
-    off = at - nearest
+    off = at - (np.arange(len(stamps)) if whole else np.rint(at))
     off_grid = (
         float(np.abs(off - (off.min() + off.max()) / 2).max())
         if whole
@@ -251,8 +253,11 @@ class RecordingFile:
         cls, path: Path, robot: Robot | None = None, payload: str | None = None
     ) -> "RecordingFile":
         """The recording at `path`, with the description `robot` and the `payload` if given."""
-        description = None if robot is None else tuple(robot.files.items())
-        return cls(path=str(path.absolute()), description=description, payload=payload)
+        return cls(
+            path=str(path.absolute()),
+            description=None if robot is None else tuple(robot.files.items()),
+            payload=payload,
+        )
 
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""
@@ -318,8 +323,7 @@ def _compare(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
             yield f"motor {motor.name}: {name}", getattr(motor, name), getattr(other, name)
     for key, x, y in (("gravity_m_s2", a.gravity, b.gravity), ("motor_matrix", a.R, b.R)):
         yield key, np.asarray(x).tolist(), np.asarray(y).tolist()
-    same = "the same" if a.urdf == b.urdf else "another"
-    yield "urdf", same, "the same"
+    yield "urdf", "the same" if a.urdf == b.urdf else "another", "the same"
 
 
 def _friction(joint: Joint) -> tuple[str, ...]:

@@ -113,9 +113,11 @@ class Signals:
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
-                    key, value = f"{name}[{row}]", array[row].tolist()
                     raise BadInputError(
-                        place=self.recording, key=key, value=value, expected="finite numbers"
+                        place=self.recording,
+                        key=f"{name}[{row}]",
+                        value=array[row].tolist(),
+                        expected="finite numbers",
                     )
                 array.flags.writeable = False
                 release_pages(array)
@@ -138,12 +140,11 @@ class Signals:
         return self.effort if self.known_torque is None else self.effort + self.known_torque
 
     def __repr__(self) -> str:
-        reference = ", with reference" if self.q_ref is not None else ""
-        content = (
-            f"{len(self.t_s)} samples of {self.robot.n} joints at {self.sample_rate_hz:g} "
-            f"Hz{reference}"
+        return (
+            f"Signals({self.recording}: {self.robot.name}, {len(self.t_s)} samples of "
+            f"{self.robot.n} joints at {self.sample_rate_hz:g} Hz"
+            f"{', with reference' if self.q_ref is not None else ''})"
         )
-        return f"Signals({self.recording}: {self.robot.name}, {content})"
 
 
 class OptionalColumns(TypedDict, total=False):

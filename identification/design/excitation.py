@@ -134,8 +134,11 @@ class Excitation:
 
     def write(self, path: Path) -> None:
         """Write the table as a CSV for `robot-acquire record --track`, whole or not at all."""
-        names = ("time_s", *(joint.name for joint in self.robot.joints))
-        write_columns(path, names, [np.column_stack(self.table())])
+        write_columns(
+            path,
+            ("time_s", *(joint.name for joint in self.robot.joints)),
+            [np.column_stack(self.table())],
+        )
 
 
 @one_thread
@@ -190,12 +193,10 @@ def excite(
     fine = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples))
     gains = np.zeros(0)
     if knowledge.payload is not None:
-        at_samples = motion_of(x, series.basis(samples))
-        gains = (
-            100
-            * NORMAL_QUANTILE
-            * information.gain_deviations(at_samples, loads, knowledge.payload)
+        deviations = information.gain_deviations(
+            motion_of(x, series.basis(samples)), loads, knowledge.payload
         )
+        gains = 100 * NORMAL_QUANTILE * deviations
     excitation = Excitation(
         robot=robot,
         base=base,
@@ -239,8 +240,7 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
 def _refuse_rest(limits: Limits, place: str) -> None:
     """Refuse a robot that cannot stand in the middle of its ranges: references start there."""
     n = limits.robot.n
-    middle = limits.middle[None]
-    used = np.abs(limits.shares((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
+    used = np.abs(limits.shares((limits.middle[None], np.zeros((1, n)), np.zeros((1, n)))))[0]
     if used.max() > 1:
         most, effort = int(used.argmax()), limits.effort
         worst = (most - 3 * n) % len(effort.names)
@@ -262,16 +262,15 @@ def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple
     """
     warnings = list[str]()
     if obstacles.missing:
-        missing = (
-            f"{len(obstacles.missing)} meshes of the URDF are not found, such as "
-            f"{obstacles.missing[0]}"
-        )
         warnings.append(
-            f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules"
+            f"distances not checked: {len(obstacles.missing)} meshes of the URDF are not found, "
+            f"such as {obstacles.missing[0]}; set ROS_PACKAGE_PATH, or describe capsules"
         )
     if obstacles.near:
-        near = "; ".join(obstacles.near)
-        warnings.append(f"distances not checked of pairs always nearer than {MARGIN_M:g} m: {near}")
+        warnings.append(
+            f"distances not checked of pairs always nearer than {MARGIN_M:g} m: "
+            f"{'; '.join(obstacles.near)}"
+        )
     if limits.model is None:
         warnings.append("torque not checked: no parameters, neither a fit nor [parameters]")
     elif not limits.robot.gain_known:
@@ -336,21 +335,21 @@ def excitation_document(excitation: Excitation) -> Document:
         (joint.name, *percents[j : 3 * n : n], efforts.pop(f"effort of joint {joint.name}", ""))
         for j, joint in enumerate(e.robot.joints)
     ]
-    for name, percent in efforts.items():
-        table.append((name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent))
-    apart: tuple[str, ...] = ()
-    if e.nearest is not None:
-        apart = (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)
-    limits = Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table))
-    title = f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics"
-    title += f" up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}"
+    table += [
+        (name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent)
+        for name, percent in efforts.items()
+    ]
+    apart = () if e.nearest is None else (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)
     return Document(
-        title=title,
+        title=f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} "
+        f"harmonics up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}",
         sections=(
             intervals.with_short_table(np.argsort(-e.half).tolist()),
             Section(
                 title="limits in use, % of the whole limit",
-                table=limits,
+                table=Table(
+                    columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table)
+                ),
                 lines=apart,
                 warnings=e.warnings,
             ),

@@ -32,13 +32,15 @@ def friction_file(choice: TermChoice) -> dict[str, Any]:
         | {key: getattr(trial, key) for key in SET_KEYS}
         for trial in choice.trials
     ]
-    about = {
+    return {
         **each[0],
         **({"recordings": each} if len(each) > 1 else {}),
         "robot": choice.robot.name,
+        "held_out": choice.held_out,
+        "sets": sets,
+        "recommended": choice.described,
+        "left_out": choice.left_out,
     }
-    found = {"held_out": choice.held_out, "sets": sets, "recommended": choice.described}
-    return {**about, **found, "left_out": choice.left_out}
 
 
 def friction_document(choice: TermChoice) -> Document:
@@ -65,16 +67,22 @@ def friction_document(choice: TermChoice) -> Document:
     )
     # in the order given
     names = [one.recording for one in choice.recordings if one.recording in choice.held_out]
-    held = f"held out: {', '.join(names) or 'fifths of the recording'}"
-    held += ", each predicted by the fit of the others; score: squared weighted residual"
-    lines = tuple(
-        f"friction = {json.dumps(terms)} # {name}" for name, terms in choice.described.items()
+    held = (
+        f"held out: {', '.join(names) or 'fifths of the recording'}, each predicted by the fit of "
+        "the others; score: squared weighted residual"
     )
-    table = Table(columns=heads, rows=rows)
     sets = Section(
-        title="sets of friction terms", table=table, lines=(held,), warnings=choice.left_out
+        title="sets of friction terms",
+        table=Table(columns=heads, rows=rows),
+        lines=(held,),
+        warnings=choice.left_out,
     )
-    recommended = Section(title="recommended, for robot.toml", lines=lines)
+    recommended = Section(
+        title="recommended, for robot.toml",
+        lines=tuple(
+            f"friction = {json.dumps(terms)} # {name}" for name, terms in choice.described.items()
+        ),
+    )
     return Document(title=f"{choice.robot.name}: {errors}", sections=(sets, recommended))
 
 

@@ -275,11 +275,11 @@ class Information:
     @cached_property
     def _sliding(self) -> list[tuple[int, dynamics.JointTerm]]:
         """Columns and terms of friction with the sign of a speed."""
-        terms = [(c, self.model.sources[column]) for c, column in enumerate(self.base.columns)]
         return [
-            (c, t)
-            for c, t in terms
-            if isinstance(t, dynamics.JointTerm) and t.kind in dynamics.SLIDING
+            (c, term)
+            for c, column in enumerate(self.base.columns)
+            if isinstance(term := self.model.sources[column], dynamics.JointTerm)
+            and term.kind in dynamics.SLIDING
         ]
 
 

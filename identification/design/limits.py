@@ -65,8 +65,7 @@ class Series:
         a period: q_j = A x_j.
         """
         t_s = np.arange(samples, dtype=np.float64) * (self.period_s / samples)
-        position, speed, acceleration = self.reference(np.eye(2 * self.harmonics - 1)).at(t_s)
-        return position, speed, acceleration
+        return self.reference(np.eye(2 * self.harmonics - 1)).at(t_s)
 
 
 def motion_of(x: Array, basis: Motion) -> Motion:
@@ -121,10 +120,9 @@ class Limits:
         """(L,) the limited quantities: position, speed and acceleration of each
         joint, efforts by load.
         """
-        names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
         loads = ("", " with the payload")[: len(self.models)]
         return (
-            *names,
+            *(f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints),
             *(f"effort of {name}{load}" for load in loads for name in self.effort.names),
         )
 
@@ -196,9 +194,11 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
         for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):
             if joint.si(kind) is None:
                 unit = "deg" if joint.type == "revolute" else "m"
-                key = f"joint[{i}].{kind}_{unit}{tail}"
                 raise BadInputError(
-                    f"joint {joint.name} states none", place=place, key=key, expected="a limit"
+                    f"joint {joint.name} states none",
+                    place=place,
+                    key=f"joint[{i}].{kind}_{unit}{tail}",
+                    expected="a limit",
                 )
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot)

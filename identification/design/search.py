@@ -70,7 +70,7 @@ def best_of_searches(
     `MAX_DEVIATION_RATIO` times the plain one come first. `say` gets a line of text at each
     iteration. Raises `BadInputError`: if no search keeps the limits.
     """
-    best: tuple[tuple[bool, float], Array, Array] | None = None
+    found = list[tuple[tuple[bool, float], Array, Array]]()
     worst = ""
     basis, finer = (
         problem.series.basis(times * problem.samples) for times in (1, CHECKS_PER_SAMPLE)
@@ -93,13 +93,12 @@ def best_of_searches(
             worst = error.args[0]
             continue
         ratios = sigma / problem.plain
-        result = (bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))), x, sigma
-        if best is None or result[0] < best[0]:
-            best = result
-    if best is None:
+        rank = bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))
+        found.append((rank, x, sigma))
+    if not found:
         expected = "wider limits, another --seed or --harmonics"
         raise NoFitError(f"no reference keeps the limits: {worst}", place=place, expected=expected)
-    return best[1], best[2]
+    return min(found, key=lambda one: one[0])[1:]
 
 
 def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
@@ -263,10 +262,8 @@ def shrink(
     margin. Returns coefficients (n, K) and the largest share used of a limit: above
     `share` if the other exceeds it too.
     """
-    still = x.copy()
-    still[:, 1:] = 0.0
-    if towards is not None:
-        still = towards
+    rest = np.c_[x[:, :1], np.zeros_like(x[:, 1:])]
+    still = rest if towards is None else towards
 
     def largest_share(scale: float) -> float:
         motion = motion_of(still + scale * (x - still), basis)

@@ -40,10 +40,13 @@ def with_terms(robot: Robot, terms: TermSet) -> Robot:
     joints = []
     for joint, more in zip(robot.joints, terms, strict=True):
         usual = [term for term in BASELINE if joint.one_sided or term in joint.terms]
-        friction = (*usual, *(term for term in CANDIDATES if term in more))
         joints.append(
             msgspec.structs.replace(
-                joint, friction=friction, viscous=None, coulomb=None, offset=None
+                joint,
+                friction=(*usual, *(term for term in CANDIDATES if term in more)),
+                viscous=None,
+                coulomb=None,
+                offset=None,
             )
         )
     return replace(robot, joints=tuple(joints))
@@ -132,10 +135,9 @@ class TermChoice:
 
     def fits(self) -> list[methods.Fit]:
         """Least squares of the recordings with the usual terms, and with the recommended ones."""
-        both = self.usual, self.recommended
         return [
             methods.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides)
-            for trial in both
+            for trial in (self.usual, self.recommended)
         ]
 
 

@@ -90,9 +90,9 @@ def describe_rows(chain: Chain, bus: str = "") -> str:
     """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in,
     where there is no URDF.
     """
-    units = "Angles are in degrees, all else in SI."
-    lines = [f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. {units}"]
-    lines += [
+    lines = [
+        f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. Angles are in "
+        "degrees, all else in SI.",
         f"name = {json.dumps(chain.name)} # {FILL_IN}",
         "gravity_m_s2 = [0, 0, -9.81] # in the base frame",
     ]
@@ -111,35 +111,32 @@ def _load_robot(text: str, chain: Chain) -> Robot:
 
 
 def _head(chain: Chain, urdf: str) -> Iterator[str]:
-    yield (
+    yield from (
         f"# Made by robot-identify init from {one_line(urdf)}. {FILL_IN} marks what is not in "
-        "a URDF."
-    )
-    yield "# Angles are in degrees, all other values in SI."
-    yield (
+        "a URDF.",
+        "# Angles are in degrees, all other values in SI.",
         f"# Lines that begin with {_EXAMPLE.strip()} are an example for dry runs; sed -i "
-        f"'s/^{_EXAMPLE}//' enables it."
-    )
-    yield f"name = {json.dumps(chain.name)}"
-    yield f"urdf = {json.dumps(urdf, ensure_ascii=False)} # relative to this file"
-    yield "# urdf_meshes = true # store the meshes in recordings, to draw the robot on any machine"
-    yield (
+        f"'s/^{_EXAMPLE}//' enables it.",
+        f"name = {json.dumps(chain.name)}",
+        f"urdf = {json.dumps(urdf, ensure_ascii=False)} # relative to this file",
+        "# urdf_meshes = true # store the meshes in recordings, to draw the robot on any machine",
         "gravity_m_s2 = [0, 0, -9.81] # in the URDF's base frame; change it for a robot that "
-        "hangs or is tilted"
+        "hangs or is tilted",
     )
     if chain.locked:
-        yield ""
-        yield "# Locked at zero, each as a part of the link that carries it:"
+        yield from ("", "# Locked at zero, each as a part of the link that carries it:")
         yield from (f"#     {one_line(text)}" for text in chain.locked)
     yield from (f"# note: {one_line(note)}" for note in chain.notes)
 
 
 def _joint(chain: Chain, j: int) -> Iterator[str]:
     joint = chain.joints[j]
-    yield ""
-    yield f"[[joint]] # joint {j + 1}: the names of its parameters end in {j + 1}"
-    yield f"name = {json.dumps(joint.name)}"
-    yield f'type = "{joint.type}"'
+    yield from (
+        "",
+        f"[[joint]] # joint {j + 1}: the names of its parameters end in {j + 1}",
+        f"name = {json.dumps(joint.name)}",
+        f'type = "{joint.type}"',
+    )
     if chain.torque_sensors:
         yield "rotor_inertia = false # torque sensors behind the gears do not see the rotors"
     length, scale = ("m", 1.0) if joint.type == "prismatic" else ("deg", math.degrees(1.0))
@@ -174,25 +171,19 @@ def _number(x: float) -> str:
 
 
 def _motors_and_controller(chain: Chain) -> Iterator[str]:
-    yield ""
-    yield ""
+    yield from ("", "")
     if not chain.effort_unit:
-        yield f"# {FILL_IN}: for each motor"
-        yield "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included"
-        yield (
+        yield from (
+            f"# {FILL_IN}: for each motor",
+            "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included",
             "#     drive_gain = 0.12         motor torque per unit of recorded effort, with "
-            'drive_gain_unit = "N m/A"'
-        )
-        yield (
+            'drive_gain_unit = "N m/A"',
             "# instead of effort_unit. As written here, the drives record the torque or force "
-            "at the joint."
+            "at the joint.",
         )
     for j, joint in enumerate(chain.joints):
-        yield "[[motor]]"
-        yield f'name = "motor_{j + 1}"'
-        yield from _motor(chain, joint)
-    yield ""
-    yield "[controller]"
+        yield from ("[[motor]]", f'name = "motor_{j + 1}"', *_motor(chain, joint))
+    yield from ("", "[controller]")
     if chain.bandwidth_hz is None:
         yield (
             f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, excite "
@@ -202,15 +193,13 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
         yield (
             f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; sets the filters"
         )
-    yield (
+    yield from (
         f"# {FILL_IN}, for iv fits and realistic simulations: the drives' control law, in "
-        "recorded effort per motor rad"
-    )
-    yield (
+        "recorded effort per motor rad",
         '# structure = "cascade_p_pi" # or pd, pd_velocity_feedforward, cascade_p_p, pid, '
-        "computed_torque"
+        "computed_torque",
+        "# sample_rate_hz = 1000",
     )
-    yield "# sample_rate_hz = 1000"
     for gain in ("position_gain", "velocity_gain", "integral_gain"):
         yield f"# {gain} = [{', '.join(['...'] * len(chain.joints))}]"
 
@@ -242,15 +231,15 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
     values = InverseModel(robot).link_parameters()
-    yield ""
-    yield (
-        "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked "
-        "links lumped), its damping and"
-    )
-    yield "# friction. Simulations use them; a fit does not."
     rotors = "" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and "
-    yield f"# {FILL_IN}: {rotors}missing friction; without values they are 0."
-    yield "[parameters]"
+    yield from (
+        "",
+        "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked "
+        "links lumped), its damping and",
+        "# friction. Simulations use them; a fit does not.",
+        f"# {FILL_IN}: {rotors}missing friction; without values they are 0.",
+        "[parameters]",
+    )
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]
         if not mass > 0:
@@ -287,16 +276,22 @@ def _example_terms(joint: UrdfJoint, number: int) -> Iterator[str]:
 
 def _drives(chain: Chain) -> Iterator[str]:
     """The example drives, without the marks of its lines."""
-    yield "[bus]"
-    yield 'interface = "virtual" # or "socketcan"'
-    yield 'channel = "made_up"'
-    yield "sync_period_s = 0.002"
+    yield from (
+        "[bus]",
+        'interface = "virtual" # or "socketcan"',
+        'channel = "made_up"',
+        "sync_period_s = 0.002",
+    )
     for j, joint in enumerate(chain.joints):
-        yield "[[bus.drive]]"
-        yield f"node = {j + 1}"
-        yield 'reference = "6074" # target torque or force'
+        yield from (
+            "[[bus.drive]]",
+            f"node = {j + 1}",
+            'reference = "6074" # target torque or force',
+        )
         if joint.type == "prismatic":
             yield 'reference_rule = "per mille of rated force"'
         rated, counts = ("force_n", "m") if joint.type == "prismatic" else ("torque_nm", "turn")
-        yield f"rated_{rated} = {_number(_RATED_SHARE * (joint.effort or _DEFAULT_EFFORT))}"
-        yield f"counts_per_{counts} = {_COUNTS}"
+        yield from (
+            f"rated_{rated} = {_number(_RATED_SHARE * (joint.effort or _DEFAULT_EFFORT))}",
+            f"counts_per_{counts} = {_COUNTS}",
+        )

@@ -58,9 +58,11 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
     for j, link in enumerate(links):
         if not dynamics.is_a_body(link, MIN_EIGENVALUE):
             problem = "impossible inertia for a body of positive density"
-            key = f"link {j + 1}, of joint {model.robot.joints[j].name}"
             raise BadInputError(
-                problem, place=place, key=key, expected="a new fit with --consistent"
+                problem,
+                place=place,
+                key=f"link {j + 1}, of joint {model.robot.joints[j].name}",
+                expected="a new fit with --consistent",
             )
     for matrix, first, text in dynamics.requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])

@@ -71,8 +71,10 @@ def export_model(
                 if loop.feedforward and any(np.isfinite(loop.saturation))
                 else ""
             )
-            law = f"actuators follow positions by {robot.controller.structure}"
-            notes += (f"{law}, without its sampling{integral}{gravity}{two}",)
+            notes += (
+                f"actuators follow positions by {robot.controller.structure}, without its "
+                f"sampling{integral}{gravity}{two}",
+            )
         sections.append(_make_section(m, f"{mjcf}", "an MJCF", losses, notes))
     if toml is not None:
         texts[toml], notes = _make_toml(m, toml, urdf, source)
@@ -89,19 +91,25 @@ def _make_section(
     robot, rows = m.model.robot, list[tuple[Cell, ...]]()
     for what, (rms, percent) in losses.items():
         for k, j in enumerate(np.flatnonzero(rms)):
-            numbers = (
-                Number(float(rms[j]), ".4g"),
-                robot.effort_units[j],
-                Number(float(percent[j]), ".2f"),
+            rows.append(
+                (
+                    "" if k else what,
+                    robot.joints[j].name,
+                    Number(float(rms[j]), ".4g"),
+                    robot.effort_units[j],
+                    Number(float(percent[j]), ".2f"),
+                )
             )
-            rows.append(("" if k else what, robot.joints[j].name, *numbers))
     heads = columns(f"not representable in {format_}", "joint", numbers=("rms torque",))
-    table = Table(columns=heads + columns("unit", numbers=("in %",)), rows=tuple(rows))
     line = (
         f"missing torque at {STATES} random states within the description's limits; in %: of "
         "the whole torque"
     )
-    return Section(title=title, table=table, lines=(line, *notes))
+    return Section(
+        title=title,
+        table=Table(columns=heads + columns("unit", numbers=("in %",)), rows=tuple(rows)),
+        lines=(line, *notes),
+    )
 
 
 def _make_toml(
@@ -119,10 +127,9 @@ def _make_toml(
         files.append(tomllib.loads(text)["urdf"])
     missing = dict.fromkeys(name for name in files if name and not (toml.parent / name).is_file())
     remark = f"Physically consistent values identified in {one_line(source)}."
-    lines = tuple(
+    return replace_parameters(text, values, remark, named), tuple(
         f"it names {name}, which is missing in its folder: copy it there" for name in missing
     )
-    return replace_parameters(text, values, remark, named), lines
 
 
 def replace_parameters(
@@ -160,12 +167,7 @@ def replace_parameters(
     if urdf is not None:
         now["urdf"], quoted = urdf, '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
         before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
-    table = [
-        "",
-        f"# {remark}",
-        "[parameters]",
-        *(f"{name} = {text}" for name, text in written.items()),
-    ]
+    table = ["", f"# {remark}", "[parameters]", *map(" = ".join, written.items())]
     made = "\n".join([*before, *table, *after]) + "\n"
     try:
         same = tomllib.loads(made) == now

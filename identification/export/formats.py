@@ -63,20 +63,27 @@ def mjcf_text(m: ExportedModel) -> str:
     carriers = [ET.SubElement(root, "worldbody")]
     origins, rotations, axes = m.model.joint_frames
     for j, (joint, name) in enumerate(zip(robot.joints, link_names(robot), strict=True)):
-        place = {
-            "name": name,
-            "pos": format_numbers(*origins[j]),
-            "quat": format_numbers(*quaternion(rotations[j])),
-        }
-        body = ET.SubElement(carriers[m.model.parents[j]], "body", place)
+        body = ET.SubElement(
+            carriers[m.model.parents[j]],
+            "body",
+            name=name,
+            pos=format_numbers(*origins[j]),
+            quat=format_numbers(*quaternion(rotations[j])),
+        )
         carriers.append(body)
         mass, com, inertia = about_com(m.links[j])
-        about = format_numbers(*inertia[_MUJOCO])
         ET.SubElement(
-            body, "inertial", pos=format_numbers(*com), mass=format_numbers(mass), fullinertia=about
+            body,
+            "inertial",
+            pos=format_numbers(*com),
+            mass=format_numbers(mass),
+            fullinertia=format_numbers(*inertia[_MUJOCO]),
         )
-        kind = "slide" if joint.type == "prismatic" else "hinge"
-        moved = {"name": joint.name, "type": kind, "axis": format_numbers(*axes[j])}
+        moved = {
+            "name": joint.name,
+            "type": "slide" if joint.type == "prismatic" else "hinge",
+            "axis": format_numbers(*axes[j]),
+        }
         if (limits := joint.si("position")) is not None:
             moved["range"] = format_numbers(*limits)
         ET.SubElement(body, "joint", moved | values[j])
@@ -156,9 +163,8 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
         {e.getAttribute("name"): e for e in _children(root, tag)} for tag in ("link", "joint")
     )
     notes = _note_unlimited(joints) if robot.urdf is None else []
-    names = link_names(robot)
     frames = _find_lumped({joint.name for joint in robot.joints}, joints, links)
-    for j, (joint, name) in enumerate(zip(robot.joints, names, strict=True)):
+    for j, (joint, name) in enumerate(zip(robot.joints, link_names(robot), strict=True)):
         inertials = {}
         for other, (carrier, T) in frames.items():
             if carrier == name and (found := _child(links[other], "inertial")):
@@ -169,11 +175,10 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
         )
         if others and not is_a_body(rest, MIN_EIGENVALUE):
             mass = sum(x[9] for _, x in inertials.values())
-            text = (
+            notes.append(
                 f"link {name}: minus the inertials of {others} ({mass:.3g} kg), fixed to it, "
-                "it is no physical body"
+                "it is no physical body: they are removed, it has the lumped inertia"
             )
-            notes.append(f"{text}: they are removed, it has the lumped inertia")
             rest = m.links[j]
             for other, (inertial, _) in inertials.items():
                 links[other].removeChild(inertial)
@@ -189,11 +194,14 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
             "inertia",
             {key: format_numbers(x) for key, x in zip(INERTIA, about, strict=True)},
         )
-        dynamics = {
-            "damping": format_numbers(m.damping[j]),
-            "friction": format_numbers(m.frictionloss[j]),
-        }
-        _set(joints[joint.name], "dynamics", dynamics)
+        _set(
+            joints[joint.name],
+            "dynamics",
+            {
+                "damping": format_numbers(m.damping[j]),
+                "friction": format_numbers(m.frictionloss[j]),
+            },
+        )
     # comments may precede and follow the root
     lines = [node.toxml() for node in document.childNodes]
     return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""]), tuple(notes)
@@ -253,13 +261,11 @@ def _find_lumped(
     """For each link fixed to another one: the link that carries it, and its frame in that
     link's frame, T (4, 4).
     """
-    above: dict[str, tuple[str, Array]] = {}
-    for name, joint in joints.items():
-        if name not in moved:
-            above[_attribute(joint, "child", "link")] = (
-                _attribute(joint, "parent", "link"),
-                _pose(joint),
-            )
+    above = {
+        _attribute(joint, "child", "link"): (_attribute(joint, "parent", "link"), _pose(joint))
+        for name, joint in joints.items()
+        if name not in moved
+    }
     frames = {}
     for name in links:
         T, at = np.eye(4), name
@@ -325,8 +331,12 @@ def make_urdf(model: InverseModel) -> str:
         element = ET.SubElement(root, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=names[model.parents[j]])
         ET.SubElement(element, "child", link=names[j + 1])
-        rpy = format_numbers(*roll_pitch_yaw(rotations[j]))
-        ET.SubElement(element, "origin", xyz=format_numbers(*origins[j]), rpy=rpy)
+        ET.SubElement(
+            element,
+            "origin",
+            xyz=format_numbers(*origins[j]),
+            rpy=format_numbers(*roll_pitch_yaw(rotations[j])),
+        )
         ET.SubElement(element, "axis", xyz=format_numbers(*axes[j]))
         low, high = limits or (-UNLIMITED, UNLIMITED)
         stated = {} if kind == "continuous" else {"lower": low, "upper": high}

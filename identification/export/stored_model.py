@@ -66,15 +66,11 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
         raise BadInputError(place=place, key="standard_parameters", value=other, expected=expected)
     lines = [*of_gains, *of_law]
     if (c := stored.consistent) is not UNSET:
-        line = (
+        lines.append(
             f"the consistent parameters of {place}: prior {c.prior}, weight "
-            f"{c.prior_weight:g}; chi² {c.chi2:.3g}"
+            f"{c.prior_weight:g}; chi² {c.chi2:.3g}, largest move {c.largest_move:.2g} "
+            f"half-widths of the 95 % interval, of {c.moved_most}"
         )
-        line += (
-            f", largest move {c.largest_move:.2g} half-widths of the 95 % interval, of "
-            f"{c.moved_most}"
-        )
-        lines.append(line)
     return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
 
 
@@ -104,9 +100,9 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0])
     )
     c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach))
-    line = f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}"
-    line += (
-        f"; added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move "
-        f"{c.largest_move:.2g} half-widths"
+    return c.chi, (
+        f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
+        f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move "
+        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; certificate "
+        f"{c.certificate:.1e}"
     )
-    return c.chi, f"{line} of the 95 % interval, of {c.moved_most}; certificate {c.certificate:.1e}"

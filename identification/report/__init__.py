@@ -1,7 +1,7 @@
 """Documents of sections and tables, their renderers, the JSON files of fits, comparisons."""
 
-from .comparison import Difference as Difference
 from .comparison import (
+    Difference,
     ParameterSet,
     comparison_document,
     comparison_section,
@@ -42,6 +42,7 @@ from .fit_file import (
     versions,
 )
 from .parameters import (
+    PER_INTERVAL,
     ConsistentFile,
     Covariance,
     DriveGain,

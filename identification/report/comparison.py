@@ -66,13 +66,15 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             expected = f"{x.unit}, as in {a.label}"
             raise BadInputError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
-        percent, in_sigma = (
-            100 * off / abs(y.value) if y.value else None,
-            off / sigma if sigma > 0 else None,
-        )
         rows.append(
             Difference(
-                name=name, unit=x.unit, a=x, b=y, off=off, off_percent=percent, off_sigma=in_sigma
+                name=name,
+                unit=x.unit,
+                a=x,
+                b=y,
+                off=off,
+                off_percent=100 * off / abs(y.value) if y.value else None,
+                off_sigma=off / sigma if sigma > 0 else None,
             )
         )
     for name, y in b.parameters.items():
@@ -100,13 +102,11 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
     named = {
         (value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()
     }
-    found = dict[str, str]()
-    for name, x in a.parameters.items():
-        if partner := named.get(
-            (x.expression, name.partition("@")[2]), named.get((x.expression, ""))
-        ):
-            found[name] = partner
-    return found
+    shared = {
+        name: named.get((x.expression, name.partition("@")[2]), named.get((x.expression, "")))
+        for name, x in a.parameters.items()
+    }
+    return {name: partner for name, partner in shared.items() if partner}
 
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
@@ -153,18 +153,23 @@ def comparison_document(
         )
         section, rows = replace(section, table=table), [row for row, _ in both]
     largest = sorted(range(len(rows)), key=lambda k: -abs(rows[k].off_sigma or 0.0))
-    shown = replace(section, title="", warnings=warnings).with_short_table(largest)
-    return Document(title=section.title, sections=(shown,))
+    return Document(
+        title=section.title,
+        sections=(replace(section, title="", warnings=warnings).with_short_table(largest),),
+    )
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
     """A comparison as a section, with half-widths of the 95 % intervals."""
     rows = differences(a, b)
-    numbers = (a.label, "±95%", b.label, "±95%", "difference", "%", "in sigma")
     return Section(
         title=f"{a.label} and {b.label}",
         table=Table(
-            columns=columns("name", "unit", numbers=numbers),
+            columns=columns(
+                "name",
+                "unit",
+                numbers=(a.label, "±95%", b.label, "±95%", "difference", "%", "in sigma"),
+            ),
             rows=tuple(_cells(row) for row in rows),
         ),
         lines=tuple(difference_lines(a, b, rows)),

@@ -137,8 +137,12 @@ def write_json(path: Path, content: ResultFile | Mapping[str, Any]) -> None:
     """Write a result, or its keys, as a JSON file, whole or not at all; a number that
     is not finite is null.
     """
-    typed = content if isinstance(content, ResultFile) else {"format": FORMAT, **content}
     # numpy's to Python's
-    plain = json.loads(msgspec.json.encode(typed, enc_hook=lambda numbers: numbers.tolist()))
+    plain = json.loads(
+        msgspec.json.encode(
+            content if isinstance(content, ResultFile) else {"format": FORMAT, **content},
+            enc_hook=lambda numbers: numbers.tolist(),
+        )
+    )
     with atomic_write(path) as partial:
         partial.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

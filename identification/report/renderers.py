@@ -4,6 +4,7 @@ for notebooks and pages.
 
 import re
 import textwrap
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from rich.text import Text
 from acquisition.errors import one_line
 from acquisition.files import atomic_write
 
-from .document import Document, Section, Table, cell_text
+from .document import Columns, Document, Section, Table, cell_text
 
 _MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
 _MAX_WIDTH = 10_000  # characters, for measuring
@@ -64,9 +65,12 @@ def _print_section(console: Console, section: Section, width: int) -> None:
 
 def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
     # no break between a number and its unit; a line has no NUL
-    whole = one_line(text).replace(" %", "\0%")
     lines = textwrap.wrap(
-        whole, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        one_line(text).replace(" %", "\0%"),
+        width,
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
     )
     for line in lines or [""]:
         console.print(Text(line.replace("\0", " "), style=style))
@@ -154,13 +158,15 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
     """
     # the tiles have the figures
     title = document.title.split("; ")[0] if document.badge else document.title
-    parts, sections = [_element(f"h{heading}", title), *_tiles(document)], list(document.sections)
+    sections = document.sections
     first = next((k for k, section in enumerate(sections) if section.table), len(sections))
-    for section in sections[:first]:
-        parts += _html_section(section, heading + 1)
-    parts += [figures] if figures else []
-    for section in sections[first:]:
-        parts += _html_section(section, heading + 1)
+    parts = [
+        _element(f"h{heading}", title),
+        *_tiles(document),
+        *(part for section in sections[:first] for part in _html_section(section, heading + 1)),
+        *([figures] if figures else []),
+        *(part for section in sections[first:] for part in _html_section(section, heading + 1)),
+    ]
     return "\n".join(parts)
 
 
@@ -172,12 +178,14 @@ def _tiles(document: Document) -> list[str]:
         f"color:#fff;background:{BADGES[document.badge]};padding:.2em "
         ".8em;border-radius:1em;font-weight:700"
     )
-    tiles = [f'<span style="{badge}">{escape(document.badge)}</span>']
-    for what, text in document.figures:
-        tiles.append(
+    tiles = [
+        f'<span style="{badge}">{escape(document.badge)}</span>',
+        *(
             "<span><b "
             f'style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>'
-        )
+            for what, text in document.figures
+        ),
+    ]
     return [
         '<div style="display:flex;flex-wrap:wrap;gap:.6em '
         f'2em;align-items:center">{"".join(tiles)}</div>'
@@ -194,17 +202,19 @@ def _html_section(section: Section, heading: int) -> list[str]:
 
 
 def _html_table(table: Table) -> str:
-    kinds = ["n" if numeric else "" for _, numeric in table.columns]
-    heads = "".join(
-        _element("th", head, kind) for (head, _), kind in zip(table.columns, kinds, strict=True)
+    rows = [
+        _html_row("th", table.columns, [heading for heading, _ in table.columns]),
+        *(_html_row("td", table.columns, [cell_text(cell) for cell in row]) for row in table.rows),
+    ]
+    return f'<div class="scroll"><table>{"".join(rows)}</table></div>'
+
+
+def _html_row(tag: str, columns: Columns, texts: Sequence[str]) -> str:
+    cells = (
+        _element(tag, text, "n" if numeric else "")
+        for text, (_, numeric) in zip(texts, columns, strict=True)
     )
-    body = ""
-    for row in table.rows:
-        cells = (
-            _element("td", cell_text(cell), kind) for cell, kind in zip(row, kinds, strict=True)
-        )
-        body += f"<tr>{''.join(cells)}</tr>\n"
-    return f'<div class="scroll"><table><tr>{heads}</tr>\n{body}</table></div>'
+    return f"<tr>{''.join(cells)}</tr>\n"
 
 
 def _element(tag: str, text: str, kind: str = "") -> str:

@@ -73,9 +73,15 @@ def record_simulated_session(
         plant=plant, loops=drive_loops(robot, inertias(model.inertia(q_ref[::50])))
     )
     bus = resolve(robot, place)
-    source = "simulated drives with the rigid robot of [parameters]"
-    recorded = describe_loops(described, mechanism.loops)
-    log = InlineLog(Recorder(out, recorded, source=source, place=place, payload=payload))
+    log = InlineLog(
+        Recorder(
+            out,
+            describe_loops(described, mechanism.loops),
+            source="simulated drives with the rigid robot of [parameters]",
+            place=place,
+            payload=payload,
+        )
+    )
     simulated = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
         outcome = run_active(
@@ -120,9 +126,10 @@ def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
         text,
     )
     text = re.sub('reference = "6074"|actual = "6077"', 'actual = "6078"', text)
-    rated = r"rated_torque_nm = ([\d.]+)"
     text = re.sub(
-        rated, lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text
+        r"rated_torque_nm = ([\d.]+)",
+        lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}",
+        text,
     )
     return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
 
@@ -148,11 +155,16 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     for fit, half in zip(fits, halves, strict=True):
         within = int((np.abs(fit.beta - true) <= half).sum())
         error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
-        inside = f"{within} of {len(true)} true values inside ({0.95 * len(true):.0f} expected)"
-        lines.append(f"{fit.method}: {inside}; total error {error:.2f} %")
+        lines.append(
+            f"{fit.method}: {within} of {len(true)} true values inside "
+            f"({0.95 * len(true):.0f} expected); total error {error:.2f} %"
+        )
     headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
-    table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
-    section = Section(title="compared with the simulated values", table=table, lines=tuple(lines))
+    section = Section(
+        title="compared with the simulated values",
+        table=Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows)),
+        lines=tuple(lines),
+    )
     essential = np.isin(fits[-1].base.names, fits[-1].essential_names)
     largest = np.lexsort((-np.abs(true), ~essential)).tolist()
     return Document(
@@ -171,14 +183,25 @@ def gains_document(fit: Fit, true: Sequence[float]) -> Document:
         g.motors, g.units, g.described, true, g.values, g.half, strict=True
     ):
         form = value_form(float(half) / 2)
-        off = Number(float((values[2] - values[1]) / half), "+.2f")
-        rows.append((name, *(Number(float(x), form) for x in (*values, half)), off, unit))
+        rows.append(
+            (
+                name,
+                *(Number(float(x), form) for x in (*values, half)),
+                Number(float((values[2] - values[1]) / half), "+.2f"),
+                unit,
+            )
+        )
     within = int((np.abs(g.values - true) <= g.half).sum())
     names = ", ".join(one.problem.signals.recording for one in fit.recordings)
     lines = (
         f"{within} of {len(true)} true values inside; verdict of the fit: {fit.trust.verdict}",
         f"loaded: {fit.payloads[0].payload}",
     )
-    headings = ("catalogue", "true", "identified", "±95%", "error /\n±95%")
-    table = Table(columns=columns("motor", numbers=headings) + columns("unit"), rows=tuple(rows))
+    table = Table(
+        columns=columns(
+            "motor", numbers=("catalogue", "true", "identified", "±95%", "error /\n±95%")
+        )
+        + columns("unit"),
+        rows=tuple(rows),
+    )
     return Document(title=f"drive gains of {names}", sections=(Section(table=table, lines=lines),))

@@ -181,9 +181,10 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
     for cell, row in zip(cells, rows, strict=True):
         for name, x in row.parameters.items():
             cell |= {name: x.value, f"{name}_half_width": x.half}
-    table = pyarrow.Table.from_pylist(cells, schema=pyarrow.schema(fields))
     with atomic_write(path) as partial:
-        (csv.write_csv if path.suffix == ".csv" else parquet.write_table)(table, partial)
+        (csv.write_csv if path.suffix == ".csv" else parquet.write_table)(
+            pyarrow.Table.from_pylist(cells, schema=pyarrow.schema(fields)), partial
+        )
 
 
 def fleet_document(rows: Sequence[FleetRow]) -> Document:
@@ -192,18 +193,27 @@ def fleet_document(rows: Sequence[FleetRow]) -> Document:
     """
     lines = []
     for row in rows:
-        start, error = (
-            f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-",
-            Number(row.moving_error_percent, ".3g"),
+        lines.append(
+            (
+                (f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-"),
+                row.file,
+                row.status,
+                row.verdict or "-",
+                Number(row.moving_error_percent, ".3g"),
+                textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...") or "-",
+            )
         )
-        changed = textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...")
-        lines.append((start, row.file, row.status, row.verdict or "-", error, changed or "-"))
     head = columns(
         "start, UTC", "recording", "status", "verdict", numbers=("moving error %",)
     ) + columns("changed")
-    reasons = tuple(f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason)
-    title = f"recordings: {len(rows)}, fitted: {sum(bool(row.parameters) for row in rows)}"
     return Document(
-        title=title,
-        sections=(Section(table=Table(columns=head, rows=tuple(lines)), warnings=reasons),),
+        title=f"recordings: {len(rows)}, fitted: {sum(bool(row.parameters) for row in rows)}",
+        sections=(
+            Section(
+                table=Table(columns=head, rows=tuple(lines)),
+                warnings=tuple(
+                    f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason
+                ),
+            ),
+        ),
     )

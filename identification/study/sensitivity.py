@@ -67,23 +67,25 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
     if noises is None:
         noises = [float(f"{part * np.ptp(signals.q, axis=0).min():.1g}") for part in NOISES]
-    variants = [Variant(changed="none", to="the rules")]
-    for to, factor in CUTOFFS.items():
-        overrides = Overrides(cutoff_hz=factor * robot.bandwidth_hz)
-        variants.append(Variant(changed="cut-off", to=to, overrides=overrides))
-    for factor in DECIMATIONS:
-        overrides = Overrides(decimation=max(1, round(factor * decimation)))
-        variants.append(
-            Variant(changed="decimation", to=f"{overrides.decimation}", overrides=overrides)
-        )
+    cutoffs_hz = {to: factor * robot.bandwidth_hz for to, factor in CUTOFFS.items()}
+    decimations = [max(1, round(factor * decimation)) for factor in DECIMATIONS]
     units = " or ".join(
         {"rad" if joint.type == "revolute" else "m": None for joint in robot.joints}
     )
-    variants += [
-        Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises
+    variants = [
+        Variant(changed="none", to="the rules"),
+        *(
+            Variant(changed="cut-off", to=to, overrides=Overrides(cutoff_hz=x))
+            for to, x in cutoffs_hz.items()
+        ),
+        *(
+            Variant(changed="decimation", to=f"{x}", overrides=Overrides(decimation=x))
+            for x in decimations
+        ),
+        *(Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises),
+        *(Variant(changed="start", to=f"{x:g}", start=x) for x in STARTS),
+        Variant(changed="gain update", to="off", gain_update=False),
     ]
-    variants += [Variant(changed="start", to=f"{x:g}", start=x) for x in STARTS]
-    variants.append(Variant(changed="gain update", to="off", gain_update=False))
     fits = list(work.run(fit_variant, [(source, variant) for variant in variants]))
     if not fits[0].values:
         raise NoFitError(fits[0].ended)
@@ -97,10 +99,13 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     noise = np.random.default_rng(0).standard_normal(signals.q.shape)
     signals = replace(signals, q=signals.q + variant.noise * noise)
     try:
-        iteration = Iteration(
-            inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update
+        fit = identify_iv(
+            signals,
+            variant.overrides,
+            Iteration(
+                inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update
+            ),
         )
-        fit = identify_iv(signals, variant.overrides, iteration)
     except RobotIdimError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
@@ -108,14 +113,13 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     values = dict(
         zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True)
     )
-    passes = len(fit.iv.passes) if fit.iv else 0
     base, model = fit.base, fit.problem.model
     described = described_parameters(model, base).tolist() if signals.robot.parameters else ()
     known = "true" if signals.provenance.startswith("simulated") else "described"
     return VariedFit(
         variant=variant,
         ended=fit.status,
-        passes=passes,
+        passes=len(fit.iv.passes) if fit.iv else 0,
         values=values,
         essential=fit.essential_names,
         units=dict(zip(base.names, base.units, strict=True)),
@@ -128,8 +132,7 @@ def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
     their own; NaN without.
     """
     ls, _, iv, half = fits[0].values[name]
-    none = (np.nan,) * 4
-    values = np.array([fit.values.get(name, none) for fit in fits])
+    values = np.array([fit.values.get(name, (np.nan,) * 4) for fit in fits])
     moved = np.abs(values[:, [0, 2]] - [ls, iv])
     return np.asarray(np.c_[moved / half, moved / values[:, [1, 3]]])
 
@@ -158,8 +161,11 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         f"{recording}: LS moves by up to {ls} half-widths with {worst.changed} {worst.to}, IV "
         f"by {iv}"
     )
-    heads = columns("changed", "to", numbers=("LS moves",)) + columns(
-        "at", numbers=("own", "IV moves")
+    heads = (
+        *columns("changed", "to", numbers=("LS moves",)),
+        *columns("at", numbers=("own", "IV moves")),
+        *columns("at", numbers=("own", "passes")),
+        *columns("iv ended"),
     )
     lines = (
         "moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest "
@@ -168,12 +174,14 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         "position noise is added to the recording, after the control loop; start: inertias of the "
         "first pass",
     )
-    heads += columns("at", numbers=("own", "passes")) + columns("iv ended")
-    moves_table = Table(columns=heads, rows=tuple(rows))
-    whole = columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%"))
-    table = Table(columns=whole, rows=tuple(values))
-    sections = (
-        Section(table=moves_table, lines=lines),
-        Section(title="values", table=table, short=Section()),
+    table = Table(
+        columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")),
+        rows=tuple(values),
     )
-    return Document(title=title, sections=sections)
+    return Document(
+        title=title,
+        sections=(
+            Section(table=Table(columns=heads, rows=tuple(rows)), lines=lines),
+            Section(title="values", table=table, short=Section()),
+        ),
+    )

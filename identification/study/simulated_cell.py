@@ -138,8 +138,11 @@ def closed_loop(
     """
     model, loop = true_model(robot, payload), recorded_loop(robot)
     if loop is None:
-        inertias = dynamics.inertias(model.inertia(dynamics.poses_of(q_ref)))
-        loop = surrogate_loop(robot.bandwidth_hz, inertias, sample_rate_hz)
+        loop = surrogate_loop(
+            robot.bandwidth_hz,
+            dynamics.inertias(model.inertia(dynamics.poses_of(q_ref))),
+            sample_rate_hz,
+        )
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
@@ -203,7 +206,6 @@ def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | N
         )
     given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
     given |= {name: getattr(signals, name) for name in OPTIONAL}
-    columns = {name: values for name, values in given.items() if values is not None}
     header = Header(
         robot=signals.robot,
         source=source,
@@ -214,4 +216,7 @@ def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | N
         notes=notes,
     )
     with atomic_write(path) as partial, RecordingWriter(partial, header) as writer:
-        writer.columns(np.round(signals.t_s * 1e9), columns)
+        writer.columns(
+            np.round(signals.t_s * 1e9),
+            {name: values for name, values in given.items() if values is not None},
+        )

@@ -37,10 +37,9 @@ def simulate_recording(
     """Write a recording of the robot of `[parameters]`: length, rate, seed and
     noise are those of a study.
     """
-    signals = _simulated(robot, study, study.seed, payload)
     write_signals(
         out,
-        signals,
+        _simulated(robot, study, study.seed, payload),
         source=f"simulated: random reference and noise of seed {study.seed}",
         noise=study.noise,
     )
@@ -48,8 +47,14 @@ def simulate_recording(
 
 def _simulated(robot: Robot, study: Study, seed: int, payload: Payload | None = None) -> Signals:
     fs = study.sample_rate_hz
-    q_ref = random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed)
-    return closed_loop(robot, q_ref, fs, noise=study.noise, seed=seed, payload=payload)
+    return closed_loop(
+        robot,
+        random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed),
+        fs,
+        noise=study.noise,
+        seed=seed,
+        payload=payload,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,11 +10,10 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..model import BaseParameters, InverseModel, known_parameters
-from ..report import Document, Number, Row, Section, Table, columns
+from ..report import PER_INTERVAL, Document, Number, Section, Table, columns
 from .study import Run, RunFit, Study
 
 FALSE_TRUST = 3.0  # half-widths: largest error of an essential parameter for `trust`
-NORMAL_QUANTILE = 1.96  # half-width of 95 % of a normal distribution, in deviations
 METHODS = (("wls", "ls"), ("iv", "iv"))  # and the field of a `Run`
 # Headings and formats of the fields of a `Summary`, in their order.
 HEADINGS = ("runs", "bias %", "coverage %", "spread /\ninterval", "trust", "false trust")
@@ -70,7 +69,7 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
                 ),
                 coverage_percent=float(100 * np.mean(inside)) if inside else np.nan,
                 spread_over_interval=float(
-                    np.median(2 * NORMAL_QUANTILE * spread / np.median(high - low, axis=0))
+                    np.median(2 * PER_INTERVAL * spread / np.median(high - low, axis=0))
                 ),
                 trusted=sum(fit.verdict == "trust" for fit in fits),
                 false_trust=sum(false_trust(fit, true) for fit in fits),
@@ -93,20 +92,21 @@ def study_file(
     """The JSON file of a study: settings, names of the parameters, their true values
     (b,), summaries, every run.
     """
-    content = {
+    return {
         "study": study,
         "parameters": base.names,
         "true": true,
         "summaries": summaries(runs, true),
+        "runs": runs,
     }
-    return {**content, "runs": runs}
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
     """A study's summaries by method, its settings, and the runs with false trust."""
-    rows: list[Row] = []
-    for method, *numbers in map(astuple, summaries(runs, true)):
-        rows.append((method, *map(Number, numbers, FORMATS)))
+    rows = tuple(
+        (method, *map(Number, numbers, FORMATS))
+        for method, *numbers in map(astuple, summaries(runs, true))
+    )
     fits = [
         (f"{method} in run {r.number}", getattr(r, kind)) for r in runs for method, kind in METHODS
     ]
@@ -119,9 +119,13 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
         "half-widths off "
         f"or M is not positive: {', '.join(false) or 'no run'}",
     )
-    table = Table(columns=columns("method", numbers=HEADINGS), rows=tuple(rows))
     return Document(
-        title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=lines),)
+        title=f"{robot}: {len(runs)} runs",
+        sections=(
+            Section(
+                table=Table(columns=columns("method", numbers=HEADINGS), rows=rows), lines=lines
+            ),
+        ),
     )
 
 
@@ -160,16 +164,19 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
     """The base parameters of a robot as sums of standard parameters, in short the regrouped
     ones; its joints by number.
     """
-    rows = tuple(zip(base.names, base.expressions, base.units, strict=True))
-    table = Table(columns=columns("name", "expression", "unit"), rows=rows)
+    table = Table(
+        columns=columns("name", "expression", "unit"),
+        rows=tuple(zip(base.names, base.expressions, base.units, strict=True)),
+    )
     joints = Table(
         columns=columns("number", "joint", "type"),
         rows=tuple((str(j + 1), joint.name, joint.type) for j, joint in enumerate(robot.joints)),
     )
     sums_first = sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k])
-    parameters = Section(table=table).with_short_table(sums_first, 20)
-    sections = (
-        parameters,
-        Section(title="joints, by the number at the end of a name", table=joints),
+    return Document(
+        title=f"{robot.name}: {base.b} base parameters",
+        sections=(
+            Section(table=table).with_short_table(sums_first, 20),
+            Section(title="joints, by the number at the end of a name", table=joints),
+        ),
     )
-    return Document(title=f"{robot.name}: {base.b} base parameters", sections=sections)

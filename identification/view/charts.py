@@ -42,36 +42,59 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
         ticks={x: f"{x:+g}" if x else "0" for x in (-ends, -1.0, 0.0, 1.0, ends)},
     )
     off = [{d.name: d.off_sigma or 0.0 for d in differences(own, values)} for values in others]
-    legend = [("● essential", ORANGE), ("○ not essential", GREY)]
-    for values, color in zip(others, COMPARED, strict=False):
-        exact = all(p.sigma == 0 for p in values.parameters.values())
-        legend.append((f"{'|' if exact else '×'} {values.label}", color))
-    legend += [("beyond 3 σ", VERMILLION)] if others else []
+    exact = [all(p.sigma == 0 for p in values.parameters.values()) for values in others]
+    legend = [
+        ("● essential", ORANGE),
+        ("○ not essential", GREY),
+        *(
+            (f"{'|' if is_exact else '×'} {values.label}", color)
+            for values, is_exact, color in zip(others, exact, COMPARED, strict=False)
+        ),
+        *([("beyond 3 σ", VERMILLION)] if others else []),
+    ]
     for part in _parts(names, MAX_ROWS):
         heads, halves, marks = list[tuple[str, Color]](), list[Mark](), list[Mark]()
         for row, name in enumerate(part):
             p = own.parameters[name]
             color, shape = _look(p.essential)
             heads.append((name, color))
-            share = 100 * p.half / abs(p.value) if p.value else 100.0
-            halves.append(Mark(row=row, value=max(share, 0.01), color=color, shape="bar"))
+            halves.append(
+                Mark(
+                    row=row,
+                    value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
+                    color=color,
+                    shape="bar",
+                )
+            )
             marks.append(Mark(row=row, value=0.0, half=float(p.half > 0), color=color, shape=shape))
             for k, other in enumerate(others):
                 if (q := other.parameters.get(name)) is not None:
                     at, shape = (row + 0.28, "cross") if q.sigma else (row, "tick")
                     scale, color = p.half or q.half or 1.0, COMPARED[k]
                     color = VERMILLION if abs(off[k].get(name, 0.0)) > MAX_TRUSTED_SIGMAS else color
-                    value, half = (q.value - p.value) / scale, q.half / scale
-                    marks.append(Mark(row=at, value=value, half=half, color=color, shape=shape))
+                    marks.append(
+                        Mark(
+                            row=at,
+                            value=(q.value - p.value) / scale,
+                            half=q.half / scale,
+                            color=color,
+                            shape=shape,
+                        )
+                    )
         columns = [Column(head="± 95 %, % of value", axis=percent, marks=halves)]
         if others:
-            head = f"{labels} minus {own.label}, in ± 95 %"
-            columns.append(Column(head=head, axis=far, marks=marks, lines=(-1.0, 0.0, 1.0)))
-        title = f"parameters of {own.label}, {part[0]} to {part[-1]}"
+            columns.append(
+                Column(
+                    head=f"{labels} minus {own.label}, in ± 95 %",
+                    axis=far,
+                    marks=marks,
+                    lines=(-1.0, 0.0, 1.0),
+                )
+            )
         charts.append(
             Rows(
                 path=("deviations", part[0]),
-                title=title,
+                title=f"parameters of {own.label}, {part[0]} to {part[-1]}",
                 names=heads,
                 columns=columns,
                 legend=legend,
@@ -97,23 +120,23 @@ def trust_charts(trust: Trust) -> list[Rows]:
         if line.figures:
             color = LEVEL_COLORS.get(line.level, GREY)
             marks = [
-                Mark(row=k, value=f.expected, color=GREEN, shape="tick")
-                for k, f in enumerate(line.figures)
+                *(
+                    Mark(row=k, value=f.expected, color=GREEN, shape="tick")
+                    for k, f in enumerate(line.figures)
+                ),
+                *(
+                    Mark(row=k, value=f.value, half=f.half_width, color=color)
+                    for k, f in enumerate(line.figures)
+                ),
             ]
-            marks += [
-                Mark(row=k, value=f.value, half=f.half_width, color=color)
-                for k, f in enumerate(line.figures)
-            ]
-            column = Column(head=line.unit, axis=_around(marks), marks=marks)
-            heads, title = [(f.name, LIGHT) for f in line.figures], f"{line.test}: {line.level}"
             value = "● value ± 95 %" if any(f.half_width for f in line.figures) else "● value"
             legend = ((value, color), ("| expected", GREEN))
             charts.append(
                 Rows(
                     path=("tests", line.test),
-                    title=title,
-                    names=heads,
-                    columns=[column],
+                    title=f"{line.test}: {line.level}",
+                    names=[(f.name, LIGHT) for f in line.figures],
+                    columns=[Column(head=line.unit, axis=_around(marks), marks=marks)],
                     legend=legend,
                 )
             )
@@ -144,8 +167,14 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
     )
     for one, own in zip(fit.recordings, applies, strict=True):
         dq, rigid = rigid_torque_at_rows(one.problem, one.arm.values(estimate))
-        residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
-        found.append((dq, np.abs(rigid), residual, np.tile(own, (len(dq), 1))))
+        found.append(
+            (
+                dq,
+                np.abs(rigid),
+                (fit.tau - fit.tau_predicted)[one.rows][: len(dq)],
+                np.tile(own, (len(dq), 1)),
+            )
+        )
     moved, loads, residuals, own = (np.concatenate(x) for x in zip(*found, strict=True))
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
         peak = np.abs(moved[:, j]).max(initial=0.0)
@@ -173,23 +202,25 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
                 variance = np.sum((G @ fit.intervals.covariance) * G, axis=1)
                 half = fit.intervals.reach * np.sqrt(np.maximum(variance, 0.0))
                 for side, text in ((0, name), (-1, "95 % interval"), (1, "95 % interval")):
-                    line, key = (speed, G @ estimate.beta + side * half), f"{k}{len(curves):02}"
-                    width = 1.0 if side else 2.5
                     curves.append(
                         Curve(
-                            key=key,
+                            key=f"{k}{len(curves):02}",
                             name=text,
                             color=color,
-                            line=line,
-                            width=width,
+                            line=(speed, G @ estimate.beta + side * half),
+                            width=1.0 if side else 2.5,
                             dashed=bool(side),
                         )
                     )
-        title = (
-            f"friction {joint.name}{of and f', {of}'} [{unit}] over speed [{joint.position_unit}/s]"
+        charts.append(
+            Graph(
+                path=("friction", joint.name, *([of] if of else [])),
+                title=f"friction {joint.name}{of and f', {of}'} [{unit}] over speed "
+                f"[{joint.position_unit}/s]",
+                curves=tuple(curves),
+                dots=dots,
+            )
         )
-        path = ("friction", joint.name, *([of] if of else []))
-        charts.append(Graph(path=path, title=title, curves=tuple(curves), dots=dots))
     return charts
 
 
@@ -212,12 +243,15 @@ def interval_charts(excitation: Excitation) -> list[Rows]:
             for row, name in enumerate(part)
             for half, shift, color in zip(halves[name], (-0.16, 0.16), (ORANGE, GREY), strict=True)
         ]
-        columns, names = (
-            [Column(head="SI", axis=axis, marks=marks)],
-            [(name, LIGHT) for name in part],
+        charts.append(
+            Rows(
+                path=("intervals", part[0]),
+                title=f"expected ± 95 %, {part[0]} to {part[-1]}",
+                names=[(name, LIGHT) for name in part],
+                columns=[Column(head="SI", axis=axis, marks=marks)],
+                legend=legend,
+            )
         )
-        title, path = f"expected ± 95 %, {part[0]} to {part[-1]}", ("intervals", part[0])
-        charts.append(Rows(path=path, title=title, names=names, columns=columns, legend=legend))
     return charts
 
 
@@ -246,8 +280,15 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
             columns.append(
                 Column(head=f"{name} ± 95 %", axis=_around(marks), marks=marks, lines=lines)
             )
-        title, path = ", ".join(part), ("sensitivity", part[0])
-        charts.append(Rows(path=path, title=title, names=names, columns=columns, legend=legend))
+        charts.append(
+            Rows(
+                path=("sensitivity", part[0]),
+                title=", ".join(part),
+                names=names,
+                columns=columns,
+                legend=legend,
+            )
+        )
     return charts
 
 
@@ -281,11 +322,22 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
             )
     known, described = fits[0].known
     if name in described:
-        line = x[[0, -1]], np.full(2, described[name])
-        curves.append(Curve(key="true", name=known, color=GREEN, line=line, width=2.0, dashed=True))
+        curves.append(
+            Curve(
+                key="true",
+                name=known,
+                color=GREEN,
+                line=(x[[0, -1]], np.full(2, described[name])),
+                width=2.0,
+                dashed=True,
+            )
+        )
     unit = re.sub(r"\b(rad|m)\b", r"µ\1", noisy[-1].variant.to.partition(" ")[2])
-    title = f"{name} [{fits[0].units.get(name, '')}] over position noise [{unit}]"
-    return Graph(path=("noise", name), title=title, curves=tuple(curves))
+    return Graph(
+        path=("noise", name),
+        title=f"{name} [{fits[0].units.get(name, '')}] over position noise [{unit}]",
+        curves=tuple(curves),
+    )
 
 
 def study_chart(runs: Sequence[Run]) -> Rows:
@@ -321,8 +373,10 @@ def study_chart(runs: Sequence[Run]) -> Rows:
             ]
     axis = decades([mark.value for mark in marks] or [1.0, 100.0], 6)
     legend = (("× LS", PURPLE), ("● IV converged", ORANGE), ("○ IV not", GREY), ("| median", LIGHT))
-    title, column = (
-        f"total error of {len(runs)} runs, of the true values",
-        Column(head="%", axis=axis, marks=marks),
+    return Rows(
+        path=("study",),
+        title=f"total error of {len(runs)} runs, of the true values",
+        names=names,
+        columns=[Column(head="%", axis=axis, marks=marks)],
+        legend=legend,
     )
-    return Rows(path=("study",), title=title, names=names, columns=[column], legend=legend)

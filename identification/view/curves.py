@@ -46,12 +46,11 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
     place of raw derivatives. `simulated` is the robot with the estimate, if the fit simulated one.
     Errors are positions minus the measured one.
     """
-    # that of the fit is filtered already
-    motion = fit.problem.motion if fit else FilteredMotion(signals)
+    # the motion of the fit is filtered already
     filtered = (
         {}
         if settings is None or settings.cutoff_hz is None
-        else _decimate(signals, settings, motion)
+        else _decimate(signals, settings, fit.problem.motion if fit else FilteredMotion(signals))
     )
     lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}
     for quantity, joints in _decimate(signals, None, FilteredMotion(signals)).items():
@@ -179,9 +178,15 @@ def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool 
     for source, (color, width, *names) in LOOKS.items():
         if (source, quantity) in lines:
             key, name = NAMES.get((source, quantity), names)
-            line, dashed = lines[source, quantity][j], source == "reference"
             curves.append(
-                Curve(key=key, name=name, color=color, line=line, width=width, dashed=dashed)
+                Curve(
+                    key=key,
+                    name=name,
+                    color=color,
+                    line=lines[source, quantity][j],
+                    width=width,
+                    dashed=source == "reference",
+                )
             )
     unit = joint.position_unit
     units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
@@ -197,14 +202,20 @@ def row_plots(
     """
     torques, residuals = [], []
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
-        # behind the model
-        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=5.0)
-        model = Curve(key="model", color=PREDICTED, line=(t_s, tau_predicted[:, j]))
         rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
         path, title = ("residual", joint.name), f"residual {joint.name} [{unit}]"
         residuals.append(Plot(path=path, title=title, curves=(rest,), legend=False))
         torques.append(
-            Plot(path=path, title=f"torque {joint.name} [{unit}]", curves=(measured, model, rest))
+            Plot(
+                path=path,
+                title=f"torque {joint.name} [{unit}]",
+                curves=(
+                    # behind the model
+                    Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=5.0),
+                    Curve(key="model", color=PREDICTED, line=(t_s, tau_predicted[:, j])),
+                    rest,
+                ),
+            )
         )
     return torques, residuals if (tau != tau_predicted).any() else []
 
@@ -245,7 +256,7 @@ def column_plots(signals: Signals) -> list[Plot]:
 def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tuple[Curve, ...]]:
     """A curve per line, and for the title their unit; different units stand in their names."""
     one = len(set(units)) == 1
-    curves = (
+    return f" [{units[0]}]" if one else "", tuple(
         Curve(
             key=name,
             name="" if one else f"{name} [{unit}]",
@@ -254,7 +265,6 @@ def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tup
         )
         for k, ((name, line), unit) in enumerate(zip(lines.items(), units, strict=True))
     )
-    return f" [{units[0]}]" if one else "", tuple(curves)
 
 
 def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
@@ -283,11 +293,21 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
         for quantity, unit, x, limits in shown:
             curves = [Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j]))]
             for key, limit in zip(("low", "high"), limits or (), strict=False):
-                line = t_s[[0, -1]], np.full(2, limit)
-                curves.append(Curve(key=key, color=VERMILLION, line=line, width=0.75))
-            path, title = (quantity, joint.name), f"{quantity} {joint.name} [{unit}]"
+                curves.append(
+                    Curve(
+                        key=key,
+                        color=VERMILLION,
+                        line=(t_s[[0, -1]], np.full(2, limit)),
+                        width=0.75,
+                    )
+                )
             plots.setdefault(quantity, []).append(
-                Plot(path=path, title=title, curves=tuple(curves), legend=False)
+                Plot(
+                    path=(quantity, joint.name),
+                    title=f"{quantity} {joint.name} [{unit}]",
+                    curves=tuple(curves),
+                    legend=False,
+                )
             )
     return plots
 

@@ -67,11 +67,11 @@ def follow_recording(
                 grown_s = now_s
             page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
             if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
-                expected = (
-                    "the recorder to write; `robot-acquire import` repairs a recording that was cut"
-                )
                 raise BadInputError(
-                    f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected
+                    f"has not grown for {now_s - grown_s:.0f} s",
+                    place=str(path),
+                    expected="the recorder to write; `robot-acquire import` repairs a recording "
+                    "that was cut",
                 )
             _wait()
     finally:
@@ -138,9 +138,13 @@ class Residual:
         tau = later(effort, self._lag_s * rate_hz)
         # The ends of the low-pass are cut off before they disturb the decimation, and those of the
         # decimation after it.
-        part = {"start": ends[0], "stop": len(rows) - ends[0]}
         motion = motion_between(
-            rows["position"], tau, cutoff_hz=cutoff_hz, sample_rate_hz=rate_hz, **part
+            rows["position"],
+            tau,
+            cutoff_hz=cutoff_hz,
+            sample_rate_hz=rate_hz,
+            start=ends[0],
+            stop=len(rows) - ends[0],
         )
         rho = motion.tau - predicted_torque(motion, self._model, self._base, self._beta)
         at = self._decimation.instants(len(rho))
@@ -163,9 +167,8 @@ class LivePage:
         self._target: Array | None = None  # of the last row
         self._laid_out: bool | None = None  # with the target
         self._warned, self.over = False, False
-        errors = [_band("stop", RED, joint.si("following_error")) for joint in robot.joints]
         self._levels = {
-            "error": errors,
+            "error": [_band("stop", RED, joint.si("following_error")) for joint in robot.joints],
             "effort": _effort_levels(robot),
             "position": _ranges(robot),
         }
@@ -185,9 +188,13 @@ class LivePage:
             self.over |= event.kind in ("end", "fault")
             time_s = 1e-9 * (event.stamp_ns - self._first_ns)
             self._recording.set_time("time", duration=time_s)
-            level = "WARN" if event.kind in ("fault", "warning", "not disabled") else "INFO"
-            text = shown_text(f"{time_s:.2f} s {event.kind}: {event.text}")
-            self._recording.log("events", rr.TextLog(text, level=level))
+            self._recording.log(
+                "events",
+                rr.TextLog(
+                    shown_text(f"{time_s:.2f} s {event.kind}: {event.text}"),
+                    level="WARN" if event.kind in ("fault", "warning", "not disabled") else "INFO",
+                ),
+            )
         for health in follower.health:
             self._losses = {name: health.counters.get(name, 0.0) for name in _LOSSES}
             self._last_ns = max(self._last_ns, health.stamp_ns)
@@ -235,14 +242,21 @@ class LivePage:
                     self._send(f"{name}/{j + 1}/levels", at[[0, -1]], np.tile(levels, (2, 1)))
 
     def _send(self, path: str, stamps: Array, values: Array) -> None:
-        times = rr.TimeColumn("time", duration=(stamps - self._first_ns).astype("timedelta64[ns]"))
         self._recording.send_columns(
-            path, indexes=[times], columns=rr.Scalars.columns(scalars=values)
+            path,
+            indexes=[
+                rr.TimeColumn("time", duration=(stamps - self._first_ns).astype("timedelta64[ns]"))
+            ],
+            columns=rr.Scalars.columns(scalars=values),
         )
 
     def _lay_out(self) -> None:
-        bounds = rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-14.0, 14.0])
-        rows = [rrb.Spatial2DView(origin="state", visual_bounds=bounds)]
+        rows = [
+            rrb.Spatial2DView(
+                origin="state",
+                visual_bounds=rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-14.0, 14.0]),
+            )
+        ]
         begin, end = (
             rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-SHOWN_S, 0.0)
         )
@@ -273,20 +287,26 @@ class LivePage:
                 ]
                 # Of six joints each has 30 letters.
                 title = shown_text(f"{title} {joint.name} {', '.join(told)} [{unit}]")
-                legend = rrb.PlotLegend(visible=False)
                 origin = f"{name}/{j + 1}"
                 views.append(
                     rrb.TimeSeriesView(
-                        origin=origin, name=title, time_ranges=[window], plot_legend=legend
+                        origin=origin,
+                        name=title,
+                        time_ranges=[window],
+                        plot_legend=rrb.PlotLegend(visible=False),
                     )
                 )
             rows.append(rrb.Horizontal(*views))
         rows.append(event_view("events", "events"))
-        shares = [1.0, *(3.0 for _ in self._levels), 3.0]
-        panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="following")
-        page = rrb.Vertical(*rows, row_shares=shares, name="live")
         self._recording.send_blueprint(
-            rrb.Blueprint(page, panel, collapse_panels=True, auto_views=False)
+            rrb.Blueprint(
+                rrb.Vertical(
+                    *rows, row_shares=[1.0, *(3.0 for _ in self._levels), 3.0], name="live"
+                ),
+                rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
+                collapse_panels=True,
+                auto_views=False,
+            )
         )
         self._laid_out = self._target is not None
 
@@ -294,33 +314,42 @@ class LivePage:
         if names:
             # it lies behind the position
             widths = [3.0 if one == "target" else 1.0 for one in names]
-            lines = rr.SeriesLines(
-                names=names, colors=colors, widths=widths, aggregation_policy="MinMax"
+            self._recording.log(
+                path,
+                rr.SeriesLines(
+                    names=names, colors=colors, widths=widths, aggregation_policy="MinMax"
+                ),
+                static=True,
             )
-            self._recording.log(path, lines, static=True)
 
     def _show_state(self, problem: str, *, stalled: bool) -> None:
         """The state, red where the file has stopped growing in the session."""
         begin_ns, planned_s = self._left_from
         left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
-        words = [f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}"]
-        words += [
-            f"{name.replace('kernel_drops', 'dropped')} {count:g}"
-            for name, count in self._losses.items()
+        old = ["THE FILE HAS STOPPED GROWING: what is shown is old"]
+        words = [
+            *(old if stalled and not self.over else []),
+            f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}",
+            *(
+                f"{name.replace('kernel_drops', 'dropped')} {count:g}"
+                for name, count in self._losses.items()
+            ),
+            *([f"no rows: {problem}"] if problem else []),
         ]
-        words += [f"no rows: {problem}"] * bool(problem)
         color = GREY if self.over else RED if stalled else GREEN
-        if stalled and not self.over:
-            words.insert(0, "THE FILE HAS STOPPED GROWING: what is shown is old")
-        bar = rr.LineStrips2D(
-            [[(0.0, -12.0), (1400.0, -12.0)]], colors=color, radii=rr.Radius.ui_points(4.0)
+        self._recording.log(
+            "state/bar",
+            rr.LineStrips2D(
+                [[(0.0, -12.0), (1400.0, -12.0)]], colors=color, radii=rr.Radius.ui_points(4.0)
+            ),
+            static=True,
         )
-        self._recording.log("state/bar", bar, static=True)
         text, hidden = shown_text("   |   ".join(words)), rr.Radius.ui_points(0.1)
-        label = rr.Points2D(
-            [(700.0, -9.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True
+        self._recording.log(
+            "state/text",
+            rr.Points2D([(700.0, -9.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True),
+            static=True,
         )
-        self._recording.log("state/text", label, static=True)
 
 
 def _ranges(robot: Robot) -> list[Lines]:
@@ -331,9 +360,12 @@ def _ranges(robot: Robot) -> list[Lines]:
 def _effort_levels(robot: Robot) -> list[Lines]:
     """Rated efforts of each joint, with all its motors at theirs, and its effort limit."""
     assert robot.bus is not None
-    pairs = zip(robot.bus.drive, robot.motors, strict=True)
     motors = np.array(
-        [getattr(d, _RATED.get(m.recorded_unit, ""), None) for d, m in pairs], dtype=float
+        [
+            getattr(d, _RATED.get(m.recorded_unit, ""), None)
+            for d, m in zip(robot.bus.drive, robot.motors, strict=True)
+        ],
+        dtype=float,
     )
     to_joint = np.abs(robot.R.T) * np.abs(robot.gain)
     # A motor without a value leaves the joints that it turns without one.

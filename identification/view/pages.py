@@ -33,8 +33,9 @@ def draw_fit(signals: Signals, fit: methods.Fit, *, truth: Array | None = None) 
     own = methods.fitted_parameters(fit)
     others = [methods.least_squares_parameters(fit)] if fit.iv else []
     others += [methods.true_parameters(fit.base, truth)] if truth is not None else []
-    more = (replace(comparison_section(own, other), short=Section()) for other in others)
-    document = methods.fit_document(signals, fit).followed_by(*more)
+    document = methods.fit_document(signals, fit).followed_by(
+        *(replace(comparison_section(own, other), short=Section()) for other in others)
+    )
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
     moving = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
@@ -87,9 +88,12 @@ def draw_validation(
         pages.append(
             Page(name=one.signals.recording, groups={"torque": torque, "residual": residual})
         )
-    digests = {**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}}
-    title = f"{validated[0].signals.robot.name} validation"
-    return Picture(name=title, document=document, pages=tuple(pages), sha256=digests)
+    return Picture(
+        name=f"{validated[0].signals.robot.name} validation",
+        document=document,
+        pages=tuple(pages),
+        sha256={**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}},
+    )
 
 
 def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
@@ -111,25 +115,37 @@ def draw_comparison(
     own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]
 ) -> Picture:
     """Two sets of parameters that belong together, as `report.differences` requires."""
-    page = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])})
     return Picture(
-        name=f"{own.label} and {other.label}", document=document, pages=(page,), sha256=sha256
+        name=f"{own.label} and {other.label}",
+        document=document,
+        pages=(
+            Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])}),
+        ),
+        sha256=sha256,
     )
 
 
 def draw_study(robot: str, runs: Sequence[Run], document: Document) -> Picture:
     """Errors of all runs of a study."""
-    page = Page(name="study", groups={"study": [charts.study_chart(runs)]})
-    return Picture(name=f"{robot}, study", document=document, pages=(page,), sha256={})
+    return Picture(
+        name=f"{robot}, study",
+        document=document,
+        pages=(Page(name="study", groups={"study": [charts.study_chart(runs)]}),),
+        sha256={},
+    )
 
 
 def draw_sensitivity(
     sha256: Mapping[str, str], fits: Sequence[VariedFit], document: Document
 ) -> Picture:
     """The essential parameters in all variants; `sha256` by recording."""
-    page = Page(name="sensitivity", groups={"charts": charts.sensitivity_charts(fits)})
-    name, first = f"{', '.join(sha256)}, sensitivity", charts.noise_chart(fits)
-    return Picture(name=name, document=document, pages=(page,), sha256=sha256, first=first)
+    return Picture(
+        name=f"{', '.join(sha256)}, sensitivity",
+        document=document,
+        pages=(Page(name="sensitivity", groups={"charts": charts.sensitivity_charts(fits)}),),
+        sha256=sha256,
+        first=charts.noise_chart(fits),
+    )
 
 
 def draw_excitation(excitation: Excitation, document: Document) -> Picture:
@@ -143,9 +159,11 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
         "intervals": charts.interval_charts(excitation),
         **curves.excitation_plots(excitation),
     }
-    page = Page(name="excitation", groups=groups)
     return Picture(
-        name=f"{excitation.robot.name}, excitation", document=document, pages=(page,), sha256={}
+        name=f"{excitation.robot.name}, excitation",
+        document=document,
+        pages=(Page(name="excitation", groups=groups),),
+        sha256={},
     )
 
 
@@ -170,14 +188,17 @@ def _signal_pages(
         "health": health_plots(signals),
         "events": event_logs(signals),
     }
-    motion = {
-        joint.name: curves.motion_plots(signals, lines, j)
-        for j, joint in enumerate(signals.robot.joints)
-    }
     return [
         Page(name="overview" if fit else "recording", groups=overview),
         Page(name="signal", groups=signal),
-        Page(name="motion", groups=motion, tabs=True),
+        Page(
+            name="motion",
+            groups={
+                joint.name: curves.motion_plots(signals, lines, j)
+                for j, joint in enumerate(signals.robot.joints)
+            },
+            tabs=True,
+        ),
     ]
 
 

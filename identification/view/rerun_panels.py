@@ -46,20 +46,24 @@ def write_rrd(path: Path, picture: Picture) -> None:
         )
         text, tabs = [rrb.TextDocumentView(origin="report", name="report")], []
         for page in picture.pages:
-            views = dict[str, list[Any]]()
-            for key, group in page.groups.items():
-                views[key] = [view for panel in group if (view := _show(recording, panel))]
+            views = {
+                key: [view for panel in group if (view := _show(recording, panel))]
+                for key, group in page.groups.items()
+            }
             if any(views.values()):
                 tabs.append(_arrange(page, views, text))
                 text = []  # stands beside the first page
-        blueprint = rrb.Blueprint(
-            rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else rrb.Vertical(*tabs, *text),
-            rrb.TimePanel(state="collapsed", timeline="time", loop_mode="all", play_state="Paused"),
-            collapse_panels=True,
-            auto_views=False,
-            auto_layout=False,
+        recording.send_blueprint(
+            rrb.Blueprint(
+                rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else rrb.Vertical(*tabs, *text),
+                rrb.TimePanel(
+                    state="collapsed", timeline="time", loop_mode="all", play_state="Paused"
+                ),
+                collapse_panels=True,
+                auto_views=False,
+                auto_layout=False,
+            )
         )
-        recording.send_blueprint(blueprint)
     finally:
         content = stream.read()  # also after a failure: rerun warns about unread data
         recording.disconnect()
@@ -75,8 +79,11 @@ def _arrange(page: Page, views: Mapping[str, Sequence[Any]], text: Sequence[Any]
         rrb.Grid(*x, grid_columns=min(len(x), columns), name=shown_text(key))
         for key, x in main.items()
     ]
-    shares = [-(-len(group) // columns) for group in main.values()]
-    parts = [rrb.Tabs(*grids) if page.tabs else rrb.Vertical(*grids, row_shares=shares)]
+    parts = [
+        rrb.Tabs(*grids)
+        if page.tabs
+        else rrb.Vertical(*grids, row_shares=[-(-len(group) // columns) for group in main.values()])
+    ]
     side = [*views.get(ROBOT, ()), *text]
     parts += [rrb.Vertical(*side, row_shares=[2, 3][-len(side) :])] if side else []
     return rrb.Horizontal(*parts, column_shares=[5, 2][: len(parts)], name=shown_text(page.name))
@@ -90,21 +97,33 @@ def _show(recording: Any, panel: Panel) -> Any:
             for c in panel.curves:
                 entity = f"{origin}/{rr.new_entity_path([c.key]).lstrip('/')}"
                 name, columns = shown_text(c.name or c.key), rr.Scalars.columns(scalars=c.line[1])
-                style = {"names": name, "colors": c.color, "widths": c.width}
                 # By default Rerun averages the values of one pixel, which loses peaks.
                 recording.log(
-                    entity, rr.SeriesLines(**style, aggregation_policy="MinMax"), static=True
+                    entity,
+                    rr.SeriesLines(
+                        names=name,
+                        colors=c.color,
+                        widths=c.width,
+                        aggregation_policy="MinMax",
+                    ),
+                    static=True,
                 )
                 recording.send_columns(entity, indexes=[_time(c.line[0])], columns=columns)
-            legend, axis = rrb.PlotLegend(visible=panel.legend), rrb.TimeAxis(link="LinkToGlobal")
-            return rrb.TimeSeriesView(origin=origin, name=title, axis_x=axis, plot_legend=legend)
-        case Log():
-            times = _time(np.array([t_s for t_s, _, _ in panel.lines]))
-            levels = ["WARN" if warning else "INFO" for _, warning, _ in panel.lines]
-            columns = rr.TextLog.columns(
-                text=[shown_text(text) for _, _, text in panel.lines], level=levels
+            return rrb.TimeSeriesView(
+                origin=origin,
+                name=title,
+                axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+                plot_legend=rrb.PlotLegend(visible=panel.legend),
             )
-            recording.send_columns(origin, indexes=[times], columns=columns)
+        case Log():
+            recording.send_columns(
+                origin,
+                indexes=[_time(np.array([t_s for t_s, _, _ in panel.lines]))],
+                columns=rr.TextLog.columns(
+                    text=[shown_text(text) for _, _, text in panel.lines],
+                    level=["WARN" if warning else "INFO" for _, warning, _ in panel.lines],
+                ),
+            )
             return event_view(origin, title)
         case Scene():
             return _show_robot(recording, origin, panel)
@@ -114,9 +133,14 @@ def event_view(origin: str, title: str) -> Any:
     """A view of texts that repeat their times: the viewer cuts those of its
     column to four letters.
     """
-    times = rrb.encodings.TimelineColumn("time", visible=False)
-    columns = rrb.TextLogColumns(timeline_columns=[times], text_log_columns=["LogLevel", "Body"])
-    return rrb.TextLogView(origin=origin, name=title, columns=columns)
+    return rrb.TextLogView(
+        origin=origin,
+        name=title,
+        columns=rrb.TextLogColumns(
+            timeline_columns=[rrb.encodings.TimelineColumn("time", visible=False)],
+            text_log_columns=["LogLevel", "Body"],
+        ),
+    )
 
 
 def shown_text(text: str) -> str:
@@ -154,19 +178,27 @@ def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
         tree = _urdf_tree(scene.urdf, origin, robot.key, ghost=robot.ghost)
         tree.log_urdf_to_recording(recording)
         root = f"{robot.key}/{tree.root_link().name.removeprefix(f'{robot.key}/')}"
-        fixed = rr.Transform3D(parent_frame=f"tf#{origin}", child_frame=root)
-        recording.log(f"{origin}/{robot.key}/root", fixed, static=True)
+        recording.log(
+            f"{origin}/{robot.key}/root",
+            rr.Transform3D(parent_frame=f"tf#{origin}", child_frame=root),
+            static=True,
+        )
         for j, name in enumerate(scene.joints):
             if (joint := tree.get_joint_by_name(name)) is not None:
-                columns = joint.compute_transform_columns(robot.q[:, j].tolist(), clamp=False)
-                path = f"{origin}/{robot.key}/joints/{j + 1}"
-                recording.send_columns(path, indexes=[_time(robot.t_s)], columns=columns)
-    grid = rrb.LineGrid3D(
-        plane=rr.components.Plane3D(scene.up, scene.floor), color=(120, 120, 120, 60)
-    )
-    eye = rrb.EyeControls3D(position=scene.eye, look_target=scene.target, eye_up=scene.up)
+                recording.send_columns(
+                    f"{origin}/{robot.key}/joints/{j + 1}",
+                    indexes=[_time(robot.t_s)],
+                    columns=joint.compute_transform_columns(robot.q[:, j].tolist(), clamp=False),
+                )
     return rrb.Spatial3DView(
-        origin=origin, name=shown_text(scene.title), line_grid=grid, eye_controls=eye
+        origin=origin,
+        name=shown_text(scene.title),
+        line_grid=rrb.LineGrid3D(
+            plane=rr.components.Plane3D(scene.up, scene.floor), color=(120, 120, 120, 60)
+        ),
+        eye_controls=rrb.EyeControls3D(
+            position=scene.eye, look_target=scene.target, eye_up=scene.up
+        ),
     )
 
 

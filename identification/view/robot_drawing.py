@@ -38,17 +38,23 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
         t_s = signals.t_s[np.rint(m.t_s[k] * fs).astype(int)]
         t_s[0] = signals.t_s[0]  # before the simulation starts, the ghost stands at its first pose
         robots.append(Moving(key="simulated", t_s=t_s, q=m.q[k], ghost=True))
-    title = "robot measured, in blue simulated" if len(robots) > 1 else "robot measured"
-    return _scene(dynamics, robots, signals.q, title)
+    return _scene(
+        dynamics,
+        robots,
+        signals.q,
+        "robot measured, in blue simulated" if len(robots) > 1 else "robot measured",
+    )
 
 
 def excitation_scene(excitation: Excitation) -> Scene:
     """The robot along one period of a reference."""
     t_s, q, _, _ = excitation.curves()
     k = np.arange(0, len(q), pose_stride(len(q), 1 / (t_s[1] - t_s[0])))
-    dynamics = InverseModel(excitation.robot)
     return _scene(
-        dynamics, [Moving(key="reference", t_s=t_s[k], q=q[k])], q, "robot along the reference"
+        InverseModel(excitation.robot),
+        [Moving(key="reference", t_s=t_s[k], q=q[k])],
+        q,
+        "robot along the reference",
     )
 
 
@@ -63,7 +69,6 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
     size = max(1.5 * float(np.linalg.norm(np.ptp(points, axis=0))), MIN_VIEW_M)
     side = np.cross(up, [0.0, 1.0, 0.0] if abs(up[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
-    eye = target + size * (0.65 * side + 0.5 * np.cross(up, side) + 0.33 * up)
     return Scene(
         path=("robot",),
         title=title,
@@ -72,7 +77,7 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
         joints=tuple(joint.name for joint in dynamics.robot.joints),
         up=up,
         floor=float((points @ up).min()),
-        eye=eye,
+        eye=target + size * (0.65 * side + 0.5 * np.cross(up, side) + 0.33 * up),
         target=target,
     )
 

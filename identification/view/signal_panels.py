@@ -48,13 +48,20 @@ def health_plots(signals: Signals) -> list[Plot]:
         if name in UNCHARTED_COUNTERS or name.endswith("_s") or not known.any():
             continue
         # before and after the samples: at their ends
-        line = np.clip(t_s[known], 0.0, signals.t_s[-1]), counts[known]
         curves.append(
-            Curve(key=name, color=JOINTS[len(curves) % len(JOINTS)], line=line, width=2.0)
+            Curve(
+                key=name,
+                color=JOINTS[len(curves) % len(JOINTS)],
+                line=(np.clip(t_s[known], 0.0, signals.t_s[-1]), counts[known]),
+                width=2.0,
+            )
         )
     faults = [f"{c.key} {c.line[1][-1]:g}" for c in curves if c.line[1][-1]]
-    title = f"fault counters: {', '.join(faults)}"
-    return [Plot(path=("health",), title=title, curves=tuple(curves))] if faults else []
+    return (
+        [Plot(path=("health",), title=f"fault counters: {', '.join(faults)}", curves=tuple(curves))]
+        if faults
+        else []
+    )
 
 
 def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
@@ -89,9 +96,14 @@ def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
         )
         marks |= {} if cutoff is None else {cutoff: f"{name} {cutoff:g} Hz"}
         if curves:
-            title = f"{key}{unit} over frequency [Hz]"
             charts.append(
-                Graph(path=("spectrum", key), title=title, curves=curves, marks=marks, log=True)
+                Graph(
+                    path=("spectrum", key),
+                    title=f"{key}{unit} over frequency [Hz]",
+                    curves=curves,
+                    marks=marks,
+                    log=True,
+                )
             )
     return charts
 

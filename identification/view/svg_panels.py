@@ -53,8 +53,11 @@ def draw_graph(graph: Graph) -> str:
             for x, y in zip(*_places(axes, (dots[:, 0], dots[:, 1])), strict=True)
         )
         parts.append(f'<path class="l cloud {CLASSES[color]}" d="{path}"/>')
-    drawn = (_curve(curve, axes) for curve in sorted(curves, key=lambda curve: curve.key))
-    parts += [f'<g transform="scale({1 / STEPS:g})">', *drawn, "</g>"]
+    parts += [
+        f'<g transform="scale({1 / STEPS:g})">',
+        *(_curve(curve, axes) for curve in sorted(curves, key=lambda curve: curve.key)),
+        "</g>",
+    ]
     return _svg(graph.title, WIDTH, HEIGHT, parts)
 
 
@@ -65,9 +68,13 @@ def draw_rows(rows: Rows) -> str:
     bands = "".join(
         f"M0 {HEAD + PITCH * row:g}H{width:g}v{PITCH:g}H0z" for row in range(0, count, 2)
     )
-    parts = [f'<path class="band" d="{bands}"/>']
-    for row, (name, color) in enumerate(rows.names):
-        parts.append(_text(4, HEAD + PITCH * row + 13, name, color, "start"))
+    parts = [
+        f'<path class="band" d="{bands}"/>',
+        *(
+            _text(4, HEAD + PITCH * row + 13, name, color, "start")
+            for row, (name, color) in enumerate(rows.names)
+        ),
+    ]
     step = (width - left) / len(rows.columns)
     for number, column in enumerate(rows.columns):
         edges = left + step * number + 16, left + step * (number + 1) - 18
@@ -76,8 +83,10 @@ def draw_rows(rows: Rows) -> str:
             line = f"M{_n(float(column.axis.place(value, *edges)))} {HEAD:g}V{bottom:g}"
             width_of_line = 1.5 if value in column.lines else 0.6
             parts.append(f'<path class="l soft grey" stroke-width="{width_of_line:g}" d="{line}"/>')
-        for value, text in column.axis.ticks.items():
-            parts.append(_text(float(column.axis.place(value, *edges)), HEAD - 5, text, GREY))
+        parts += [
+            _text(float(column.axis.place(value, *edges)), HEAD - 5, text, GREY)
+            for value, text in column.axis.ticks.items()
+        ]
         parts += [_mark(mark, column.axis, edges) for mark in column.marks]
     return _svg(rows.title, width, bottom + 4, parts)
 
