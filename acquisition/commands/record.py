@@ -51,8 +51,11 @@ def run(options: argparse.Namespace) -> int:
         )
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
-        text = "nobody can confirm the joint positions"
-        raise BadInputError(text, place="--track", expected="a terminal, or --yes")
+        raise BadInputError(
+            "nobody can confirm the joint positions",
+            place="--track",
+            expected="a terminal, or --yes",
+        )
     stop, line = Stop(), StatusLine()
 
     def confirm(words: list[str], faults: list[str]) -> bool:
@@ -112,8 +115,9 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         raise BusFaultError(f"the session was cut short: {outcome.reason}", place=str(out))
     if recorded.no_samples:
         if recorded.path is None:
-            text = f"nothing was recorded, and no file is left: {recorded.no_samples}"
-            raise BadInputError(text, place=str(out))
+            raise BadInputError(
+                f"nothing was recorded, and no file is left: {recorded.no_samples}", place=str(out)
+            )
         raise BadInputError(
             f"no samples, but the frames are in the recording: {recorded.no_samples}"
         )
@@ -173,13 +177,14 @@ class StatusLine:
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
     """Rate, losses (true if there are any), range of each joint so far, time left."""
-    parts = [(f"{status.rate_hz:.0f} frames/s", False)]
-    for count, name in (
-        (status.drops, "dropped"),
-        (status.missing, "missing"),
-        (status.late, "late"),
-    ):
-        parts.append((f", {count} {name}", bool(count)))
-    for joint, low, high in zip(robot.joints, status.lowest, status.highest, strict=False):
-        parts.append((f", {joint.name} {low:.3f}..{high:.3f} {joint.position_unit}", False))
-    return [*parts, *([] if left_s is None else [(f", {left_s:.0f} s left", False)])]
+    losses = {"dropped": status.drops, "missing": status.missing, "late": status.late}
+    ranges = zip(robot.joints, status.lowest, status.highest, strict=False)
+    return [
+        (f"{status.rate_hz:.0f} frames/s", False),
+        *((f", {count} {name}", bool(count)) for name, count in losses.items()),
+        *(
+            (f", {j.name} {low:.3f}..{high:.3f} {j.position_unit}", False)
+            for j, low, high in ranges
+        ),
+        *([] if left_s is None else [(f", {left_s:.0f} s left", False)]),
+    ]

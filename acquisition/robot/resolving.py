@@ -215,10 +215,13 @@ def _effort(
     if rule.unit != motor.recorded_unit:
         expected = f"{motor.recorded_unit} as motor {motor.name!r} says"
         at.refuse(f"{word}_rule", name, expected, text=f"gives {rule.unit}")
-    parts = [f"object {entry} ({meaning if known else 'as described'})"]
-    parts += [] if word == "reference" else ["the actual value instead of the reference"]
     times = f" x {getattr(file, rule.rated):g} ({rule.rated})" if rule.rated else ""
-    parts += [f"raw {entry.type} in {name}{times}", f"sign {file.effort_sign or file.sign:+d}"]
+    parts = (
+        f"object {entry} ({meaning if known else 'as described'})",
+        *(() if word == "reference" else ("the actual value instead of the reference",)),
+        f"raw {entry.type} in {name}{times}",
+        f"sign {file.effort_sign or file.sign:+d}",
+    )
     return cia.EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
 
 

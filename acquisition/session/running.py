@@ -109,10 +109,9 @@ def record(
     if bus is None or options.passive:
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
-    dry = options.dry_run
     opened = (
         _simulated(bus, robot, out, place, payload)
-        if dry
+        if options.dry_run
         else _on_bus(bus, robot, out, place, options, payload)
     )
     with opened as (link, log):
@@ -379,10 +378,12 @@ def from_drives(recording: Recording, place: str) -> Block:
         raise BadInputError("holds no CAN frames", place=place, expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")
-    ids = [bus.file.sync_can_id]
-    for drive in bus.drives:
-        ids += [pdo.can_id for pdo in drive.tpdos]
-        ids += [service + drive.node for service in (EMERGENCY, ANSWER, HEARTBEAT)]
+    services = (EMERGENCY, ANSWER, HEARTBEAT)
+    ids = [
+        bus.file.sync_can_id,
+        *(pdo.can_id for drive in bus.drives for pdo in drive.tpdos),
+        *(service + drive.node for drive in bus.drives for service in services),
+    ]
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
     if not len(found):
