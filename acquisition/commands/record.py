@@ -67,13 +67,10 @@ def run(options: argparse.Namespace) -> int:
         """Name the drives that may still be enabled, before the recording is closed."""
         line.show()
         if outcome.alarm:
-            print(one_line(outcome.alarm), file=sys.stderr, flush=True)
+            _tell(outcome.alarm)
 
     def show(status: "Status", left_s: float | None) -> None:
         line.show(*live_line(robot, status, left_s))
-
-    def note(text: str) -> None:
-        print(one_line(text), file=sys.stderr, flush=True)
 
     if sys.stderr.isatty():
         print(
@@ -81,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     line.show(("starting", False))
-    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=note)
+    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=_tell)
     try:
         with stop_on_signals(stop):
             chosen = from_options(RecordOptions, options)
@@ -91,20 +88,21 @@ def run(options: argparse.Namespace) -> int:
     return _report(options.output, robot, outcome, recorded)
 
 
+def _tell(text: str) -> None:
+    """Print one line on standard error at once."""
+    print(one_line(text), file=sys.stderr, flush=True)
+
+
 def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> int:
     from ..session import INTERRUPTED
 
     if outcome.fault:  # the reason is printed before what was recorded
         reason = "; ".join((outcome.reason, *outcome.reports))
-        print(
-            one_line(f"robot-acquire: {out}: ended by a fault: {reason}"),
-            file=sys.stderr,
-            flush=True,
-        )
+        _tell(f"robot-acquire: {out}: ended by a fault: {reason}")
     for text in () if outcome.fault else recorded.warnings:
-        print(one_line(f"warning: {text}"), file=sys.stderr)
-    counts = f"{recorded.samples} samples, {recorded.frames} CAN frames"
-    print(one_line(f"{out}: {robot.name}, {counts}; {outcome.reason}"))
+        _tell(f"warning: {text}")
+    text = f"{out}: {robot.name}, {recorded.samples} samples, {recorded.frames} CAN frames"
+    print(one_line(f"{text}; {outcome.reason}"))
     if recorded.path is not None and recorded.path.absolute() != out.absolute():
         raise BadInputError(f"was deleted: the recording is in {recorded.path}", place=str(out))
     if outcome.fault:
@@ -130,7 +128,7 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
 
     line.show()
     for text in words:
-        print(one_line(text), file=sys.stderr)
+        _tell(text)
     print(
         "Are these joint positions right, and may the robot move? yes or no: ",
         end="",

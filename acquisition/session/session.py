@@ -126,8 +126,10 @@ def run_active(
                 log.ended()
         with held:
             if session.addressed:
-                text = outcome.alarm or "every drive confirmed"
-                session.note("not disabled" if unconfirmed else "disabled", text)
+                session.note(
+                    "not disabled" if unconfirmed else "disabled",
+                    outcome.alarm or "every drive confirmed",
+                )
         with held:  # before the reports: while those are read there is no heartbeat
             session.leave(unconfirmed)
         with held:
@@ -160,7 +162,6 @@ class _Session:
         self._period_s = master.bus.file.sync_period_s
         self._pace = Pace(master)
         self._heartbeat = bus.MasterHeartbeat(master)
-        self._until_ns: int | None = None
         self._motion: MotionState | None = None
         self._held: list[int] = []  # last target counts of the drives
         self._targets: list[Array] = []  # the last joint targets
@@ -198,8 +199,6 @@ class _Session:
         self._master.start()
         self._started = True
         self._pace.start()
-        if self._task.duration_s is not None:
-            self._until_ns = self._link.now_ns() + round(self._task.duration_s * 1e9)
 
     def note(self, kind: str, *texts: str) -> None:
         """Record texts as events."""
@@ -308,8 +307,9 @@ class _Session:
         )
 
     def _record(self) -> Iterator[None]:
+        since_ns, duration_s = self._link.now_ns(), self._task.duration_s
         while not self._stop.reason and (
-            self._until_ns is None or self._link.now_ns() < self._until_ns
+            duration_s is None or self._link.now_ns() - since_ns < round(duration_s * 1e9)
         ):
             yield None
 
