@@ -45,8 +45,9 @@ class Need:
     track: bool = False
 
     def __str__(self) -> str:
-        text = self.refusal or self.found
-        return f"node {self.drive.node} ({self.drive.name}): {self.name}: {text}"
+        return (
+            f"node {self.drive.node} ({self.drive.name}): {self.name}: {self.refusal or self.found}"
+        )
 
 
 def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:

@@ -264,8 +264,11 @@ class Master:
                 answer = self.answered(node, request)
                 if answer is not None:
                     return answer
-        problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
-        raise NoAnswerError(problem, node=node, place=place)
+        raise NoAnswerError(
+            f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?",
+            node=node,
+            place=place,
+        )
 
 
 def _place(node: int, index: int, sub: int) -> str:

@@ -256,10 +256,10 @@ def _consumers(master: Master, drive: Drive) -> Property:
     text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
     if sub is None:
         return name, f"{text}: no free sub-index: the drive does not detect the loss of the master"
-    writes = (
-        f"--track writes 0x{entry_of(file):08X} (node {file.master_node}, {timeout_ms(file)} ms)"
+    return name, (
+        f"{text}; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "
+        f"{timeout_ms(file)} ms) to sub-index {sub}"
     )
-    return name, f"{text}; {writes} to sub-index {sub}"
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:

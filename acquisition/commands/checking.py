@@ -231,9 +231,9 @@ def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
 def _load(bus: Bus) -> Finding:
     bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
     fastest_hz = MAX_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
-    rate_hz = 1 / bus.file.sync_period_s
     text = (
-        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
+        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
+        f"at most {fastest_hz:.0f} Hz"
     )
     return Finding("bus load", text, ok=bus.load <= MAX_LOAD)
 
