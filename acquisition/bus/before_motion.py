@@ -63,12 +63,12 @@ def refuse_enabled(master: Master) -> list[int]:
     for drive in master.bus.drives:
         state = master.state(drive)
         if state not in DISABLED:
-            problem = f"{state.words} before the session began, but no other master was heard"
-            expected = (
-                "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
-            )
             raise RefusedError(
-                problem, what="the session", place=f"node {drive.node}", expected=expected
+                f"{state.words} before the session began, but no other master was heard",
+                what="the session",
+                place=f"node {drive.node}",
+                expected="switch on disabled; `robot-acquire disable` with this robot.toml "
+                "disables it",
             )
         if state is State.FAULT:
             in_fault.append(drive.node)

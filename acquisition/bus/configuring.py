@@ -15,8 +15,7 @@ from ..robot import Drive, axis_of
 from .master import PRE_OPERATIONAL, Master
 from .supervision import read_if_there, stop_ramp
 
-Key = tuple[int, int]  # index and sub-index
-Answers = dict[Key, int | SdoAbortedError]
+Answers = dict[cia.Key, int | SdoAbortedError]
 Write = tuple[int, int, int, int]  # index, sub-index, value, size in bytes
 UNREADABLE = (0x06010000, 0x06010001)  # abort codes of objects that can only be written
 MODE_S = 0.5  # in which the display follows the mode of operation
@@ -46,8 +45,9 @@ class Need:
     track: bool = False
 
     def __str__(self) -> str:
-        text = self.refusal or self.found
-        return f"node {self.drive.node} ({self.drive.name}): {self.name}: {text}"
+        return (
+            f"node {self.drive.node} ({self.drive.name}): {self.name}: {self.refusal or self.found}"
+        )
 
 
 def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
@@ -57,14 +57,20 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
     Raises `NoAnswerError` where the drive does not answer.
     """
     yield from _identity(master, drive)
-    yield _heartbeat(master, drive)
+    beat, every_ms = (cia.HEARTBEAT_TIME, 0), round(master.bus.file.heartbeat_s * 1000)
+    yield _values(
+        drive, f"heartbeat {beat[0]:04X}", _ask(master, drive, beat), {beat: every_ms}, " ms"
+    )
     yield from (_pdo(master, drive, "tpdo", pdo) for pdo in drive.tpdos)
     if track:  # only motion sends to the drives
         yield from (_pdo(master, drive, "rpdo", pdo) for pdo in drive.rpdos)
-        yield from (_interpolation(master, drive), _mode(master, drive), *_limits(master, drive))
-        ramp, faster = stop_ramp(master, drive)
-        refusal = f"{ramp}: expected {faster}" if faster else ""
-        yield Need(drive=drive, name="quick stop ramp", found=ramp, refusal=refusal, track=True)
+        yield _interpolation(master, drive)
+        # with its display: a session waits until that follows
+        mode, display = (i + axis_of(drive) for i in (cia.MODE_OF_OPERATION, cia.MODE_DISPLAY))
+        answers = _ask(master, drive, (mode, 0), (display, 0))
+        name = f"mode and display {mode:04X} {display:04X}"
+        yield _values(drive, name, answers, {(mode, 0): cia.Mode.CYCLIC_SYNCHRONOUS_POSITION})
+        yield from _limits(master, drive)
 
 
 def read_needs(master: Master, *, track: bool) -> list[Need]:
@@ -128,10 +134,10 @@ def _await_mode(master: Master, drive: Drive) -> None:
         master.wait(master.link.now_ns() + 10_000_000)
 
 
-def _ask(master: Master, drive: Drive, *keys: Key) -> Answers:
+def _ask(master: Master, drive: Drive, *keys: cia.Key) -> Answers:
     """Read objects of a drive; the abort in place of those that it refuses."""
 
-    def answer(key: Key) -> int | SdoAbortedError:
+    def answer(key: cia.Key) -> int | SdoAbortedError:
         try:
             return master.read(drive.node, *key)
         except SdoAbortedError as error:
@@ -140,13 +146,21 @@ def _ask(master: Master, drive: Drive, *keys: Key) -> Answers:
     return {key: answer(key) for key in keys}
 
 
-def _name(key: Key) -> str:
+def _name(key: cia.Key) -> str:
     return f"{key[0]:04X}:{key[1]}"
 
 
-def _need(drive: Drive, name: str, answers: Answers, writes: Sequence[Write], shown: str) -> Need:
-    """A property that `writes` set, needed by motion only: refused where an object is not there,
-    cannot be read (unless it is written), or is read-only by the dictionary.
+def _need(
+    drive: Drive,
+    name: str,
+    answers: Answers,
+    writes: Sequence[Write],
+    shown: str,
+    *,
+    track: bool = True,
+) -> Need:
+    """A property that `writes` set: refused where an object is not there, cannot be read (unless it
+    is written), or is read-only by the dictionary.
     """
     keys = dict.fromkeys(write[:2] for write in writes)
     refused = [
@@ -166,23 +180,19 @@ def _need(drive: Drive, name: str, answers: Answers, writes: Sequence[Write], sh
         found=shown + written,
         writes=() if refused else tuple(writes),
         refusal=next(iter(refused), ""),
-        track=True,
+        track=track,
     )
 
 
-def _values(drive: Drive, name: str, answers: Answers, wanted: dict[Key, int], unit: str) -> Need:
-    """Objects that have to have the raw values `wanted`."""
+def _values(
+    drive: Drive, name: str, answers: Answers, wanted: dict[cia.Key, int], unit: str = ""
+) -> Need:
+    """Objects that have to have the raw values `wanted` before motion."""
     writes = [
         (*key, value, drive.size_of(*key)) for key, value in wanted.items() if answers[key] != value
     ]
     shown = " ".join(str(x) if isinstance(x, int) else "-" for x in answers.values())
     return _need(drive, name, answers, writes, shown + unit)
-
-
-def _heartbeat(master: Master, drive: Drive) -> Need:
-    key, every_ms = (cia.HEARTBEAT_TIME, 0), round(master.bus.file.heartbeat_s * 1000)
-    answers = _ask(master, drive, key)
-    return _values(drive, f"heartbeat {key[0]:04X}", answers, {key: every_ms}, " ms")
 
 
 def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
@@ -204,20 +214,8 @@ def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
         if not (is_right or (is_mapped and write[0] == mapping) or (on_sync and write[:2] == kind))
     ]
     name = f"{way.upper()} {pdo.number} {communication:04X} {mapping:04X}"
-    need = _need(drive, name, answers, writes, "as described" if is_right else "differs")
-    return replace(need, track=way == "rpdo")
-
-
-def _mode(master: Master, drive: Drive) -> Need:
-    """The mode, and its display: a session waits until it follows."""
-    mode, display = (i + axis_of(drive) for i in (cia.MODE_OF_OPERATION, cia.MODE_DISPLAY))
-    answers, wanted = (
-        _ask(master, drive, (mode, 0), (display, 0)),
-        cia.Mode.CYCLIC_SYNCHRONOUS_POSITION,
-    )
-    return _values(
-        drive, f"mode and display {mode:04X} {display:04X}", answers, {(mode, 0): wanted}, ""
-    )
+    shown = "as described" if is_right else "differs"
+    return _need(drive, name, answers, writes, shown, track=way == "rpdo")
 
 
 def _interpolation(master: Master, drive: Drive) -> Need:
@@ -240,7 +238,7 @@ def _interpolation(master: Master, drive: Drive) -> Need:
         count, unit = cia.interpolation_period(period_s)
     except BadInputError as error:
         return Need(drive=drive, name=name, found="", refusal=error.args[0], track=True)
-    return _values(drive, name, answers, {(index, 1): count, (index, 2): unit % 256}, "")
+    return _values(drive, name, answers, {(index, 1): count, (index, 2): unit % 256})
 
 
 def _identity(master: Master, drive: Drive) -> Iterator[Need]:
@@ -248,38 +246,35 @@ def _identity(master: Master, drive: Drive) -> Iterator[Need]:
     compared.
     """
     identity = [] if drive.dictionary is None else drive.dictionary.identity
-    wanted = [
-        *((name, cia.IDENTITY, sub, number, "0x{:X}") for sub, name, number in identity),
-        *(("rated value", index, 0, rated, "{}") for index, rated in drive.rated.items()),
-    ]
-    for name, index, sub, number, form in wanted:
-        if drive.dictionary is None or (index, sub) in drive.entries:
-            answers = _ask(master, drive, key := (index, sub))
-            need = _need(drive, f"{name} {_name(key)}", answers, (), form.format(number))
+    for name, key, number, form, source in (
+        *((name, (cia.IDENTITY, k), x, "0x{:X}", "its dictionary") for k, name, x in identity),
+        *(("rated value", (index, 0), x, "{}", "robot.toml") for index, x in drive.rated.items()),
+    ):
+        if drive.dictionary is None or key in drive.entries:
+            answers, wanted = _ask(master, drive, key), form.format(number)
+            need = _need(drive, f"{name} {_name(key)}", answers, (), wanted, track=False)
             if not need.refusal and answers[key] != number:
-                source = "its dictionary" if index == cia.IDENTITY else "robot.toml"
-                text = f"{form.format(answers[key])}: expected {need.found} as {source} says"
-                need = replace(need, refusal=text)
-            yield replace(need, track=False)
+                found = form.format(answers[key])
+                need = replace(need, refusal=f"{found}: expected {wanted} as {source} says")
+            yield need
 
 
 def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     """Position limits, motor speed and gear, where the drive states them, compared with the
-    limits of the joints times the ratio.
+    limits of the joints times the ratio; and the ramp of its quick stop.
     """
-    positions, home, speed, unit, gear = (
-        index + axis_of(drive)
-        for index in (
-            cia.POSITION_LIMITS,
-            cia.HOME_OFFSET,
-            cia.MAX_RPM,
-            cia.VELOCITY_UNIT,
-            cia.GEAR,
-        )
-    )
-    keys = (positions, 1), (positions, 2), (home, 0), (gear, 1), (gear, 2), (speed, 0), (unit, 0)
+    axis = axis_of(drive)
     low, high, home, turns, shaft, rpm, unit = (
-        read_if_there(master, drive, *key) or 0 for key in keys
+        read_if_there(master, drive, index + axis, sub) or 0
+        for index, sub in (
+            (cia.POSITION_LIMITS, 1),
+            (cia.POSITION_LIMITS, 2),
+            (cia.HOME_OFFSET, 0),
+            (cia.GEAR, 1),
+            (cia.GEAR, 2),
+            (cia.MAX_RPM, 0),
+            (cia.VELOCITY_UNIT, 0),
+        )
     )
     low, high = ((raw ^ 1 << 31) - (1 << 31) for raw in (low, high))  # I32
     least, most = drive.position_range or (0.0, 0.0)
@@ -287,19 +282,20 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     span = most - least if low < high and not home else 0.0
     fastest = drive.rpm_limit if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
     wider = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
+    ramp, faster = stop_ramp(master, drive)
     joints, ratio = "the joints' limits x ratio", drive.ratio or 0.0
     known = f"the ratio of its motor in robot.toml, {ratio:g}"
     for stated, name, found, expected, ok in (
         (
             span,
-            f"position limits {positions:04X}",
+            f"position limits {cia.POSITION_LIMITS + axis:04X}",
             f"{low} to {high}",
             f"{least:.0f} to {most:.0f} within, {joints}",
             max(low - least, most - high) <= TOLERANCE * span,
         ),
         (
             fastest,
-            f"motor speed {speed:04X}",
+            f"motor speed {cia.MAX_RPM + axis:04X}",
             f"{rpm} rpm",
             f"{fastest or 0.0:.0f} at least, {joints}",
             rpm >= (1 - TOLERANCE) * (fastest or 0.0),
@@ -307,7 +303,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
         (
             # Where a ratio is missing or wrong, both are the same multiple.
             ratio and wider[0] >= MIN_MULTIPLE,
-            f"ratio {positions:04X} {speed:04X}",
+            f"ratio {cia.POSITION_LIMITS + axis:04X} {cia.MAX_RPM + axis:04X}",
             f"range and speed are {wider[0]:.4g} and {wider[1]:.4g} times {joints}",
             f"once: is {known}, right?",
             wider[1] > (1 + MULTIPLES_DIFFER) * wider[0],
@@ -315,11 +311,12 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
         # Where the description reduces more, a further stage is outside of the drive.
         (
             ratio and shaft,
-            f"gear {gear:04X}",
+            f"gear {cia.GEAR + axis:04X}",
             f"{turns}/{shaft}",
             f"at most {known}",
             ratio * shaft >= (1 - TOLERANCE) * turns,
         ),
+        (ramp, "quick stop ramp", ramp, faster, not faster),
     ):
         if stated:
             refusal = "" if ok else f"{found}: expected {expected}"

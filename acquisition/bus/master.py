@@ -77,16 +77,16 @@ class Master:
 
     def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
         """Receive until `until_ns`; with `for_answers` only until every drive has answered SYNC."""
-        while not (for_answers and all(watch.answers for watch in self.nodes)):
-            frame = self.link.receive(until_ns)
-            if frame is None:
-                return
-            self.dispatch(frame)
+        self._receive(until_ns, lambda: for_answers and all(w.answers for w in self.nodes))
 
     def wait_for_sync(self, until_ns: int) -> bool:
         """Receive until another producer's SYNC; False where none came before `until_ns`."""
         count = len(self.sync_times)
-        while len(self.sync_times) == count:
+        return self._receive(until_ns, lambda: len(self.sync_times) > count)
+
+    def _receive(self, until_ns: int, enough: Callable[[], bool]) -> bool:
+        """Receive until `enough` is true; False where it was not before `until_ns`."""
+        while not enough():
             frame = self.link.receive(until_ns)
             if frame is None:
                 return False
@@ -138,9 +138,12 @@ class Master:
     def refuse_doubled(self) -> None:
         """Raise `RefusedError` where two devices have answered as one node."""
         if self.doubled:
-            expected = "one device for each node id: disconnect one, and change its id"
-            problem = f"two devices answer as node {min(self.doubled)}"
-            raise RefusedError(problem, what="the session", place="bus", expected=expected)
+            raise RefusedError(
+                f"two devices answer as node {min(self.doubled)}",
+                what="the session",
+                place="bus",
+                expected="one device for each node id: disconnect one, and change its id",
+            )
 
     def _note_sign(self, frame: Frame) -> None:
         # Our own frames never come here: a link leaves out those that its interface returns.
@@ -191,8 +194,7 @@ class Master:
             watch.answers, watch.silent_syncs = 0, 0
             watch.booted, watch.emergency, watch.nmt = False, None, None
             watch.started, watch.unstarted = False, 0
-        for drive in self.bus.drives:
-            self.nmt(START, drive.node)
+            self.nmt(START, watch.drive.node)
         for watch in self.nodes:
             watch.heard_ns = self.link.now_ns()
 
@@ -262,8 +264,11 @@ class Master:
                 answer = self.answered(node, request)
                 if answer is not None:
                     return answer
-        problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
-        raise NoAnswerError(problem, node=node, place=place)
+        raise NoAnswerError(
+            f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?",
+            node=node,
+            place=place,
+        )
 
 
 def _place(node: int, index: int, sub: int) -> str:

@@ -197,33 +197,30 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     speed, min_ramp = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
     rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
     text = f"{ramp / scale:.4g} {unit}/s²{rest}"
-    fast_enough = ramp >= min_ramp - 1  # drives state whole counts
-    return (
-        text,
-        ""
-        if fast_enough
-        else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit",
-    )
+    if ramp >= min_ramp - 1:  # drives state whole counts
+        return text, ""
+    return text, f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit"
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:
     """The supervision that a drive lacks, empty where none: after a power cut of this computer
     nothing would stop it.
     """
-    axis = axis_of(drive)
+    reaction, window = (
+        index + axis_of(drive) for index in (cia.ABORT_CONNECTION, cia.FOLLOWING_ERROR_WINDOW)
+    )
     try:
         sub = free_entry(heartbeat_consumers(master, drive.node), master.bus.file.master_node)
     except (NoAnswerError, SdoAbortedError):
         sub = None
-    missing = []
-    if sub is None and not read_if_there(master, drive, cia.ABORT_CONNECTION + axis):
-        missing.append(
-            f"of the master (no free 1016, {cia.ABORT_CONNECTION + axis:04X} is 0 or not there)"
-        )
-    if read_if_there(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
-        missing.append(
-            f"of the following error ({cia.FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there)"
-        )
+    lacks = {
+        f"of the master (no free 1016, {reaction:04X} is 0 or not there)": sub is None
+        and not read_if_there(master, drive, reaction),
+        f"of the following error ({window:04X} is off or not there)": (
+            read_if_there(master, drive, window) in (None, NO_WINDOW)
+        ),
+    }
+    missing = [text for text, is_missing in lacks.items() if is_missing]
     return f"none {' and none '.join(missing)}" if missing else ""
 
 
@@ -262,10 +259,10 @@ def _consumers(master: Master, drive: Drive) -> Property:
     text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
     if sub is None:
         return name, f"{text}: no free sub-index: the drive does not detect the loss of the master"
-    writes = (
-        f"--track writes 0x{entry_of(file):08X} (node {file.master_node}, {timeout_ms(file)} ms)"
+    return name, (
+        f"{text}; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "
+        f"{timeout_ms(file)} ms) to sub-index {sub}"
     )
-    return name, f"{text}; {writes} to sub-index {sub}"
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:

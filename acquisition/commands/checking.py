@@ -5,6 +5,8 @@ Nothing moves and no PDO is configured; objects are read and SYNC is measured.
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import KW_ONLY, dataclass
 
 from ..bus import (
@@ -69,49 +71,40 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     A session may start if all findings are `ok`.
     """
     handle = open_bus(bus.file, passive=False)
-    link = Link(handle, passive=False)
-    try:
-        sock = socket_of(handle)
+    with closing(Link(handle, passive=False)) as link:
         findings = [_load(bus), Finding("second stop", second_stop(bus.file))]
         findings += [
             Finding("effort", text)
             for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)
         ]
         findings += _of_description(robot, bus)
+        sock = socket_of(handle)
         if sock is not None:
             granted = queue_bytes(sock)
-            text = (
-                ""
-                if granted >= QUEUE_BYTES
-                else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
-            )
-            findings.append(
-                Finding("kernel queue", f"{granted} bytes{text}", ok=granted >= QUEUE_BYTES // 10)
-            )
+            few = f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
+            text = f"{granted} bytes{few if granted < QUEUE_BYTES else ''}"
+            findings.append(Finding("kernel queue", text, ok=granted >= QUEUE_BYTES // 10))
         with real_time_scheduling() as scheduling:
             findings.append(Finding("scheduling", scheduling.words))
             found = check_drives(link, bus)
         if all(finding.ok for finding in found if finding.subject in (OTHER_NODES, "state")):
             found += _positions(robot, Master(link, bus))
         return findings + found
-    finally:
-        link.close()
 
 
-def _of_description(robot: Robot, bus: Bus) -> list[Finding]:
+def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
     """What robot.toml lacks for a session that sends, or for motion."""
-    marked = ", ".join(map(str, lines_to_fill_in(robot)))
-    missing = {
-        FILL_IN: f"robot.toml: lines {marked}: --track refuses" if marked else "",
-        "limits": "; ".join(missing_limits(robot)),
-    }
+    if lines := lines_to_fill_in(robot):
+        text = f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses"
+        yield Finding(FILL_IN, text, ok=False, track=True)
+    if missing := missing_limits(robot):
+        yield Finding("limits", "; ".join(missing), ok=False, track=True)
     try:
         check_carriers(bus)
     except BadInputError as error:
-        missing["PDOs"] = error.args[0]
-    traffic = Finding("mapping", "traffic: record --passive only", ok=False)
-    found = [Finding(k, text, ok=False, track=True) for k, text in missing.items() if text]
-    return [*found, traffic] if bus.file.mapped_by_traffic else found
+        yield Finding("PDOs", error.args[0], ok=False, track=True)
+    if bus.file.mapped_by_traffic:
+        yield Finding("mapping", "traffic: record --passive only", ok=False)
 
 
 def table(findings: list[Finding]) -> list[str]:
@@ -168,67 +161,51 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     if (other := listen_for_others(master)) is not None:
         text = f"{other}; states, needs of a session, supervision, scales and SYNC are not checked"
         return [Finding(OTHER_NODES, text, ok=False)]
-    by_drive = [_of_drive(master, drive) for drive in bus.drives]
-    findings = [finding for of_drive in by_drive for finding in of_drive]
-    answered = [len(of_drive) > 1 for of_drive in by_drive]
-    if not any(answered):
+    findings = [finding for drive in bus.drives for finding in _of_drive(master, drive)]
+    if len(findings) == len(bus.drives):  # the state alone: no drive has answered
         return [*findings, Finding("drives", NO_ANSWER, ok=False)]
     findings.append(_jitter(master))
     return findings + [
         Finding("node ids", f"two devices answer as node {node}", ok=False)
-        for node in master.doubled
+        for node in master.doubled  # while SYNC was measured, too
     ]
 
 
-def _of_drive(master: Master, drive: Drive) -> list[Finding]:
+def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
     """Findings about a drive; only its state if it does not answer."""
+    node = drive.node
     try:
         state = master.state(drive)
     except BusFaultError as error:
         text = error.args[0].removeprefix(f"{error.place}: ")  # the same for all drives
-        return [Finding("state", text, ok=False, node=drive.node)]
+        yield Finding("state", text, ok=False, node=node)
+        return
     # A recording leaves a drive in fault as it is; motion begins with its reset.
     fault, disabled = state is State.FAULT, state in DISABLED
     text = "fault: remove its cause and reset it" if fault else state.words
     text += "" if disabled else ": `robot-acquire disable` disables it"
-    findings = [
-        Finding("state", text, ok=disabled and not fault, node=drive.node, track=fault),
-        *_needs(master, drive),
-    ]
-    properties = supervision_of(master, drive)
-    properties += [
-        ("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())
-    ]
-    if scale := _scale(master, drive):
-        properties.append(("scale", scale))
-    findings += [Finding(name, text, node=drive.node) for name, text in properties]
+    yield Finding("state", text, ok=disabled and not fault, node=node, track=fault)
+    try:
+        for need in list(needs_of(master, drive, track=True)):
+            text, ok = need.refusal or need.found, not need.refusal
+            yield Finding(need.name, text, ok=ok, node=node, track=need.track)
+    except BusFaultError as error:
+        yield Finding("objects", error.args[0], ok=False, node=node)
+    warnings = drive.dictionary.warnings if drive.dictionary else ()
+    for name, text in (
+        *supervision_of(master, drive),
+        *(("dictionary", text) for text in warnings),
+        *_scale(master, drive),
+    ):
+        yield Finding(name, text, node=node)
     if reason := supervision_refusal(master, drive):
         text = f"{reason}: --track refuses without --unsupervised-drives"
-        findings.append(Finding("supervision", text, ok=False, node=drive.node, track=True))
-    return findings
+        yield Finding("supervision", text, ok=False, node=node, track=True)
 
 
-def _needs(master: Master, drive: Drive) -> list[Finding]:
-    """What a session reads of a drive, compares and would write."""
-    try:
-        needs = list(needs_of(master, drive, track=True))
-    except BusFaultError as error:
-        return [Finding("objects", error.args[0], ok=False, node=drive.node)]
-    return [
-        Finding(
-            need.name,
-            need.refusal or need.found,
-            ok=not need.refusal,
-            node=drive.node,
-            track=need.track,
-        )
-        for need in needs
-    ]
-
-
-def _scale(master: Master, drive: Drive) -> str:
-    """The drive's objects of position units, and the units of the description; manufacturers
-    combine them differently.
+def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
+    """The drive's objects of position units, and the units of the description, as a property;
+    manufacturers combine them differently.
     """
     values = []
     for index, name in SCALES.items():
@@ -248,15 +225,15 @@ def _scale(master: Master, drive: Drive) -> str:
         f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that "
         "they agree"
     )
-    return ", ".join([*values, text]) if values else ""
+    return [("scale", ", ".join([*values, text]))] if values else []
 
 
 def _load(bus: Bus) -> Finding:
     bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
     fastest_hz = MAX_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
-    rate_hz = 1 / bus.file.sync_period_s
     text = (
-        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
+        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
+        f"at most {fastest_hz:.0f} Hz"
     )
     return Finding("bus load", text, ok=bus.load <= MAX_LOAD)
 
@@ -267,39 +244,28 @@ def _jitter(master: Master) -> Finding:
         jitter = sync_jitter(master)
     except BusFaultError as error:
         return Finding("SYNC", error.args[0], ok=False)
-    period_ms, sd_ms, worst_ms = (
-        master.bus.file.sync_period_s * 1e3,
-        jitter.sd_s * 1e3,
-        jitter.worst_s * 1e3,
-    )
-    text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
-    if not jitter.fit_for_motion:
-        text += f"; {DEVIATIONS} sd are more than {jitter.largest_s * 1e3:g} ms: --track refuses"
     even = jitter.off <= MAX_OFF_SHARE
-    text += f"; {jitter.off:.1%} off by more than half a period"
+    rough = f"; {DEVIATIONS} sd are more than {jitter.largest_s * 1e3:g} ms: --track refuses"
+    text = (
+        f"jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms of a period of "
+        f"{master.bus.file.sync_period_s * 1e3:g} ms{'' if jitter.fit_for_motion else rough}; "
+        f"{jitter.off:.1%} off by more than half a period"
+    )
     return Finding("SYNC", text, ok=even and jitter.fit_for_motion, track=even)
 
 
-def _positions(robot: Robot, master: Master) -> list[Finding]:
+def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
     """Reported joint positions, and whether the drives are homed."""
-    findings = []
     try:
-        text = (
-            f"{', '.join(position_words(robot, joint_positions(robot, master)))}: check that "
-            "the robot stands there"
-        )
-        findings.append(Finding("joint positions", text))
+        words = ", ".join(position_words(robot, joint_positions(robot, master)))
+        yield Finding("joint positions", f"{words}: check that the robot stands there")
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             homed = is_homed(master, drive, file)
-            stated = f"{'yes' if homed else 'NO'} ({file.homed})"
             text = (
                 "not described: the drive's zero may be its position at power-on"
                 if homed is None
-                else stated
+                else f"{'yes' if homed else 'NO'} ({file.homed})"
             )
-            findings.append(
-                Finding("homed", text, ok=homed is not False, node=drive.node, track=True)
-            )
+            yield Finding("homed", text, ok=homed is not False, node=drive.node, track=True)
     except BusFaultError as error:
-        findings.append(Finding("joint positions", error.args[0], ok=False))
-    return findings
+        yield Finding("joint positions", error.args[0], ok=False)

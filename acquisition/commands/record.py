@@ -72,13 +72,10 @@ def run(options: argparse.Namespace) -> int:
         """Name the drives that may still be enabled, before the recording is closed."""
         line.show()
         if outcome.alarm:
-            print(one_line(outcome.alarm), file=sys.stderr, flush=True)
+            _tell(outcome.alarm)
 
     def show(status: "Status", left_s: float | None) -> None:
         line.show(*live_line(robot, status, left_s))
-
-    def note(text: str) -> None:
-        print(one_line(text), file=sys.stderr, flush=True)
 
     if sys.stderr.isatty():
         print(
@@ -86,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     line.show(("starting", False))
-    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=note)
+    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=_tell)
     try:
         with stop_on_signals(stop):
             outcome, recorded = record(
@@ -101,26 +98,21 @@ def run(options: argparse.Namespace) -> int:
     return _report(options.output, robot, outcome, recorded)
 
 
+def _tell(text: str) -> None:
+    """Print one line on standard error at once."""
+    print(one_line(text), file=sys.stderr, flush=True)
+
+
 def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> int:
     from ..session import INTERRUPTED
 
     if outcome.fault:  # the reason is printed before what was recorded
-        print(
-            one_line(
-                f"robot-acquire: {out}: ended by a fault: "
-                f"{'; '.join((outcome.reason, *outcome.reports))}"
-            ),
-            file=sys.stderr,
-            flush=True,
-        )
+        reason = "; ".join((outcome.reason, *outcome.reports))
+        _tell(f"robot-acquire: {out}: ended by a fault: {reason}")
     for text in () if outcome.fault else recorded.warnings:
-        print(one_line(f"warning: {text}"), file=sys.stderr)
-    print(
-        one_line(
-            f"{out}: {robot.name}, {recorded.samples} samples, {recorded.frames} CAN frames; "
-            f"{outcome.reason}"
-        )
-    )
+        _tell(f"warning: {text}")
+    text = f"{out}: {robot.name}, {recorded.samples} samples, {recorded.frames} CAN frames"
+    print(one_line(f"{text}; {outcome.reason}"))
     if recorded.path is not None and recorded.path.absolute() != out.absolute():
         raise BadInputError(f"was deleted: the recording is in {recorded.path}", place=str(out))
     if outcome.fault:
@@ -144,7 +136,7 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
 
     line.show()
     for text in words:
-        print(one_line(text), file=sys.stderr)
+        _tell(text)
     print(
         "Are these joint positions right, and may the robot move? yes or no: ",
         end="",
@@ -191,11 +183,11 @@ class StatusLine:
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
     """Rate, losses (true if there are any), range of each joint so far, time left."""
-    losses = ((status.drops, "dropped"), (status.missing, "missing"), (status.late, "late"))
+    losses = {"dropped": status.drops, "missing": status.missing, "late": status.late}
     ranges = zip(robot.joints, status.lowest, status.highest, strict=False)
     return [
         (f"{status.rate_hz:.0f} frames/s", False),
-        *((f", {count} {name}", bool(count)) for count, name in losses),
+        *((f", {count} {name}", bool(count)) for name, count in losses.items()),
         *(
             (f", {j.name} {low:.3f}..{high:.3f} {j.position_unit}", False)
             for j, low, high in ranges

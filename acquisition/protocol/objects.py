@@ -263,8 +263,10 @@ def interpolation_period(period_s: float) -> tuple[int, int]:
         count = period_s / 10.0**unit
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
-    problem = "not representable as the drives' interpolation period (60C2)"
-    expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
     raise BadInputError(
-        problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected
+        "not representable as the drives' interpolation period (60C2)",
+        key="bus.sync_period_s",
+        value=period_s,
+        shown=f"{period_s:g}",
+        expected="up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs",
     )

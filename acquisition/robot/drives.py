@@ -112,13 +112,13 @@ def refuse_load(bus: Bus, place: str) -> None:
     """Refuse PDOs that do not fit between two SYNCs; for sessions that send, not for listeners."""
     if bus.load > MAX_LOAD:
         period_s = bus.file.sync_period_s
-        expected = (
-            f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or "
-            "fewer PDOs"
-        )
-        problem = f"{bus.load:.0%} of {bus.file.bitrate} bit/s"
         Place(place, "bus").refuse(
-            "sync_period_s", period_s, expected, text=problem, shown=f"{period_s:g}"
+            "sync_period_s",
+            period_s,
+            f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or "
+            "fewer PDOs",
+            text=f"{bus.load:.0%} of {bus.file.bitrate} bit/s",
+            shown=f"{period_s:g}",
         )
 
 
@@ -215,9 +215,9 @@ def axis_of(drive: Drive) -> int:
         or drive.control.sub
         or drive.status.sub
     ):
-        problem = f"control {drive.control} and status {drive.status}"
         Place(f"node {drive.node}").refuse(
-            text=problem, expected="those of one axis, such as 6040:0 and 6041:0"
+            text=f"control {drive.control} and status {drive.status}",
+            expected="those of one axis, such as 6040:0 and 6041:0",
         )
     return axis
 
@@ -243,8 +243,10 @@ def check_carriers(bus: Bus) -> None:
         if drive.carrier(drive.status, "tpdo") is None:
             at.refuse(text=f"no PDO from it carries {drive.status}", expected="one to track")
         for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
-            expected = f"only {', '.join(sorted(known))} to track"
-            at.refuse(text=f"a PDO to the drive carries {other}", expected=expected)
+            at.refuse(
+                text=f"a PDO to the drive carries {other}",
+                expected=f"only {', '.join(sorted(known))} to track",
+            )
 
 
 def effort_scale(rule: cia.Rule, file: DriveFile, at: Place, expected: str) -> float:

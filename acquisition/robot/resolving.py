@@ -156,8 +156,10 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed
                 if isinstance(text, str) and 0x1800 <= index < 0x1C00
             ]
             why = next(iter(unknown), confirmed.refused and f": {confirmed.refused}")
-            problem = f"{at.table}.mapping: no PDO from the drive carries {needed}{why}"
-            Place(at.name).refuse(text=problem, expected=f"one ({file.mapping})")
+            Place(at.name).refuse(
+                text=f"{at.table}.mapping: no PDO from the drive carries {needed}{why}",
+                expected=f"one ({file.mapping})",
+            )
     return drive
 
 
@@ -182,8 +184,11 @@ def _pdos(
         pdo = cia.Pdo(number=number, can_id=can_id, entries=entries)
         if pdo.bits > cia.MAX_PDO_BITS:
             sizes = " + ".join(str(e.bits // 8) for e in entries)
-            problem = f"{sizes} = {pdo.length} bytes"
-            at.refuse(f"{way}[{k}].objects", text=problem, expected="8 at most; use a second PDO")
+            at.refuse(
+                f"{way}[{k}].objects",
+                text=f"{sizes} = {pdo.length} bytes",
+                expected="8 at most; use a second PDO",
+            )
         pdos.append(pdo)
     return tuple(pdos)
 
@@ -213,12 +218,19 @@ def _effort(
     rule = cia.RULES[name]
     scale = effort_scale(rule, file, at, f"the rated value that {name!r} multiplies")
     if rule.unit != motor.recorded_unit:
-        expected = f"{motor.recorded_unit} as motor {motor.name!r} says"
-        at.refuse(f"{word}_rule", name, expected, text=f"gives {rule.unit}")
-    parts = [f"object {entry} ({meaning if known else 'as described'})"]
-    parts += [] if word == "reference" else ["the actual value instead of the reference"]
+        at.refuse(
+            f"{word}_rule",
+            name,
+            f"{motor.recorded_unit} as motor {motor.name!r} says",
+            text=f"gives {rule.unit}",
+        )
     times = f" x {getattr(file, rule.rated):g} ({rule.rated})" if rule.rated else ""
-    parts += [f"raw {entry.type} in {name}{times}", f"sign {file.effort_sign or file.sign:+d}"]
+    parts = (
+        f"object {entry} ({meaning if known else 'as described'})",
+        *(() if word == "reference" else ("the actual value instead of the reference",)),
+        f"raw {entry.type} in {name}{times}",
+        f"sign {file.effort_sign or file.sign:+d}",
+    )
     return cia.EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
 
 

@@ -65,8 +65,11 @@ class Recorder:
         file = robot.bus
         self._bus: Bus | None = None if file.mapped_by_traffic else resolve(robot, place)
         if path.exists():
-            expected = "a new name; recordings are not replaced"
-            raise BadInputError("already exists", place=str(path), expected=expected)
+            raise BadInputError(
+                "already exists",
+                place=str(path),
+                expected="a new name; recordings are not replaced",
+            )
         header = recording.Header(
             robot=robot,
             source=source,
@@ -132,15 +135,17 @@ class Recorder:
         self._recent = []
         self._watch_file()
         self._status = status = self._next_status(recent, elapsed_s, drops)
-        counters = {
-            "frames": status.frames,
-            "kernel_drops": drops,
-            "late": status.late,
-            "missing": status.missing,
-        }
         self._writer.health(
             stamp_ns,
-            self.granted | counters | {"duplicate": status.duplicate, "short": status.short},
+            self.granted
+            | {
+                "frames": status.frames,
+                "kernel_drops": drops,
+                "late": status.late,
+                "missing": status.missing,
+                "duplicate": status.duplicate,
+                "short": status.short,
+            },
         )
         self._writer.flush()
         self._flushed_ns = stamp_ns

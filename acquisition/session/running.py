@@ -109,10 +109,9 @@ def record(
     if bus is None or options.passive:
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
-    dry = options.dry_run
     opened = (
         _simulated(bus, robot, out, place, payload)
-        if dry
+        if options.dry_run
         else _on_bus(bus, robot, out, place, options, payload)
     )
     with opened as (link, log):
@@ -154,8 +153,12 @@ def _task_of(
             "lasts as long as its reference", place="--track", expected="no --duration"
         )
     if options.track is None and options.speed != 1.0:
-        problem = "applies to a reference only"
-        raise BadInputError(problem, key="--speed", value=options.speed, expected="--track with it")
+        raise BadInputError(
+            "applies to a reference only",
+            key="--speed",
+            value=options.speed,
+            expected="--track with it",
+        )
     if not 0 < options.speed <= 1:
         raise BadInputError(
             key="--speed", value=options.speed, expected="more than 0, and 1 at most"
@@ -224,12 +227,12 @@ def _before_motion(
     if not options.unsupervised_drives:
         refuse_unsupervised(master)
     confirmed = confirm_motion(robot, master, confirm, reset_faults=options.reset_faults)
-    marks = [f"confirmed: {', '.join(confirmed)}"]
     jitter = refuse_jitter(master)
-    marks.append(
+    marks = [
+        f"confirmed: {', '.join(confirmed)}",
         f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before "
-        "motion"
-    )
+        "motion",
+    ]
     if options.speed != 1:
         marks.append(f"{options.track} at {options.speed:g} of its speed")
     if master.bus.file.interface not in SHARED:
@@ -253,7 +256,7 @@ def _listen(
     log = ProcessLog(
         out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload
     )
-    try:
+    with closing(log):
         started_s, cut_short = time.monotonic(), False
         log.event(clock.now_ns(), "phase", "record")
         try:
@@ -278,8 +281,6 @@ def _listen(
             log.event(clock.now_ns(), "end", reason)
         outcome = Outcome(reason=reason, fault=False, cut_short=cut_short)
         return outcome, log.finish(clock.now_ns())
-    finally:
-        log.close()
 
 
 @contextmanager
@@ -322,10 +323,12 @@ def replay(
     if not speed > 0:
         raise BadInputError(key="--speed", value=speed, expected="more than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
-        problem = "hardware may be on this bus"
-        expected = f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}"
         raise RefusedError(
-            problem, what="sending", key="--interface", value=file.interface, expected=expected
+            "hardware may be on this bus",
+            what="sending",
+            key="--interface",
+            value=file.interface,
+            expected=f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}",
         )
     recording = read_recording(path)
     frames = from_drives(recording, str(path))
@@ -379,10 +382,12 @@ def from_drives(recording: Recording, place: str) -> Block:
         raise BadInputError("holds no CAN frames", place=place, expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")
-    ids = [bus.file.sync_can_id]
-    for drive in bus.drives:
-        ids += [pdo.can_id for pdo in drive.tpdos]
-        ids += [service + drive.node for service in (EMERGENCY, ANSWER, HEARTBEAT)]
+    services = (EMERGENCY, ANSWER, HEARTBEAT)
+    ids = [
+        bus.file.sync_can_id,
+        *(pdo.can_id for drive in bus.drives for pdo in drive.tpdos),
+        *(service + drive.node for drive in bus.drives for service in services),
+    ]
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
     if not len(found):

@@ -90,7 +90,6 @@ def run_active(
     what is raised while they are stopped, by `log` or `announce`, is held back until then, and
     unless it is an interrupt (KeyboardInterrupt, SystemExit) it is only recorded.
     """
-    link = master.link
     session = _Session(robot, master, log, task, stop)
     reason, fault = "", True
     failure: RobotIdimError | None = None
@@ -106,7 +105,7 @@ def run_active(
     finally:
         held = session.held
         with held:  # drives are disabled also when the recorder has ended
-            log.event(link.now_ns(), "fault" if fault else "end", reason)
+            session.note("fault" if fault else "end", reason)
         unconfirmed = [drive.node for drive in master.bus.drives]
         with held:
             unconfirmed = session.make_safe()
@@ -127,8 +126,10 @@ def run_active(
                 log.ended()
         with held:
             if session.addressed:
-                text = outcome.alarm or "every drive confirmed"
-                log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
+                session.note(
+                    "not disabled" if unconfirmed else "disabled",
+                    outcome.alarm or "every drive confirmed",
+                )
         with held:  # before the reports: while those are read there is no heartbeat
             session.leave(unconfirmed)
         with held:
@@ -161,7 +162,6 @@ class _Session:
         self._period_s = master.bus.file.sync_period_s
         self._pace = Pace(master)
         self._heartbeat = bus.MasterHeartbeat(master)
-        self._until_ns: int | None = None
         self._motion: MotionState | None = None
         self._held: list[int] = []  # last target counts of the drives
         self._targets: list[Array] = []  # the last joint targets
@@ -199,8 +199,6 @@ class _Session:
         self._master.start()
         self._started = True
         self._pace.start()
-        if self._task.duration_s is not None:
-            self._until_ns = self._link.now_ns() + round(self._task.duration_s * 1e9)
 
     def note(self, kind: str, *texts: str) -> None:
         """Record texts as events."""
@@ -309,8 +307,9 @@ class _Session:
         )
 
     def _record(self) -> Iterator[None]:
+        since_ns, duration_s = self._link.now_ns(), self._task.duration_s
         while not self._stop.reason and (
-            self._until_ns is None or self._link.now_ns() < self._until_ns
+            duration_s is None or self._link.now_ns() - since_ns < round(duration_s * 1e9)
         ):
             yield None
 
@@ -376,11 +375,11 @@ class _Session:
         in_fault = [
             watch.drive
             for watch in self._master.nodes
+            if self.addressed and watch.drive.node not in unconfirmed
             if watch.emergency is not None
             or watch.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         ]
-        asked = [drive for drive in in_fault if self.addressed and drive.node not in unconfirmed]
-        return [text for drive in asked if (text := bus.error_report(self._master, drive))]
+        return [text for drive in in_fault if (text := bus.error_report(self._master, drive))]
 
     def leave(self, unconfirmed: list[int]) -> None:
         """End the heartbeat, and set the drives to PRE-OPERATIONAL."""

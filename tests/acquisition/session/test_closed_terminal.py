@@ -27,8 +27,7 @@ def session_on_a_terminal(folder: Path, out: Path, ignored: bool) -> tuple[int, 
     process, terminal = pty.fork()
     if not process:
         os.chdir(ROOT)
-        if ignored:
-            signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
         os.execv(sys.executable, command)
     return process, terminal
 

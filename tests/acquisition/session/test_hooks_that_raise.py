@@ -332,7 +332,7 @@ def test_a_recording_that_was_deleted_after_its_last_status_is_found_at_the_end(
     ("number", "status"), [(signal.SIGTERM, 1), (signal.SIGHUP, 1), (signal.SIGINT, 0), (None, 0)]
 )
 def test_the_exit_status_of_a_reference_that_was_cut_short(
-    tmp_path, monkeypatch, capsys, number, status
+    tmp_path, monkeypatch, capsys, request, number, status
 ):
     """By signals that come with the first status of a dry run."""
     (tmp_path / "robot.toml").write_bytes(SLOW.files["robot.toml"])
@@ -343,6 +343,9 @@ def test_the_exit_status_of_a_reference_that_was_cut_short(
         if number is not None:
             signal.raise_signal(number)
         return []
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # one that is ignored stays ignored
+    request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
 
     monkeypatch.setattr("acquisition.commands.record.live_line", line)
     out = tmp_path / "a.mcap"
