@@ -179,7 +179,7 @@ def test_compact_storage(lines):
         ),
         (
             COMPACTS["values"].replace("2=0x60640020", "2=position"),
-            "ParameterValue = 'position' is no",
+            ": 2 = 'position' is no number",
         ),
         (COMPACTS["values"].replace("Obj=3", "Obj=three"), "1A00:0 a.dcf: line "),
         (COMPACTS["values"].replace("Obj=3", "Obj=0"), "no PDO from the drive carries 6064:0"),
