@@ -54,6 +54,7 @@ PACKAGES = (
     "mcap",
     "rosbags",
     "python-can",
+    "canopen",
     "msgspec",
 )
 

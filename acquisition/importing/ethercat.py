@@ -197,22 +197,19 @@ def _on_grid(
     if len(chosen) < 2:
         process.refuse_no_rows()
     number = number[chosen]
-    if not has_reference:
-        warnings.append(
-            "no reference: the targets are not mapped, or not in frames on their way out"
-        )
-    if process.unanswered:
-        warnings.append("no answer of a slave is in it: what was written to map objects counts")
-    if process.short:
-        warnings.append(
-            f"{process.short} cycles with a working counter below the full one are left out"
-        )
     uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
-    if uncertain:
-        warnings.append(
-            f"{uncertain} rows beside lost or late frames are left out: their cycle or target is "
-            "uncertain"
-        )
+    told = {
+        "no reference: the targets are not mapped, or not in frames on their way out": (
+            not has_reference
+        ),
+        "no answer of a slave is in it: what was written to map objects counts": process.unanswered,
+        f"{process.short} cycles with a working counter below the full one are left out": (
+            process.short
+        ),
+        f"{uncertain} rows beside lost or late frames are left out: their cycle or target is "
+        "uncertain": uncertain,
+    }
+    warnings += [text for text, so in told.items() if so]
     steps = np.diff(number)
     gaps = (
         f"{(steps > 1).sum()} gaps, {(steps - 1).sum()} rows missing"

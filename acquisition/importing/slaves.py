@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-from ..protocol import Confirmed, Key, answer_of, request_of
+from ..protocol import ANSWER, REQUEST, Confirmed, Key, Values, words_of
 
 APWR, FPRD, BWR, WRITES = 2, 4, 8, (2, 5, 8)  # commands
 LRD, LWR, LRW = 10, 11, 12
@@ -25,16 +25,15 @@ _MAPPING = (INPUTS[1], OUTPUTS[1], *range(0x1600, 0x1800), *range(0x1A00, 0x1C00
 
 class Slaves:
     """What datagrams of one direction wrote: stations in the order of the bus; by station
-    registers, mapping objects as written, and as confirmed by answers, if any is `answered`.
+    registers, mapping objects as `written`, and as `confirmed` by answers, if any is `answered`.
     """
 
     def __init__(self) -> None:
         self._places: dict[int, int] = {}
         self.registers: dict[int, bytearray] = {}
-        self.written: dict[int, dict[Key, int]] = {}
+        self.written = defaultdict[int, Confirmed](lambda: Confirmed(silent=True))
         self.confirmed = defaultdict[int, Confirmed](Confirmed)
         self.answered, self.problem = False, ""
-        self._last: dict[int, bytes] = {}  # of a doubled frame the second one says nothing
 
     @property
     def mapped(self) -> list[bytes]:
@@ -60,10 +59,6 @@ class Slaves:
         placed = (self._places[k] for k in sorted(self._places, reverse=True))
         return list(dict.fromkeys([*placed, *sorted(self.registers)]))
 
-    def objects(self, station: int) -> Mapping[Key, int | str]:
-        """Mapping objects: those that were confirmed, or written in a capture without answers."""
-        return self.confirmed[station].values if self.answered else self.written.get(station, {})
-
     def take(self, command: int, address: int, data: bytes) -> bool:
         """Whether a datagram changed what process data mean."""
         slave, register = address & 0xFFFF, address >> 16
@@ -76,36 +71,37 @@ class Slaves:
                 memory[register : register + len(data)] = data[: _END - register]
         elif register >= MAILBOX and len(data) >= _MAIL.size:
             kind, service, sdo = _MAIL.unpack_from(data)
-            transfer = (answer_of if command == FPRD else request_of)(sdo)
-            coe = kind & 15 == _COE and service >> 12 in _SERVICES
-            if not coe or transfer.index not in _MAPPING or self._last.get(slave) == sdo:
-                return False
-            self._last[slave] = sdo
-            if command == FPRD:
-                first, self.answered = bool(self.written) and not self.answered, True
-                return self.confirmed[slave].answered(transfer) or first
-            self.confirmed[slave].asked(transfer)
-            if transfer.kind == "write":
-                key = transfer.index, transfer.sub
-                self.written.setdefault(slave, {})[key] = transfer.number
-            if self.answered:
-                return False
+            index = int.from_bytes(sdo[1:3], "little")
+            if kind & 15 == _COE and service >> 12 in _SERVICES and index in _MAPPING:
+                return self._take_sdo(slave, sdo, ANSWER if command == FPRD else REQUEST)
         return before != self._state(slave)
+
+    def _take_sdo(self, station: int, sdo: bytes, service: int) -> bool:
+        first = service == ANSWER and not self.answered
+        self.answered |= first
+        rewritten = service == REQUEST and self.written[station].take(service, sdo)
+        confirmed = self.confirmed[station].take(service, sdo)
+        # With the first answer what was written so far does not count any more.
+        return confirmed or (first and bool(self.written)) or (rewritten and not self.answered)
 
     def _entries(self, station: int, way: Way) -> Entries:
         """The objects that a slave maps, and their bits; none without a whole mapping, with the
         `problem` where it has one.
         """
-        objects, pdos = self.objects(station), _values(self.objects(station), way[1])
-        words = [w for p in pdos for w in (_values(objects, p) if isinstance(p, int) else [p])]
-        unknown = [word for word in words if isinstance(word, str)]
+        objects = (self.confirmed if self.answered else self.written)[station].values
+        words = [
+            found
+            for at, pdo in words_of(objects, way[1])
+            for found in (words_of(objects, pdo) if isinstance(pdo, int) else [(at, pdo)])
+        ]
+        unknown = [f"{at} {word}" for at, word in words if isinstance(word, str)]
         if unknown and (way[1], 0) in objects:
             self.problem = self.problem or f": station {station}: {unknown[0]}"
-        known = (word for word in words if isinstance(word, int) and not unknown)
+        known = (word for _, word in words if isinstance(word, int) and not unknown)
         return [((word >> 16, word >> 8 & 0xFF), word & 0xFF) for word in known]
 
-    def _state(self, station: int) -> tuple[bytes, dict[Key, int]]:
-        return bytes(self.registers.get(station, b"")), dict(self.written.get(station, {}))
+    def _state(self, station: int) -> tuple[bytes, Values]:
+        return bytes(self.registers.get(station, b"")), dict(self.written[station].values)
 
     def contradicts(self, other: "Slaves") -> int | None:
         """A station of which the other direction has other contents or another
@@ -143,17 +139,6 @@ def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
     ):
         if active & 1 and kind & way and (first, last, bit) == (0, 7, 0):
             yield logical, physical, size
-
-
-def _values(objects: Mapping[Key, int | str], index: int) -> list[int | str]:
-    """The values of an object with as many sub-indices as it says; words for what is not known."""
-    count = objects.get((index, 0))
-    subs = range(1, (count & 0xFF) + 1) if isinstance(count, int) else [0]
-    values = ((sub, objects.get((index, sub), "was not seen")) for sub in subs)
-    return [
-        value if value and isinstance(value, int) else f"{index:04X}:{sub} {value or 'is 0'}"
-        for sub, value in values
-    ]
 
 
 def spans(entries: Entries) -> Iterator[tuple[Key, int, int]]:

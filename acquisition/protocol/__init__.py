@@ -102,6 +102,7 @@ from .transfers import (
     request_of,
     usual_can_id,
     value_answer,
+    words_of,
     write_request,
     written_answer,
 )

@@ -1,6 +1,8 @@
-"""Object dictionaries in files: EDS and DCF (CiA 306)."""
+"""Object dictionaries in files: EDS and DCF (CiA 306), with canopen."""
 
+import configparser
 import io
+import logging
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,18 +15,13 @@ from .transfers import Key
 
 IDENTITY = 0x1018
 MAX_DICTIONARY_BYTES = 4 * 2**20
-# A section or `key = value`; a remark follows a space.
-_LINE = re.compile(
-    r"\[(?P<name>.*?)\].*|(?P<key>[^=;#]+?)\s*=\s*(?P<value>.*?)\s*(?:(?<![^\s=]);.*)?"
-)
-_ENTRY = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
+Lines: TypeAlias = dict[str, str]  # values by keys in small letters
+# Lines that are neither a section nor `key = value`.
+_OTHER = re.compile(r"(?m)^(?!\[[^;\]\n]+\]|[^\[=;#\n][^=;#\n]*=).*$")
+_ENTRY = re.compile(r"([0-9A-F]{4})(?:sub([0-9A-F]{1,2}))?")
+_COUNT = re.compile(r"0[xX][0-9a-fA-F]{1,2}|[1-9][0-9]{0,2}")
 # Octal numbers and decimal ones with leading zeros are the same up to 7: others are not read.
-_NUMBER = re.compile(
-    r"(\$NODEID\+)?(?:(-?(?:0X[0-9A-F]{1,16}|[1-9][0-9]{0,19}))|0*([0-9]))(\+\$NODEID)?"
-)
-Lines: TypeAlias = dict[
-    str, tuple[int, str]
-]  # number of the line and value, by key in small letters
+_ZEROS = re.compile(r"(?m)(?<==)[ \t]*0+(?=[0-9][ \t]*(?:;|$))")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +30,9 @@ class DictionaryEntry:
     DCF's value or the default; `problem` says what cannot be read of it, and where.
     """
 
-    type: str
-    writable: bool
-    value: int | None
+    type: str = ""
+    writable: bool = False
+    value: int | None = None
     problem: str = ""
 
 
@@ -51,12 +48,12 @@ class ObjectDictionary:
     @property
     def identity(self) -> list[tuple[int, str, int]]:
         """Vendor and product, if stated in 1018h or [DeviceInfo]: sub-index, name, number."""
-        found = []
-        for sub, name, number in ((1, "vendor", self.vendor), (2, "product", self.product)):
-            entry = self.entries.get((IDENTITY, sub))
-            if entry is not None and (entry.value or number):
-                found.append((sub, name, entry.value or number))
-        return found
+        asked = (
+            (sub, name, self.entries[IDENTITY, sub].value or number)
+            for sub, name, number in ((1, "vendor", self.vendor), (2, "product", self.product))
+            if (IDENTITY, sub) in self.entries
+        )
+        return [one for one in asked if one[2]]
 
 
 @lru_cache(maxsize=32)
@@ -72,78 +69,102 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         Place(place).refuse(text=f"{len(data)} bytes", expected=f"{MAX_DICTIONARY_BYTES} at most")
     # Texts in other encodings are only names: numbers are the same in all of them.
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    sections = _sections(data.decode(encoding, errors="replace"), place)
-    entries = {}
-    for key, lines in _contents(sections):
-        kind = _number(lines, "DataType")
-        if isinstance(kind, int) and kind > 0x1B:  # not of CiA 301: so an editor writes ranges
-            kind = _number(sections.get(f"{kind:x}sub1", {}), "DefaultValue")
-        stated = "ParameterValue" if lines.get("parametervalue", (0, ""))[1] else "DefaultValue"
-        value, type_ = (
-            _number(lines, stated, node),
-            INTEGERS.get(kind, "") if isinstance(kind, int) else "",
-        )
-        problem = next((text for text in (kind, value) if text and isinstance(text, str)), "")
-        entries[key] = DictionaryEntry(
-            type=type_,
-            writable="w" in lines.get("accesstype", (0, ""))[1].lower(),
-            value=value if type_ and isinstance(value, int) else None,
-            problem=problem and f"{place}: {problem}",
-        )
+    file = _File(data.decode(encoding, errors="replace"), place, node)
+    entries = {key: file.entry(lines, *value) for key, lines, *value in file.contents()}
     if not entries:
         Place(place).refuse(text="holds no objects", expected="an EDS or DCF")
-    about = sections.get("deviceinfo", {})
-    vendor, product = (_number(about, key) for key in ("VendorNumber", "ProductNumber"))
+    about = file.sections.get("DEVICEINFO", {}) | {"datatype": "7"}
+    vendor, product = (
+        file.entry(about, "DEVICEINFO", key) for key in ("vendornumber", "productnumber")
+    )
     return ObjectDictionary(
         entries=entries,
-        vendor=vendor if isinstance(vendor, int) else 0,
-        product=product if isinstance(product, int) else 0,
+        vendor=vendor.value or 0,
+        product=product.value or 0,
         warnings=tuple(
-            f"{place}: {text}: read as 0, which is not checked"
-            for text in (vendor, product)
-            if text and isinstance(text, str)
+            f"{number.problem}: read as 0, which is not checked"
+            for number in (vendor, product)
+            if number.problem
         ),
     )
 
 
-def _sections(text: str, place: str) -> dict[str, Lines]:
-    """The lines of the sections, by their names in small letters; that of the name has no key."""
-    found, name = dict[str, Lines](), ""
-    for number, line in enumerate(io.StringIO(text, None), 1):
-        if (parts := _LINE.fullmatch(line.strip())) is None:
-            continue
-        name = name if parts["name"] is None else parts["name"].strip()
-        lines, key = found.setdefault(name.lower(), {}), parts["key"] or ""
-        if key.lower() in lines:
-            text = f"[{name}] {f'holds {key!r}' if key else 'is there'} twice"
-            Place(f"{place}: line {number}").refuse(text=text, expected="once; remove one")
-        lines[key.lower()] = number, parts["value"] or ""
-    return found
+class _File:
+    """A file's `sections` by their names in capitals, and its entries as canopen reads them.
 
-
-def _contents(sections: Mapping[str, Lines]) -> Iterator[tuple[Key, Lines]]:
-    """The lines that describe each entry. Compact storage (CiA 306: CompactSubObj) is written out:
-    all sub-indices have the lines of their object, and the values of a section such as [1A00Value].
+    What canopen refuses, or reads otherwise, is changed before: lines that say nothing, numbers
+    with leading zeros, compact storage.
     """
-    for name, lines in sections.items():
-        if (found := _ENTRY.fullmatch(name)) is None:
-            continue
-        index, sub = int(found[1], 16), found[2]
-        if sub is None and "compactsubobj" in lines and _number(lines, "CompactSubObj") != 0:
-            count, listed = _number(lines, "CompactSubObj"), sections.get(f"{name}value", {})
-            yield (index, 0), {"datatype": (0, "5"), "defaultvalue": lines["compactsubobj"]}
-            for k in range(1, min(count, 254) + 1 if isinstance(count, int) else 1):
-                own = {"parametervalue": listed[str(k)]} if str(k) in listed else {}
-                yield (index, k), lines | own
-        elif sub is not None or _number(lines, "ObjectType") not in (8, 9):  # arrays, records
-            yield (index, int(sub or "0", 16)), lines
 
+    def __init__(self, text: str, place: str, node: int) -> None:
+        # canopen's warnings about readable files would be printed between our own output.
+        logging.getLogger("canopen").addHandler(logging.NullHandler())
+        self._place, self._node = place, node
+        # The first lines may be in no section.
+        text = "\n".join(("[-]", *(line.strip() for line in io.StringIO(text, None))))
+        self._text = re.sub(
+            r"(?m)^\[.*",
+            lambda found: found[0].upper().replace("SUB", "sub"),
+            _ZEROS.sub("", _OTHER.sub("", text)),
+        )
+        self._parser = configparser.RawConfigParser(
+            delimiters=("=",), inline_comment_prefixes=(";",), default_section=""
+        )
+        try:
+            self._parser.read_string(self._text)
+        except (configparser.DuplicateOptionError, configparser.DuplicateSectionError) as error:
+            key = f"holds {error.option!r}" if hasattr(error, "option") else "is there"
+            Place(f"{place}: line {(error.lineno or 1) - 1}").refuse(
+                text=f"[{error.section}] {key} twice", expected="once; remove one"
+            )
+        self.sections = {name: dict(self._parser[name]) for name in self._parser.sections()}
 
-def _number(lines: Lines, key: str, node: int = 0) -> int | str:
-    """The number of a key, or why it cannot be read; an empty text where the key is missing."""
-    line, text = lines.get(key.lower(), (0, ""))
-    found = _NUMBER.fullmatch("".join(text.upper().split()))
-    if found is None:
-        problem = f"= {text!r} is no number" if text else "is empty"
-        return f"line {line}: {key} {problem}" if line else ""
-    return int(found[2] or found[3], 0) + (node if found[1] or found[4] else 0)
+    def contents(self) -> Iterator[tuple[Key, Lines, str, str]]:
+        """The lines that describe each entry, and the section and the key of its value; those of
+        sub-indices come after their object, in whose lines nothing may stand.
+
+        Compact storage (CiA 306: CompactSubObj) is written out: all sub-indices have the lines of
+        their object, and the values of a section such as [1A00Value].
+        """
+        for name in sorted(filter(_ENTRY.fullmatch, self.sections)):
+            lines, index, sub = self.sections[name], int(name[:4], 16), int(name[7:] or "0", 16)
+            compact = lines.get("compactsubobj", "") if name[4:] == "" else ""
+            if compact.strip("0xX"):
+                yield (index, 0), lines | {"datatype": "5"}, name, "compactsubobj"
+                values = self.sections.get(f"{name}VALUE", {})
+                for k in range(1, 1 + int(compact, 0) if _COUNT.fullmatch(compact) else 1):
+                    own = (f"{name}VALUE", str(k)) if str(k) in values else (name, "defaultvalue")
+                    yield (index, k), values | lines, *own
+            else:
+                key = "parametervalue" if lines.get("parametervalue") else "defaultvalue"
+                yield (index, sub), lines, name, key
+
+    def entry(self, lines: Lines, section: str, key: str) -> DictionaryEntry:
+        """The entry that `lines` describe, with the value of a key in a section."""
+        from canopen.objectdictionary import eds
+
+        # What canopen would not do without, and what nobody needs.
+        given = {"parametername": "", "accesstype": "", **lines, "pdomapping": "0"}
+        self._parser["-"] = given | {"defaultvalue": lines.get(key, "")}
+        try:
+            found = eds.build_variable(self._parser, "-", self._node, 0)
+        except (configparser.Error, ValueError):
+            return DictionaryEntry(problem=self._problem(lines, section, "datatype"))
+        type_ = INTEGERS.get(found.data_type, "")
+        # Python's own numbers may have underscores.
+        known = type_ and isinstance(found.default, int) and "_" not in lines[key]
+        return DictionaryEntry(
+            type=type_,
+            writable="w" in found.access_type,
+            value=found.default if known else None,
+            problem="" if known or not type_ else self._problem(lines, section, key),
+        )
+
+    def _problem(self, lines: Lines, section: str, key: str) -> str:
+        """Where a key is that has no number; an empty text where it is missing."""
+        found = key in lines and re.search(rf"(?ims)^\[{section}\].*?^({key})[ \t]*=", self._text)
+        if not found:
+            return ""
+        line = self._text.count("\n", 0, found.start(1))
+        problem = f"= {lines[key]!r} is no number" if lines[key] else "is empty"
+        return f"{self._place}: line {line}: {found[1]} {problem}"

@@ -6,14 +6,16 @@ traffic. Every object read or written here has at most four bytes, but for the t
 scan reads in segments.
 """
 
+import struct
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 from ..errors import NoAnswerError, Place, SdoAbortedError
 from .objects import BITS, ObjectEntry
 
 NOT_VALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID: off; no remote requests
+_CODES = {"I8": "b", "I16": "h", "I32": "i", "U8": "B", "U16": "H", "U32": "I"}
 MAX_PDO_BITS, MAX_PDOS = 64, 0x200
 ON_SYNC = 1  # transmission type: at every SYNC
 Key: TypeAlias = tuple[int, int]  # index and sub-index
@@ -63,14 +65,8 @@ class Pdo:
             Place(f"PDO 0x{self.can_id:03X}").refuse(
                 text=f"{len(data)} bytes", expected=str(self.length)
             )
-        found, at = {}, 0
-        for e in self.entries:
-            size = e.bits // 8
-            found[e.index, e.sub] = int.from_bytes(
-                data[at : at + size], "little", signed=e.type[0] == "I"
-            )
-            at += size
-        return found
+        found = struct.unpack_from("<" + "".join(_CODES[e.type] for e in self.entries), data)
+        return dict(zip((e.key for e in self.entries), found, strict=True))
 
 
 def usual_can_id(direction: str, number: int, node: int) -> int | None:
@@ -122,22 +118,30 @@ def pdos_of(
         ):
             continue
         entries = []
-        for k in range(1, count + 1):
-            word = values.get((mapping + number - 1, k), "is not known")
-            at = f"{direction} {number}: {mapping + number - 1:04X}:{k}"
+        for at, word in words_of(values, mapping + number - 1):
             if isinstance(word, str):
                 way_out = f"all {count} entries, or the PDOs in robot.toml (mapping = 'table')"
-                Place(place).refuse(text=f"{at} {word}", expected=way_out)
-            if not word:
-                continue
+                Place(place).refuse(text=f"{direction} {number}: {at} {word}", expected=way_out)
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
             if BITS.get(kind) != word & 0xFF:
-                problem = f"{at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
+                problem = (
+                    f"{direction} {number}: {at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
+                )
                 Place(place).refuse(text=problem, expected="whole bytes of its own type")
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
     return tuple(found)
+
+
+def words_of(values: Values, index: int) -> list[tuple[str, int | str]]:
+    """Return the values of an object with as many sub-indices as it says, and their names; those
+    that are 0 map nothing.
+    """
+    count = values.get((index, 0))
+    subs = range(1, (count & 0xFF) + 1) if isinstance(count, int) else range(1)
+    words = ((f"{index:04X}:{sub}", values.get((index, sub), "is not known")) for sub in subs)
+    return [word for word in words if word[1]]
 
 
 def contradicted(direction: str, pdo: Pdo, values: Values) -> list[tuple[Key, int]]:
@@ -276,28 +280,41 @@ class Confirmed:
     7.2.4); words where a value is not known, and why.
 
     A write counts with its positive answer, and until the next start of the device unless it was
-    `stored`. `refused`: what it refused last, in words.
+    `stored`; where the device is `silent`, as its answers are in no log, at once. `refused`: what
+    it refused last, in words.
     """
 
+    silent: bool = False
     values: dict[Key, int | str] = field(default_factory=dict)
     refused: str = ""
     stored: dict[Key, int | str] = field(default_factory=dict)
-    # what was written without an answer so far, and what was there before
-    _asked: dict[Key, tuple[int | str, int | str]] = field(default_factory=dict)
+    # What was written without an answer so far, and what was there before: a doubled frame has an
+    # answer for each of two.
+    _open: dict[Key, list[tuple[int | str, int | str]]] = field(default_factory=dict)
 
-    def asked(self, request: Transfer) -> None:
-        """Take a request: what it writes is not known before its answer."""
+    def take(self, service: int, sdo: bytes) -> bool:
+        """Take the data of a request (600h), of an answer (580h), or of another frame that says
+        that the device starts; whether it has other values from then on.
+        """
+        if service == REQUEST:
+            return self._asked(request_of(sdo))
+        return self._answered(answer_of(sdo)) if service == ANSWER else self._started()
+
+    def _asked(self, request: Transfer) -> bool:
+        """What a request writes is not known before its answer."""
+        if request.kind not in ("write", "other"):
+            return False
         key, several = (request.index, request.sub), "was written in several frames"
-        if request.kind in ("write", "other"):
-            written = request.number if request.kind == "write" else several
-            self._asked[key] = written, self.values.get(key, "was not seen")
-            self.values[key] = "was written, but no answer was seen"
+        written = request.number if request.kind == "write" else several
+        self._open.setdefault(key, []).append((written, self.values.get(key, "was not seen")))
+        self.values[key] = "was written, but no answer was seen"
+        return self.silent and self._answered(replace(request, kind="written"))
 
-    def answered(self, answer: Transfer) -> bool:
-        """Take an answer; whether the device has another value from then on."""
+    def _answered(self, answer: Transfer) -> bool:
         key, unseen = (answer.index, answer.sub), "was written, but the write was not seen"
         now = self.values.get(key, "was not seen")
-        written, before = self._asked.pop(key, (unseen, now))
+        asked = self._open.get(key) or [(unseen, now)]
+        written, before = asked.pop()
         if answer.kind == "abort":
             refusal = f"was refused by the drive (0x{answer.number:08X})"
             self.refused = f"{key[0]:04X}:{key[1]} {refusal}"
@@ -309,9 +326,9 @@ class Confirmed:
         known = answer.kind == "written" or isinstance(before, int)
         return known and self.values[key] != before and key[0] not in (STORE, RESTORE)
 
-    def started(self) -> bool:
-        """Take a start of the device; whether it has other values from then on."""
-        before, self.values, self._asked = self.values, dict(self.stored), {}
+    def _started(self) -> bool:
+        before, lost = self.values, "was lost at a start of the drive"
+        self.values = {key: self.stored.get(key, lost) for key in before}
         return before != self.values
 
 

@@ -1,6 +1,5 @@
 """Resolves `[bus]` and the object dictionaries to PDOs and codecs of every drive."""
 
-from collections import defaultdict
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -23,13 +22,16 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")
-    seen = defaultdict(cia.Confirmed, traffic or {})
-    drives = tuple(_drive(robot, i, place, traffic) for i in range(robot.n))
+    seen = traffic or {}
+    drives = tuple(
+        _drive(robot, i, place, seen.get(file.node)) for i, file in enumerate(robot.bus.drive)
+    )
     contradictions = tuple(
         f"bus.drive[{i}]: {drive.name} confirmed {index:04X}:{sub} = 0x{number:X}, which is not "
         f"{way} {pdo.number} (0x{pdo.can_id:X}) by mapping = {robot.bus.drive[i].mapping!r}: "
         "correct it"
         for i, drive in enumerate(drives)
+        if drive.node in seen
         for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos))
         for pdo in pdos
         for (index, sub), number in cia.contradicted(way, pdo, seen[drive.node].values)
@@ -69,7 +71,7 @@ def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[flo
     return lowest, highest
 
 
-def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed] | None) -> Drive:
+def _drive(robot: Robot, i: int, place: str, confirmed: cia.Confirmed | None) -> Drive:
     assert robot.bus is not None
     file, motor, files, at = (
         robot.bus.drive[i],
@@ -78,7 +80,6 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed
         Place(place, f"bus.drive[{i}]"),
     )
     dictionary, types = None, dict(cia.STANDARD)
-    confirmed = (traffic or {}).get(file.node, cia.Confirmed())
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)
         if label not in files:
@@ -107,7 +108,7 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed
             at.refuse(key, getattr(file, key), POSITION_TYPE, text=f"is {found.type}")
     extras = tuple(entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
     measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
-    source = confirmed.values if file.mapping == "traffic" else {}
+    source = confirmed.values if confirmed is not None and file.mapping == "traffic" else {}
     if file.mapping == "table":
         tpdos = _pdos("tpdo", file, tuple(dict.fromkeys((status, *measured))), entry, at)
         rpdos = _pdos("rpdo", file, (control, target), entry, at)
@@ -147,19 +148,17 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, cia.Confirmed
         ratio=float(np.abs(robot.R[i]).max()) if np.count_nonzero(robot.R[i]) == 1 else None,
     )
     for needed in measured:
-        if (traffic is not None or file.mapping != "traffic") and drive.carrier(
-            needed, "tpdo"
-        ) is None:
+        unmapped = confirmed is None and file.mapping == "traffic"  # that is seen in a log
+        if not unmapped and drive.carrier(needed, "tpdo") is None:
             unknown = [
                 f": {index:04X}:{sub} {text}"
                 for (index, sub), text in source.items()
                 if isinstance(text, str) and 0x1800 <= index < 0x1C00
             ]
-            why = next(iter(unknown), confirmed.refused and f": {confirmed.refused}")
-            Place(at.name).refuse(
-                text=f"{at.table}.mapping: no PDO from the drive carries {needed}{why}",
-                expected=f"one ({file.mapping})",
-            )
+            refused = confirmed.refused if confirmed is not None else ""
+            why = next(iter(unknown), refused and f": {refused}")
+            problem = f"{at.table}.mapping: no PDO from the drive carries {needed}{why}"
+            Place(at.name).refuse(text=problem, expected=f"one ({file.mapping})")
     return drive
 
 
@@ -235,12 +234,13 @@ def _effort(
 
 
 def _rated_values(file: DriveFile) -> dict[int, int]:
-    rated = {}
-    if file.rated_current_a is not None:
-        rated[cia.RATED_CURRENT] = round(
-            file.rated_current_a / cia.RATED_UNITS[file.rated_current_unit]
-        )
     torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
-    if torque is not None:
-        rated[cia.RATED_TORQUE] = round(torque / cia.RATED_UNITS[file.rated_torque_unit])
-    return rated
+    rated = {
+        cia.RATED_CURRENT: (file.rated_current_a, file.rated_current_unit),
+        cia.RATED_TORQUE: (torque, file.rated_torque_unit),
+    }
+    return {
+        index: round(value / cia.RATED_UNITS[unit])
+        for index, (value, unit) in rated.items()
+        if value is not None
+    }

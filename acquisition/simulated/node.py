@@ -5,6 +5,7 @@ PDOs, and its supervision.
 from dataclasses import dataclass, field
 
 from .. import protocol as cia
+from ..protocol import Key
 from ..robot import Drive, axis_of, parse_homed
 
 # command to the state in heartbeats: operational, stopped, pre-operational
@@ -13,7 +14,6 @@ RESET = (129, 130)
 CONSUMERS = 2  # heartbeats that a drive without a dictionary supervises at most
 
 Sent = list[tuple[int, bytes]]
-Key = tuple[int, int]
 
 
 @dataclass(kw_only=True)
@@ -182,26 +182,24 @@ class SimulatedNode:
                     value & 0xFF
                 ):
                     return "object cannot be mapped to a PDO"
-                if not sub and any((index, k) not in self.values for k in range(1, value + 1)):
+                words = [self.values.get((index, k)) for k in range(1, 1 if sub else value + 1)]
+                if None in words:
                     return "value out of range"
-                bits = (
-                    sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1))
-                    if not sub
-                    else 0
-                )
-                if bits > cia.MAX_PDO_BITS:
+                if sum(word & 0xFF for word in words if word) > cia.MAX_PDO_BITS:
                     return "PDO would be too long"
         return ""
 
     def _map(self) -> None:
         place = f"node {self.drive.node}"
         known = {key: kind for key, kind in self.types.items() if key in self.values}
-        both = (cia.pdos_of(way, self.values, known, place) for way in cia.PARAMETERS)
-        fit = (
-            tuple(p for p in pdos if p.bits <= cia.MAX_PDO_BITS and p.can_id < 0x800)
-            for pdos in both
+        self.tpdos, self.rpdos = (
+            tuple(
+                pdo
+                for pdo in cia.pdos_of(way, self.values, known, place)
+                if pdo.bits <= cia.MAX_PDO_BITS and pdo.can_id < 0x800
+            )
+            for way in cia.PARAMETERS
         )
-        self.tpdos, self.rpdos = fit
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:

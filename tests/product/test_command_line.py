@@ -194,7 +194,7 @@ def test_versions_are_those_of_what_is_installed(program, name, capsys):
     assert first == f"{name} {metadata.version('robot-idim')}"
     versions = dict(line.split() for line in others)
     assert versions.pop("Python") == platform.python_version()
-    assert {"numpy", "scipy", "pin", "rerun-sdk", "mcap", "python-can"} <= set(versions)
+    assert {"numpy", "scipy", "pin", "rerun-sdk", "mcap", "python-can", "canopen"} <= set(versions)
     assert versions == {package: metadata.version(package) for package in versions}
 
 

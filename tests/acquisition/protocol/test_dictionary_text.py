@@ -1,5 +1,6 @@
 """Numbers, encodings and storage in dictionaries (CiA 306), damaged ones, and the PDOs by them."""
 
+import logging
 import re
 
 import pytest
@@ -88,6 +89,35 @@ def test_a_dictionary_in_another_encoding(remark, encoding):
     assert load_dictionary(text.encode(encoding), "a.eds", 5).entries == found(EDS).entries
 
 
+TPDO = "[1800]\nParameterName=tpdo\nObjectType=9\nSubNumber=2\n"
+SAME = {
+    "other letters": EDS.replace("[1018sub2]", "[1018SUB2]").replace("DataType", "DATATYPE"),
+    "lines that say nothing": EDS.replace("DataType", "read me\n=\n[]\n[\nDataType"),
+    "lines before any section": "; a remark\nread me\nLines=1\n" + EDS,
+    "spaces": EDS.replace("=", " =\t").replace("\n", " \n  ").replace("]", "] ; a remark"),
+    "numbers that no PDO needs": EDS.replace("[1018]", "Factor=x\nLowLimit=y\n[1018]"),
+    "a record behind its entries": EDS.replace(TPDO, "") + TPDO,
+    "an array with a type behind its entries": EDS.replace(TPDO, "") + TPDO + "DataType=7\n",
+    "no compact storage of a variable": EDS.replace("[6076]\n", "[6076]\nCompactSubObj=0\n"),
+}
+
+
+@pytest.mark.parametrize("text", SAME.values(), ids=SAME)
+def test_a_dictionary_may_be_written_otherwise(text):
+    assert found(text).entries == found(EDS).entries
+
+
+def test_an_unknown_type_is_no_noise_between_our_own_output(capsys, monkeypatch):
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])  # as in a program, unlike in a test
+    assert (
+        found(EDS + entry_eds("2001", "x", "0x40", "rw", "DefaultValue=5"))
+        .entries[0x2001, 0]
+        .problem
+        == ""
+    )
+    assert capsys.readouterr().err == ""
+
+
 BROKEN = [
     ("PDOMapping=1\n", "PDOMapping=\n"),
     ("SubNumber=", "SubNumber=x"),
@@ -128,6 +158,7 @@ def line_of(eds: str, section: str, key: str) -> int:
             "=0x60640020\nParameterValue=-",
             "1A00:2 a.dcf: line {1}: ParameterValue =",
         ),
+        ("=0x3\n", "=0xFFFFFFFF\n", "tpdo 1: 1A00:4 is not known"),
         ("=0x60640020", "=0x600640020", "no PDO from the drive carries 6064:0"),
         ("=0x3\n", "=O3\n", "no PDO from the drive carries 6064:0: 1A00:0 a.dcf: line"),
     ],
@@ -179,7 +210,7 @@ def test_compact_storage(lines):
         ),
         (
             COMPACTS["values"].replace("2=0x60640020", "2=position"),
-            "ParameterValue = 'position' is no",
+            ": 2 = 'position' is no number",
         ),
         (COMPACTS["values"].replace("Obj=3", "Obj=three"), "1A00:0 a.dcf: line "),
         (COMPACTS["values"].replace("Obj=3", "Obj=0"), "no PDO from the drive carries 6064:0"),
@@ -197,29 +228,16 @@ def test_a_range_that_an_editor_described_has_the_type_of_its_values():
 
 
 def test_a_dictionary_says_why_an_object_has_no_type():
+    text = bus_text(1, drive='dictionary = "a.eds"').replace(
+        'reference = "6074"', 'reference = "2074"'
+    )
     eds = EDS.replace("[6074]", "[2074]").replace("DataType=0x0003", "DataType=3 bytes")
-    text = (
-        bus_text(1)
-        .replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
-        .replace('reference = "6074"', 'reference = "2074"')
-    )
-    refused(
-        text,
-        "a.eds: line 38: DataType = '3 bytes' is no number",
-        {"dictionary:a.eds": eds.encode()},
-    )
-
-
-def test_objects_beside_their_sub_indices():
-    """A record may come behind its entries; of a variable, no compact storage says nothing."""
-    eds = EDS.replace("[6076]\n", "[6076]\nCompactSubObj=0\n")
-    record = eds.index("[1800]\n")
-    section = eds[record : eds.index("[1800sub0]")]
-    assert found(eds.replace(section, "") + section).entries == found(EDS).entries
+    told = "a.eds: line 38: DataType = '3 bytes' is no number"
+    refused(text, told, {"dictionary:a.eds": eds.encode()})
 
 
 def test_only_parameters_of_pdos_say_why_an_object_is_in_none():
     text, files = dictionary_and_text({0x1800: [1, 0]})
-    name = entry_eds("1008", "device name", "0x0009", "const", "DefaultValue=Gold").encode()
-    files = {"dictionary:a.dcf": name + files["dictionary:a.dcf"]}
-    refused(text, "no PDO from the drive carries 6064:0: expected one (dictionary)", files)
+    name = entry_eds("1008", "device name", "0x0007", "const", "DefaultValue=Gold").encode()
+    told = "no PDO from the drive carries 6064:0: expected one (dictionary)"
+    refused(text, told, {"dictionary:a.dcf": name + files["dictionary:a.dcf"]})

@@ -120,7 +120,13 @@ CONFIRMED = {
     + boot(401, 1),
     "started, then written": boot(10, 1) + boot(11, 2) + USUAL,
     "reset, then written": reset(10, 0, 0x82) + USUAL,
-    "another node starts": USUAL + boot(400, 9) + reset(410, 9),
+    "another node starts": USUAL + boot(400, 9) + reset(410, 9) + boot(420, 0),
+    "no node is asked": [*USUAL, frame(400_000_000, 0x600, bytes.fromhex("2300 1A03 0000 0000"))],
+    "frames that are too short for SDO": [
+        *USUAL,
+        frame(300_000_000, 0x601, bytes.fromhex("2F 00 1A 00")),
+        frame(301_000_000, 0x581, bytes.fromhex("60 00 1A 00")),
+    ],
     "another start of NMT": USUAL + reset(400, 0, 0x01),
     "each frame twice": doubled(USUAL, 50_000),
     "written again": USUAL
@@ -140,6 +146,7 @@ def test_what_drives_confirmed_is_what_they_have_mapped(before):
 SAME = {
     "read": ([], reads(1) + reads(2)),
     "stored": (USUAL, talk(1100, 1, STORED)),
+    "another mapping behind": (USUAL, talk(1100, 1, *words(1, ACTUAL, POSITION, STATUS))),
     "the same again": (USUAL, talk(1100, 1, (0x1A00, 3, DEMAND, OK))),
     "refused": (USUAL, talk(1100, 1, (0x1A00, 3, ACTUAL, CANNOT_BE_MAPPED))),
 }
@@ -194,7 +201,7 @@ STARTED = {
 
 @pytest.mark.parametrize("behind", STARTED.values(), ids=STARTED)
 def test_a_start_ends_what_is_not_stored(behind):
-    with pytest.raises(BadInputError, match="the drive started again after it was mapped"):
+    with pytest.raises(BadInputError, match="6064:0: 1800:1 was lost at a start of the drive"):
         of(USUAL + behind)
 
 
@@ -212,10 +219,12 @@ def test_an_answer_again_after_a_lost_write_is_not_the_one_before():
 
 def test_in_a_log_without_answers_writes_count_with_a_warning():
     silent = [row for row in USUAL if row[1] > 0x600]
-    found = of(silent)
-    all_true(found)
-    assert found.warnings == (SILENT,)
-    with pytest.raises(BadInputError, match="the drive started again after it was mapped"):
+    for found in (of(silent), of(silent, behind=boot(1101, 2))):
+        all_true(found)
+        assert found.warnings == (SILENT,)
+    # It may end before the first PDO.
+    assert resolve_mapped(block(silent), ROBOT, "robot.toml")[1].drives[1].tpdos
+    with pytest.raises(BadInputError, match="6064:0: 1800:1 was lost at a start of the drive"):
         of(silent + boot(400, 2))
 
 
@@ -250,10 +259,8 @@ def test_a_mapping_that_the_drive_confirmed_otherwise_is_a_warning():
         "mapping = 'table': correct it"
         for k, word in others.items()
     ]
-    found = of(wrong, TABLE)
-    assert list(found.warnings) == told
-    behind = boot(1101, 1)
-    assert list(of(wrong, TABLE, behind).warnings) == told
+    for behind in ([], boot(1101, 1)):
+        assert list(of(wrong, TABLE, behind).warnings) == told
     refused = words(1, ACTUAL, POSITION, STATUS, ends={1: 0x06040041, 3: 0x06040041})
     for before in (USUAL, [], USUAL + talk(300, 1, *refused)):
         found = of(before, TABLE)
