@@ -28,7 +28,7 @@ from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
 from .captures import is_capture
 from .ethercat import MAPPING_NOTE, import_capture
-from .log_times import in_order, once
+from .log_times import in_order
 from .time_base import ImportSummary
 
 
@@ -134,10 +134,9 @@ def import_log(
             return import_capture(file, header, bus, Place(str(log)), out)
     described = robot.bus or resolve(robot, place).file  # refuses a robot without a bus
     frames, left_out = _select_interface(log, described.channel)
-    frames, ordered = in_order(frames, described, str(log))
-    frames, doubled = once(frames, described)
+    frames, told = in_order(frames, described, str(log))
     decoded = _decode_checked(frames, robot, str(log), place)
-    decoded = replace(decoded, warnings=(*left_out, *ordered, *doubled, *decoded.warnings))
+    decoded = replace(decoded, warnings=left_out + told + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
     header = Header(
         source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus)
