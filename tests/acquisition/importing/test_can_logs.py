@@ -271,15 +271,15 @@ def test_what_was_asked_for_or_echoed_is_one_frame(tmp_path, word, off_ns, told)
 
 
 def test_frames_that_only_resemble_those_sent_stay(tmp_path):
-    """Other bytes, another length, half a period away, and one that was sent twice."""
+    """Other bytes, another length, half a period away and received twice, and one sent twice."""
     frames = made_up(syncs=50)
-    sent, other = frames[0].copy(), frames[[0, 0, 0]]
+    sent, other = frames[0].copy(), frames[[0, 0, 0, 0]]
     sent["can_id"] = other["can_id"] = 0x203
     sent["length"] = other["length"] = (2, 2, 1, 2)[0]
-    other["length"] = (2, 1, 2)
+    other["length"] = (2, 1, 2, 2)
     other["data"][0, 0] = 1
     other["flags"], sent["time_ns"] = 0, sent["time_ns"] + 100_000
-    other["time_ns"] = sent["time_ns"] + np.array([10_000, 20_000, 1_000_000])
+    other["time_ns"] = sent["time_ns"] + np.array([10_000, 20_000, 1_000_000, 1_010_000])
     twice = sent.copy()
     twice["time_ns"] += 30_000
     more = np.sort(np.concatenate([frames, other, [sent, twice]]), order="time_ns")
@@ -288,7 +288,7 @@ def test_frames_that_only_resemble_those_sent_stay(tmp_path):
         for f, line in zip(more, candump(more).splitlines(), strict=True)
     )
     recording, found = imported(tmp_path / "a.log", text)
-    assert (len(recording.frames["log"]), found.warnings) == (155, ())
+    assert (len(recording.frames["log"]), found.warnings) == (156, ())
 
 
 @pytest.mark.parametrize(
