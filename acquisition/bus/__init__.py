@@ -27,7 +27,7 @@ from .links import (
     queue_bytes,
     socket_of,
 )
-from .logs import SUFFIXES, Log, read_log
+from .logs import SUFFIXES, read_log
 from .master import OPERATIONAL, Master, Orders, send_orders
 from .passive import listening_words
 from .receiving import Receiver, WallClock, describe_step

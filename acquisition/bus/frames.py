@@ -1,5 +1,6 @@
 """CAN frames, blocks of frames, and the service of a frame in words (CiA 301's connection set)."""
 
+import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ from ..protocol import ANSWER, EMERGENCY, HEARTBEAT, REQUEST, usual_can_id
 from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Block
 from ..robot import Bus
 
+ROW = struct.Struct("<qIBB8s")  # of `FRAME`
 _MAX_BASE_ID = 0x7FF  # of 11 bits
 
 
@@ -26,16 +28,8 @@ Tap = Callable[[Frame], None]
 
 def block_of(frames: list[Frame]) -> Block:
     """Rows of `FRAME`."""
-    block = np.zeros(len(frames), FRAME)
-    if frames:
-        block["time_ns"] = [f.time_ns for f in frames]
-        block["can_id"] = [f.can_id for f in frames]
-        block["flags"] = [f.flags for f in frames]
-        block["length"] = [len(f.data) for f in frames]
-        block["data"] = np.frombuffer(
-            b"".join(f.data.ljust(8, b"\0") for f in frames), np.uint8
-        ).reshape(-1, 8)
-    return block
+    rows = (ROW.pack(f.time_ns, f.can_id, len(f.data), f.flags, f.data) for f in frames)
+    return np.frombuffer(bytearray().join(rows), FRAME)
 
 
 def frame_of(message: Any) -> Frame:

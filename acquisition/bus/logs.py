@@ -10,9 +10,7 @@ import re
 from binascii import unhexlify
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -28,22 +26,22 @@ from ..recording import (
     SENT,
     Block,
 )
-from .frames import Frame, block_of, frame_of
+from .frames import ROW, Frame, frame_of
 
 SUFFIXES = (".log", ".asc", ".blf", ".trc")
-_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # python-can reads any other version as 1.0
+MAX_PAYLOAD, MAX_CAN_ID = 8, 0x1FFFFFFF  # bytes of classic CAN, identifier of 29 bits
+_AT_ONCE = 2**16  # bytes
+_CUT = "last line, which is cut"
 _FIRST_CHANNEL = {".asc": 1, ".blf": 1, ".trc": 0}  # that python-can calls 0
 _REQUEST = re.compile(r"\s*\d+\.\d+\s+(CANFD\s+)?\d+\s+(\w+\s+)?TxRq\b", re.IGNORECASE)
 _STAMP = re.compile(r"\s*(\d+\.\d+)(?=\s)")
 _RELATIVE = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
-_AT_ONCE = 10_000  # frames
-MAX_PAYLOAD, MAX_CAN_ID = 8, 0x1FFFFFFF  # bytes of classic CAN, identifier of 29 bits
-_CUT = "last line, which is cut"  # in place of an interface
-_BYTES_AT_ONCE = 2**22
-_MAX_INTERFACES = 64  # a damaged file could name any number
+# Versions that python-can would read as 1.0.
+_OTHER_VERSION = re.compile(r";\$FILEVERSION=(?!(?:1\.[013]|2\.[01])\s*$)(.*)")
 _LINE = re.compile(
-    rb"(?m)^(?:[ \t]*\((\d{1,10})\.(\d{1,9})\)[ \t]+(\S{1,32})[ \t]+([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
-    rb"#(#[0-9A-Fa-f]|[Rr]\d?|)((?:[0-9A-Fa-f]{2})*)(?:_[9A-Fa-f])?(?:[ \t]+([RTrt]))?)?[ \t\r]*$"
+    rb"[ \t]*\((\d{1,10})\.(\d{1,9})\)[ \t]+(\S{1,32})[ \t]+([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
+    rb"#(?:(#[0-9A-Fa-f])|([Rr]\d?))?((?:[0-9A-Fa-f]{2})*)(?:_[9A-Fa-f])?"
+    rb"(?:[ \t]+(?:([Tt])|[Rr]))?[ \t\r]*\n"
 )
 _ERROR_FRAME = 0x20000000  # bit of the identifier
 _EXPECTED = "lines as `candump -L` or `-l` writes, such as (1700000000.000312) can0 181#2706"
@@ -57,22 +55,12 @@ _OTHERS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Log:
-    """A CAN log.
-
-    Attributes:
-        frames: by interface, as the file names or numbers it, the (m,) rows of `FRAME` in the
-            order of the file; large ones are on disk.
-        left_out: number of frames or lines that are not in `frames`, by what they are.
-    """
-
-    frames: Mapping[str, Block]
-    left_out: Mapping[str, int]
-
-
-def read_log(path: Path) -> Log:
+def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
     """Read a log: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
+
+    First, by interface as the file names or numbers it, the (m,) rows of `FRAME` in the order of
+    the file, on disk if they are large; second, the number of frames or lines that are left out,
+    by what they are.
 
     Left out are frames of CAN FD, which CANopen does not use, requests to send, which are no frames
     on the bus, and a line that is cut. Raises `BadInputError` with file and frame or line (from 1):
@@ -80,30 +68,92 @@ def read_log(path: Path) -> Log:
     """
     if path.suffix.lower() not in SUFFIXES:
         expected = ".log (candump), .asc, .blf or .trc"
-        raise BadInputError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
+        Place(str(path)).refuse(text=f"suffix {path.suffix!r}", expected=expected)
     left_out, stored = Counter[str](), defaultdict[str, GrowingBytes](GrowingBytes)
-    candump = path.suffix.lower() == ".log"
+    waiting = defaultdict[str, bytearray](bytearray)
+    reader = _read_candump if path.suffix.lower() == ".log" else _read_others
     try:
-        for interface, block in _read_candump(path) if candump else _blocks(path, left_out):
-            classic = block[block["flags"] & CAN_FD == 0]
-            left_out["of CAN FD"] += len(block) - len(classic)
-            if interface == _CUT:
-                left_out[_CUT] += 1
-            elif len(classic):
-                stored[interface].extend(classic.tobytes())
+        for number, (interface, frame) in enumerate(reader(path, left_out), 1):
+            time_ns, can_id, data, flags = frame
+            if flags & CAN_FD:
+                left_out["of CAN FD"] += 1
+            elif 0 <= time_ns <= MAX_STAMP_NS and can_id <= MAX_CAN_ID and len(data) <= MAX_PAYLOAD:
+                waiting[interface] += ROW.pack(time_ns, can_id, len(data), flags, data)
+                if len(waiting[interface]) > _AT_ONCE:
+                    stored[interface].extend(waiting.pop(interface))
+            else:
+                Place(f"{path}: frame {number}").refuse(
+                    text=f"time {time_ns / 1e9:.10g} s, identifier 0x{can_id:X}, {len(data)} bytes",
+                    expected=f"0 to {MAX_STAMP_NS * 1e-9:.10g} s, 29 bits and 8 bytes at most",
+                )
+        for interface, rows in waiting.items():
+            stored[interface].extend(rows)
     except OSError as error:
         raise BadInputError(
             f"cannot be read: {error.strerror or error}", place=str(path)
         ) from error
-    frames = {name: np.frombuffer(some.whole(), FRAME) for name, some in stored.items()}
-    return Log(frames=frames, left_out=+left_out)
+    return {name: np.frombuffer(some.whole(), FRAME) for name, some in stored.items()}, +left_out
+
+
+def _read_candump(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Frame]]:
+    """Interface and frame of each line; a power cut leaves a last line without its end, whose bytes
+    may be cut too, or zeros.
+    """
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            if found := _LINE.fullmatch(line):
+                seconds, part, interface, digits, fd, remote, data, sent = found.groups()
+                word = int(digits, 16)
+                error = word & ~MAX_CAN_ID == _ERROR_FRAME
+                frame = Frame(
+                    int(seconds + part.ljust(9, b"0")),
+                    word - _ERROR_FRAME if error else word,
+                    unhexlify(data),
+                    (EXTENDED if len(digits) > 3 and not error else 0)
+                    | (ERROR if error else 0)
+                    | (REMOTE_REQUEST if remote else 0)
+                    | (SENT if sent else 0)
+                    | (CAN_FD if fd else 0),
+                )
+                yield interface.decode(errors="replace"), frame
+            elif not line.endswith(b"\n"):
+                left_out[_CUT] += bool(line.strip(b" \t\r\0"))
+            elif line.strip():
+                _, text, expected = next(other for other in _OTHERS if re.match(other[0], line))
+                raise BadInputError(text, place=f"{path}: line {number}", expected=expected)
+
+
+def _read_others(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Frame]]:
+    """Interface and frame of each message of python-can's readers."""
+    import can
+
+    count, suffix, logger = 0, path.suffix.lower(), logging.getLogger("can.io.trc")
+    reader = can.ASCReader if suffix == ".asc" else can.TRCReader
+    logger.addFilter(_refuse_skipped)
+    try:
+        with can.LogReader(path) if suffix == ".blf" else reader(_lines(path, left_out)) as log:
+            for message in log:
+                count += 1
+                yield (
+                    str((message.channel or 0) + _FIRST_CHANNEL[suffix]),
+                    frame_of(message)._replace(data=bytes(message.data)),
+                )
+    except (BadInputError, OSError):
+        raise
+    except Exception as error:  # on damaged files the readers raise errors of any kind
+        raise BadInputError(
+            f"damaged after {count} frames: {str(error)[:200] or type(error).__name__}",
+            place=str(path),
+        ) from error
+    finally:
+        logger.removeFilter(_refuse_skipped)
 
 
 def _refuse_skipped(record: logging.LogRecord) -> bool:
-    """Refuse a line that python-can's TRC reader skips with a warning."""
-    line = str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
-    # the reader takes the last header line for a frame
-    if record.levelno >= logging.WARNING and line.strip() and not line.startswith(";"):
+    """Refuse a line that python-can's TRC reader skips with a warning, but for the last one of a
+    head, which it takes for a frame.
+    """
+    if record.levelno >= logging.WARNING and not re.search("message '[;']", record.getMessage()):
         raise ValueError(record.getMessage())
     return True
 
@@ -116,9 +166,11 @@ def _lines(path: Path, left_out: Counter[str]) -> Iterator[str]:
     # Heads have dates and names in the encoding of their machine; all that is used is ASCII.
     with path.open(encoding="latin-1") as file:
         for line in file:
+            if version := _OTHER_VERSION.match(line):
+                text = f"version {version[1]} of PCAN's format"
+                Place(str(path)).refuse(text=text, expected="1.0, 1.1, 1.3, 2.0 or 2.1")
             relative = relative or _RELATIVE.match(line) is not None
-            stamp = _STAMP.match(line)
-            if relative and stamp is not None:
+            if relative and (stamp := _STAMP.match(line)):
                 time_s += float(stamp[1])
                 line = f"{time_s:.9f}{line[stamp.end() :]}"
             if _REQUEST.match(line):
@@ -127,116 +179,3 @@ def _lines(path: Path, left_out: Counter[str]) -> Iterator[str]:
                 yield line
             else:
                 left_out[_CUT] += 1
-
-
-def _blocks(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Block]]:
-    """Interface and rows of `FRAME` from python-can's readers, some at a time."""
-    import can
-
-    found, count, suffix = defaultdict[str, list[Frame]](list), 0, path.suffix.lower()
-    logger = logging.getLogger("can.io.trc")
-    logger.addFilter(_refuse_skipped)
-    try:
-        if suffix == ".trc":
-            _refuse_version(path)
-        reader = can.ASCReader if suffix == ".asc" else can.TRCReader
-        with can.LogReader(path) if suffix == ".blf" else reader(_lines(path, left_out)) as log:
-            for message in log:
-                count += 1
-                size = 0 if message.is_fd else len(message.data)
-                where = f"{path}: frame {count}"
-                _refuse_frame(message.timestamp, message.arbitration_id, size, where)
-                interface = str((message.channel or 0) + _FIRST_CHANNEL[suffix])
-                found[interface].append(frame_of(message))
-                if len(found[interface]) == _AT_ONCE:
-                    yield interface, block_of(found.pop(interface))
-    except (BadInputError, OSError):
-        raise
-    except Exception as error:  # on damaged files the readers raise errors of any kind
-        problem = str(error) or type(error).__name__
-        raise BadInputError(
-            f"damaged after {count} frames: {problem[:200]}", place=str(path)
-        ) from error
-    finally:
-        logger.removeFilter(_refuse_skipped)
-    yield from ((interface, block_of(frames)) for interface, frames in found.items())
-
-
-def _refuse_version(path: Path) -> None:
-    with path.open("rb") as file:
-        found = re.search(rb"(?m)^;\$FILEVERSION=([^\s]*)", file.read(4096))
-    version = found[1].decode(errors="replace") if found else "1.0"
-    if version not in _TRC_VERSIONS:
-        expected = f"one of {', '.join(_TRC_VERSIONS)}"
-        raise BadInputError(
-            f"version {version} of PCAN's format", place=str(path), expected=expected
-        )
-
-
-def _read_candump(path: Path) -> Iterator[tuple[str, Block]]:
-    """Yield interface and rows of `FRAME`, those of one interface in the order of the lines.
-
-    A last line without its end is one row of zeros of the interface `_CUT`: a power cut leaves
-    such a line, and its bytes may be cut too. Raises `BadInputError` with the number of a line
-    that is none of candump, or that no recording holds.
-    """
-    rest, number = b"", 1
-    with path.open("rb") as file:
-        while new := file.read(_BYTES_AT_ONCE):
-            text, end, rest = (rest + new).rpartition(b"\n")
-            if end:
-                yield from _frames(text, f"{path}: line", number)
-                number += text.count(b"\n") + 1
-            elif len(rest) > _BYTES_AT_ONCE:
-                _refuse(rest, f"{path}: line {number}")
-    if rest.strip(b" \t\r\0"):
-        yield _CUT, np.zeros(1, FRAME)
-
-
-def _frames(text: bytes, place: str, number: int) -> Iterator[tuple[str, Block]]:
-    """Interfaces and frames of whole lines, the first of which has this number."""
-    found = _LINE.findall(text)
-    if len(found) <= text.count(b"\n"):
-        lines = enumerate(text.split(b"\n"), number)
-        _refuse(*next((line, f"{place} {k}") for k, line in lines if not _LINE.fullmatch(line)))
-    seconds, parts, names, ids, kinds, data, ways = zip(*found, strict=True)
-    named, interfaces = np.array(names), dict.fromkeys(filter(None, names))  # none: an empty line
-    if len(interfaces) > _MAX_INTERFACES:
-        expected = f"{_MAX_INTERFACES} at most"
-        Place(place).refuse(text=f"{len(interfaces)} interfaces", expected=expected)
-    times = [int(s + part.ljust(9, b"0")) for s, part in zip(seconds, parts, strict=True)]
-    time_ns, can_id = np.array(times, np.uint64), np.array([int(x or b"0", 16) for x in ids])
-    kind, size = np.array(kinds, "S1"), np.array([len(x) for x in data]) // 2
-    bad = (time_ns > MAX_STAMP_NS) | (can_id > MAX_CAN_ID | _ERROR_FRAME)
-    bad |= (size > MAX_PAYLOAD) & (kind != b"#")
-    if bad.any():
-        k = int(np.argmax(bad))
-        _refuse_frame(times[k] * 1e-9, int(can_id[k]), int(size[k]), f"{place} {number + k}")
-    block = np.zeros(len(found), FRAME)
-    block["time_ns"], block["can_id"] = time_ns, can_id & MAX_CAN_ID
-    block["length"] = np.minimum(size, MAX_PAYLOAD)
-    flags = np.where(can_id & _ERROR_FRAME, ERROR, EXTENDED * np.array([len(x) > 3 for x in ids]))
-    flags |= SENT * np.isin(ways, (b"T", b"t")) | REMOTE_REQUEST * np.isin(kind, (b"R", b"r"))
-    block["flags"] = flags | CAN_FD * (kind == b"#")
-    digits = b"".join([x[: 2 * MAX_PAYLOAD].ljust(2 * MAX_PAYLOAD, b"0") for x in data])
-    block["data"] = np.frombuffer(unhexlify(digits), np.uint8).reshape(-1, MAX_PAYLOAD)
-    for name in interfaces:
-        yield name.decode(), block[named == name]
-
-
-def _refuse(line: bytes, place: str) -> NoReturn:
-    """Say what a line is that is none of candump."""
-    _, text, expected = next(other for other in _OTHERS if re.match(other[0], line))
-    raise BadInputError(text, place=place, expected=expected)
-
-
-def _refuse_frame(time_s: float, can_id: int, size: int, place: str) -> None:
-    """Refuse a frame of a log that no recording holds; errors name `place`."""
-    where, max_time_s = Place(place), MAX_STAMP_NS * 1e-9
-    if not 0 <= time_s < max_time_s:  # nor is NaN
-        where.refuse(text=f"time {time_s:.10g} s", expected=f"0 to {max_time_s:.10g}")
-    if can_id > MAX_CAN_ID:
-        where.refuse(text=f"identifier 0x{can_id:X}", expected="29 bits at most")
-    if size > MAX_PAYLOAD:
-        expected = f"{MAX_PAYLOAD} at most, as of classic CAN"
-        where.refuse(text=f"0x{can_id:03X}: {size} bytes", expected=expected)

@@ -30,7 +30,7 @@ class GrowingBytes:
     def __len__(self) -> int:
         return self._file.tell()
 
-    def extend(self, content: bytes) -> None:
+    def extend(self, content: bytes | bytearray) -> None:
         """Append. Raises `OSError` where the disk is full."""
         self._file.write(content)
 

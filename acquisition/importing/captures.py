@@ -34,7 +34,7 @@ _FOUND = np.dtype([("packet", "<i8"), ("at", "<i8"), *_HEAD.descr, ("counter", "
 
 
 class Packets(NamedTuple):
-    """Packets in file order: bytes; time in ns, first byte and length (n,)."""
+    """Packets in their order: bytes; time in ns, first byte and length (n,)."""
 
     data: NDArray[np.uint8]
     time_ns: Ints
@@ -67,9 +67,11 @@ def is_capture(path: Path) -> bool:
         return False
 
 
-def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packets]:
-    """The packets of Ethernet in an open file; one that is cut or damaged is read up to
-    there, with a warning.
+def packets(
+    file: BinaryIO, place: Place, warnings: list[str], max_back_ns: int
+) -> Iterator[Packets]:
+    """The packets of Ethernet in an open file, in the order of their times where these step back by
+    at most so much; a file that is cut or damaged is read up to there, with a warning.
     """
     data, at, before = file.read(24), 0, 0
     order, ns = _RECORDS.get(data[:4], ("<", 0))
@@ -83,10 +85,12 @@ def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packe
                 text=f"link type {link}",
                 expected="1 (Ethernet): capture on the interface, not on 'any'",
             )
-    problem = ""
+    problem, later = "", np.zeros((0, 3), np.int64)  # packets that others may come before
     while not problem:
         new, found = file.read(_AT_ONCE), list[tuple[int, int, int]]()
-        before, data, at = before + at, data[at:] + new, 0
+        used = int(later[:, 1].min(initial=at))
+        before, data, at = before + used, data[used:] + new, at - used
+        later[:, 1] -= used
         problem = "" if new else "cut within a packet"
         unpack = struct.Struct(f"{order}IIII").unpack_from
         while at + 16 <= len(data):
@@ -115,28 +119,24 @@ def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packe
             at += size
         if problem and at < len(data):
             warnings.append(f"{problem} at byte {before + at}: what is before it is read")
+        now, later = _in_order(
+            np.append(later, np.array(found, np.int64).reshape(-1, 3), 0), max_back_ns
+        )
         yield Packets(
             np.frombuffer(data + bytes(_MARGIN), np.uint8),
-            *np.array(found, np.int64).reshape(-1, 3).T,
+            *(np.append(now, later, 0) if problem else now).T,
         )
 
 
-def in_order(parts: Iterator[Packets], most_ns: int) -> Iterator[Packets]:
-    """The same packets in the order of their times where these step back by at most so much."""
-    rest = Packets(np.zeros(0, np.uint8), *np.zeros((3, 0), np.int64))
-    for part in parts:
-        data = np.concatenate([rest.data, part.data])
-        begin = np.concatenate([rest.begin, part.begin + len(rest.data)])
-        time_ns, length = (np.concatenate([rest[k], part[k]]) for k in (1, 3))
-        session = np.cumsum(np.diff(time_ns, prepend=time_ns[:1]) < -most_ns)
-        order = np.lexsort((time_ns, session))
-        # packets of the next part may come before the last ones
-        last = (session == session[-1:]) & (time_ns > time_ns[order[-1:]] - most_ns)
-        now, later = order[~last[order]], order[last[order]]
-        yield Packets(data, time_ns[now], begin[now], length[now])
-        first = int(begin[later].min(initial=len(data)))
-        rest = Packets(data[first:], time_ns[later], begin[later] - first, length[later])
-    yield rest
+def _in_order(found: Ints, most_ns: int) -> tuple[Ints, Ints]:
+    """Packets (n, 3), time first, in the order of their times where these step back by at most so
+    much; those at the end that packets not yet read may come before are the second ones.
+    """
+    time_ns = found[:, 0]
+    session = np.cumsum(np.diff(time_ns, prepend=time_ns[:1]) < -most_ns)
+    order = np.lexsort((time_ns, session))
+    last = (session == session[-1:]) & (time_ns > time_ns[order[-1:]] - most_ns)
+    return found[order[~last[order]]], found[order[last[order]]]
 
 
 def _ticks(interface: bytes, order: str) -> int:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..bus import SUFFIXES, read_log
-from ..errors import Place
-from ..files import allocate, atomic_write
+from ..errors import Place, listed
+from ..files import GrowingBytes, atomic_write
 from ..recording import (
     NO_SAMPLES,
     Block,
@@ -28,7 +28,7 @@ from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
 from .captures import is_capture
 from .ethercat import MAPPING_NOTE, import_capture
-from .log_times import in_order, once
+from .log_times import in_order
 from .time_base import ImportSummary
 
 
@@ -132,14 +132,11 @@ def import_log(
         )
         with log.open("rb") as file:
             return import_capture(file, header, bus, Place(str(log)), out)
-    frames, left_out = _select_interface(log, robot)
-    told = list(left_out)
-    if robot.bus is not None:  # else `resolve` refuses
-        frames, ordered = in_order(frames, robot.bus, str(log))
-        frames, doubled = once(frames, robot.bus)
-        told += ordered + doubled
+    described = robot.bus or resolve(robot, place).file  # refuses a robot without a bus
+    frames, left_out = _select_interface(log, described.channel)
+    frames, told = in_order(frames, described, str(log))
     decoded = _decode_checked(frames, robot, str(log), place)
-    decoded = replace(decoded, warnings=(*told, *decoded.warnings))
+    decoded = replace(decoded, warnings=left_out + told + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
     header = Header(
         source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus)
@@ -150,35 +147,35 @@ def import_log(
     return _summarize(decoded, out)
 
 
-def _select_interface(path: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
+def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]:
     """The frames of one bus in a log, and a warning about those left out: two buses would give two
     samples for each SYNC.
     """
-    log = read_log(path)
-    others = [f"{count} {name}" for name, count in log.left_out.items()]
-    if not log.frames:
-        found = f" ({', '.join(others)})" if others else ""
-        Place(str(path)).refuse(text=f"holds no CAN frames{found}", expected="some of classic CAN")
-    wanted, *more = log.frames
-    if more:
-        wanted = robot.bus.channel if robot.bus is not None else ""
-    names = {name: f"CAN {name}" if name.isdecimal() else name for name in log.frames}
-    counts = {name: f"{len(some)} of {names[name]}" for name, some in log.frames.items()}
-    if wanted not in names:
-        expected = f"one of {', '.join(map(repr, names))} as bus.channel in robot.toml"
-        Place(str(path)).refuse(text=f"frames: {', '.join(counts.values())}", expected=expected)
-    left_out = [*(counts[name] for name in names if name != wanted), *others]
-    taken = f"frames of {names[wanted]} are used; " if more else ""
-    return log.frames[wanted], (f"{taken}left out: {', '.join(left_out)}",) * bool(left_out)
+    frames, others = read_log(path)
+    names = {name: f"CAN {name}" if name.isdecimal() else name for name in frames}
+    counts = {name: f"{len(some)} of {names[name]}" for name, some in frames.items()}
+    counts |= {what: f"{count} {what}" for what, count in others.items()}
+    if not names:
+        Place(str(path)).refuse(
+            text=f"holds no CAN frames ({listed([*counts.values()])})",
+            expected="some of classic CAN",
+        )
+    if len(names) > 1 and channel not in names:
+        expected = f"one of {listed([*map(repr, names)])} as bus.channel in robot.toml"
+        Place(str(path)).refuse(text=f"frames: {listed([*counts.values()])}", expected=expected)
+    taken = channel if len(names) > 1 else next(iter(names))
+    told = f"frames of {names[taken]} are used; " if len(names) > 1 else ""
+    left_out = [text for what, text in counts.items() if what != taken]
+    return frames[taken], (f"{told}left out: {listed(left_out)}",) * bool(left_out)
 
 
 def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
     frames, bus = resolve_mapped(frames, robot, place)
     decoded = decode(frames, robot, bus, name)
-    q, first = allocate((len(decoded.stamps), robot.n)), 0
+    positions = GrowingBytes()
     for block in decoded.blocks():
-        q[first : first + len(block)] = block["position"]
-        first += len(block)
+        positions.extend(block["position"].tobytes())
+    q = np.frombuffer(positions.whole()).reshape(-1, robot.n)
     warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
     return replace(decoded, warnings=decoded.warnings + warnings)
 

@@ -22,11 +22,10 @@ from ..recording import (
     refuse_period,
 )
 from ..robot import Bus, check_recorded_efforts, check_recorded_positions
-from .captures import PCAP_HEAD, in_order, packets
+from .captures import PCAP_HEAD, packets
 from .process_data import (
     AT_ONCE,
     MARGIN,
-    MAX_BACK,
     MAX_OFF,
     Bools,
     ProcessData,
@@ -36,6 +35,7 @@ from .time_base import ImportSummary
 
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
 _MIN_SHARE = 0.5  # of the rows: with fewer there is no reference
+_MAX_BACK = 5  # periods: packets out of order; a longer step back is one of the clock
 _LATE = 15  # rows: what delays more of them lasts
 MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
@@ -114,7 +114,7 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
         PCAP_HEAD,
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
-        for given in in_order(packets(file, at, warnings), MAX_BACK * bus.period_ns):
+        for given in packets(file, at, warnings, _MAX_BACK * bus.period_ns):
             kept = process.add(given)
             if len(kept):
                 writer.captured(head + given.records(kept), int(given.time_ns[kept[0]]))
@@ -167,12 +167,6 @@ def _on_grid(
     rows, clock = process.rows()
     if len(rows) < 4:
         process.refuse_no_rows()
-    if process.back_ns and not clock:
-        text = f"times step back by {process.back_ns * 1e-9:.3g} s"
-        expected = (
-            "one capture with one clock: a clock was set back, or the file holds two captures"
-        )
-        at.refuse(text=text, expected=f"{expected}; split it there")
     time_ns = field_of(rows, "clock_ns" if clock else "stamp_ns")
     if clock and time_ns.max() < 2**32:  # what is above 32 bits is by the capture
         since = field_of(rows, "stamp_ns")

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from ..arrays import Ints
 from ..errors import BadInputError, Place, listed
-from ..files import GrowingBytes, release_pages
+from ..files import GrowingBytes, field_of, release_pages
 from ..recording import Block, in_parts, minimum_ahead
 from ..robot import Bus
 from .captures import Packets, datagrams, gather
+from .log_times import ONE_CLOCK, steps_back
 from .slaves import FPRD, LRD, LRW, LWR, MAILBOX, WRITES, Entries, Located, Slaves, spans
 
-MAX_BACK = 5  # periods: packets out of order; a longer step back is one of the clock
-_AROUND = 4  # rows before a step back of the clock, and after it, that tell that it lasts
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
 # rows of a segment, and those before and after it on which it may depend
 AT_ONCE, MARGIN = 2**17, 2**10
@@ -72,8 +71,7 @@ class ProcessData:
         self._columns: dict[Part, GrowingBytes] = {}
         self._seen: dict[Part, int] = {}
         self._packets, self._since, self._why = 0, -1, ""
-        self._last: dict[Part, Ints] = {}
-        self.short = self.doubled = self.back_ns = 0
+        self.short = self.doubled = 0
 
     def add(self, given: Packets) -> Ints:
         """Add packets; the numbers of those of EtherCAT."""
@@ -129,14 +127,6 @@ class ProcessData:
             found["packet"] + self._packets,
             given.time_ns[found["packet"]],
         )
-        times = np.concatenate([self._last.get(part, rows["time_ns"][:0]), rows["time_ns"]])
-        self._last[part] = times[1 - 2 * _AROUND :]
-        if len(times) >= 2 * _AROUND:
-            near = np.lib.stride_tricks.sliding_window_view(times, 2 * _AROUND)
-            near = near - self._bus.period_ns * np.arange(2 * _AROUND)
-            back_ns = near[:, :_AROUND].min(axis=1) - near[:, _AROUND:].max(axis=1)
-            if back_ns.max() > MAX_BACK * self._bus.period_ns:
-                self.back_ns = int(back_ns.max())
         rows["counter"], rows["index"], rows["clock_ns"] = found["counter"], found["index"], -1
         for (name, i), (at, kind) in self._fields[part].items():
             rows[f"{name}{i}"] = gather(given.data, found["at"] + at, kind)
@@ -257,6 +247,10 @@ class ProcessData:
         }
         full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
         clock = sum(int((some["clock_ns"] >= 0).sum()) for some in in_parts(main)) > len(main) / 2
+        # the stamps do not tell when later rows came, distributed clocks do
+        for _, by_ns, since_ns in () if clock else steps_back(field_of(main, "time_ns")):
+            text = f"times step back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s"
+            self._place.refuse(text=text, expected=ONE_CLOCK)
         joined, begin = GrowingBytes(), 0
         for first in range(0, len(main), AT_ONCE):
             end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1

@@ -15,6 +15,8 @@ from .rows import (
     REMOTE_REQUEST,
     SENT,
     Block,
+    Rows,
+    Traffic,
     gaps,
     in_parts,
     sample_dtype,

@@ -17,15 +17,12 @@ LINES = [  # line of candump, and what it says: time in ns, identifier, flags, b
 ]  # fmt: skip
 
 
-def test_lines_of_candump(tmp_path, monkeypatch):
-    """All at once, and some bytes at a time."""
+def test_lines_of_candump(tmp_path):
     path = tmp_path / "a.log"
     path.write_bytes("".join(f"{line}\n\n" for line, _ in LINES).encode())
-    for at_once in (2**22, 37):
-        monkeypatch.setattr("acquisition.bus.logs._BYTES_AT_ONCE", at_once)
-        log = read_log(path)
-        assert [
-            (f["time_ns"], f["can_id"], f["flags"], f["data"][: f["length"]].tobytes().hex())
-            for f in log.frames["can0"]
-        ] == [said for _, said in LINES]
-        assert not log.left_out
+    frames, left_out = read_log(path)
+    assert [
+        (f["time_ns"], f["can_id"], f["flags"], f["data"][: f["length"]].tobytes().hex())
+        for f in frames["can0"]
+    ] == [said for _, said in LINES]
+    assert not left_out

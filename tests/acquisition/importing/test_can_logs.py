@@ -237,7 +237,7 @@ def test_channels_have_the_numbers_of_the_file(tmp_path, suffix):
         assert found.warnings == (told,)
     with pytest.raises(BadInputError, match="900 of CAN 1, 900 of CAN 2: expected one of '1', '2'"):
         imported(path, robot=robot_of(bus_text(channel="0")))
-    one = read_log(path).frames["1"]
+    one = read_log(path)[0]["1"]
     assert (one["can_id"] == made_up()["can_id"]).all()
 
 
@@ -278,15 +278,15 @@ def test_what_was_asked_for_or_echoed_is_one_frame(tmp_path, word, off_ns, told)
 
 
 def test_frames_that_only_resemble_those_sent_stay(tmp_path):
-    """Other bytes, another length, half a period away, and one that was sent twice."""
+    """Other bytes, another length, half a period away and received twice, and one sent twice."""
     frames = made_up(syncs=50)
-    sent, other = frames[0].copy(), frames[[0, 0, 0]]
+    sent, other = frames[0].copy(), frames[[0, 0, 0, 0]]
     sent["can_id"] = other["can_id"] = 0x203
     sent["length"] = other["length"] = (2, 2, 1, 2)[0]
-    other["length"] = (2, 1, 2)
+    other["length"] = (2, 1, 2, 2)
     other["data"][0, 0] = 1
     other["flags"], sent["time_ns"] = 0, sent["time_ns"] + 100_000
-    other["time_ns"] = sent["time_ns"] + np.array([10_000, 20_000, 1_000_000])
+    other["time_ns"] = sent["time_ns"] + np.array([10_000, 20_000, 1_000_000, 1_010_000])
     twice = sent.copy()
     twice["time_ns"] += 30_000
     more = np.sort(np.concatenate([frames, other, [sent, twice]]), order="time_ns")
@@ -295,7 +295,7 @@ def test_frames_that_only_resemble_those_sent_stay(tmp_path):
         for f, line in zip(more, candump(more).splitlines(), strict=True)
     )
     recording, found = imported(tmp_path / "a.log", text)
-    assert (len(recording.frames["log"]), found.warnings) == (155, ())
+    assert (len(recording.frames["log"]), found.warnings) == (156, ())
 
 
 @pytest.mark.parametrize(
@@ -322,22 +322,35 @@ def test_heads_in_any_encoding(tmp_path, name, text, encoding):
         ("a.log", "   1)  1059.9  Rx  0181  0\n", "PCAN: expected the suffix .trc"),
         ("a.log", "date Sat Nov 21\nbase hex\n", "Vector: expected the suffix .asc"),
         ("a.log", "(1.0) can0 080#\n(1.1) can0 0(1.2) can0 080#\n", "line 2: is no frame"),
-        ("a.log", "x" * 3000, "line 1: is no frame"),
+        ("a.log", "x" * 3000 + "\n", "line 1: is no frame"),
+        ("a.log", "x" * 3000, r"holds no CAN frames \(1 last line, which is cut\)"),
+        ("a.log", b"(1.0) can\xff 080#\nx\n", "line 2: is no frame"),
         ("a.log", "(1.0) can0 080#\n" * 200 + "x\n", "line 201: is no frame"),
-        ("a.log", "(1.0) can0 080#\n" * 200 + "(1.0) can0 FFFFFFFF#\n", "line 201: ident"),
-        ("a.log", "".join(f"(1.0) c{k} 080#\n" for k in range(65)), "65 interfaces: expected 64"),
+        (
+            "a.log",
+            "(1.0) can0 080#\n" * 200 + "(1.0) can0 FFFFFFFF#\n",
+            "frame 201: .*0xFFFFFFFF, .*29 bits",
+        ),
+        (
+            "a.log",
+            "".join(f"(1.0) c{k} 080#\n" for k in range(65)),
+            "1 of c29 and 35 more: expected one of .* and 35 more as",
+        ),
         (
             "a.asc",
             "base hex\nno\n 1.0 1 20000000x Rx d 0\n",
-            "frame 1: identifier 0x20000000: .*29",
+            "frame 1: .*identifier 0x20000000, .*29 bits",
         ),
-        ("a.asc", "base hex\nno\n 1.0 1 FFFFFFFFFFx Rx d 0\n", "identifier 0xFFFFFFFFFF: .*29"),
-        ("a.trc", ";$FILEVERSION=1.1\n 1) 1.0 Rx 3FFFFFFF 0\n", "identifier 0x3FFFFFFF: .*29"),
-        ("a.log", "(1.0) can0 FFFFFFFF#\n", "line 1: identifier 0xFFFFFFFF: .*29"),
+        (
+            "a.asc",
+            "base hex\nno\n 1.0 1 FFFFFFFFFFx Rx d 0\n",
+            "identifier 0xFFFFFFFFFF, .*29 bits",
+        ),
+        ("a.trc", ";$FILEVERSION=1.1\n 1) 1.0 Rx 3FFFFFFF 0\n", "identifier 0x3FFFFFFF, .*29 bits"),
+        ("a.log", "(1.0) can0 FFFFFFFF#\n", "frame 1: .*identifier 0xFFFFFFFF, .*29 bits"),
     ],
 )
-def test_what_no_recording_holds_is_named(tmp_path, monkeypatch, name, content, expected):
-    monkeypatch.setattr("acquisition.bus.logs._BYTES_AT_ONCE", 1000)
+def test_what_no_recording_holds_is_named(tmp_path, name, content, expected):
     with pytest.raises(BadInputError, match=expected) as caught:
         imported(tmp_path / name, content)
     assert caught.value.place.startswith(str(tmp_path / name))
@@ -379,8 +392,8 @@ def test_large_logs_go_through_files(tmp_path, monkeypatch, which):
     text = candump(behind_its_answer(made_up(targets=False), which))
     whole, _ = imported(tmp_path / "a.log", text)
     monkeypatch.setattr("acquisition.files.on_disk.MAX_BYTES_IN_MEMORY", 100)
-    for name, at_once in (("bus.logs._BYTES_AT_ONCE", 999), ("importing.log_times._AT_ONCE", 7)):
-        monkeypatch.setattr(f"acquisition.{name}", at_once)
+    monkeypatch.setattr("acquisition.files.on_disk.BLOCK_ROWS", 7)
+    monkeypatch.setattr("acquisition.bus.logs._AT_ONCE", 100)
     parts, _ = imported(tmp_path / "b.log", text)
     assert parts.samples.tobytes() == whole.samples.tobytes()
     assert parts.frames["log"].tobytes() == whole.frames["log"].tobytes()
