@@ -157,7 +157,7 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
     counts |= {what: f"{count} {what}" for what, count in others.items()}
     if not names:
         Place(str(path)).refuse(
-            text=f"holds no CAN frames ({listed([*counts.values()])})",
+            text=f"holds no CAN frames{f' ({listed([*counts.values()])})' if counts else ''}",
             expected="some of classic CAN",
         )
     if len(names) > 1 and channel not in names:

@@ -114,18 +114,18 @@ def associate(
     late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
     del behind, grown, edges, uneven, proven, damaged  # large in a long session
     # the interval of each of the SYNCs
-    asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])
+    asked = kept(np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep]))
     rows = []
     for pdo, lost in zip(pdos, losses, strict=True):
         interval = interval_of(pdo, sync_rows)
         used = keep[interval]
-        rows.append(pdo[used])
+        rows.append(kept(pdo[used]))
         late_rows = np.flatnonzero(interval[used] != asked)
         came = times_of(rows[-1][late_rows]) - times_of(sync_rows[asked[late_rows]])
         # else SYNCs came in a burst, and the drive is in time
         lost["late"] = int(np.count_nonzero(came > MAX_ANSWER_PERIODS * period))
     return Answers(
-        answered=np.flatnonzero(np.repeat(keep, steps)).astype(np.int32),
+        answered=kept(np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)),
         late=late,
         rows=rows,
         losses=losses,

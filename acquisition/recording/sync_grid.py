@@ -86,10 +86,10 @@ def sync_times(
     deviation = kept(since - index_of * within)
     deviation -= _mean_of_run(deviation, run)
     k, after_last = kept(np.arange(grid)), since[-1] + (grid - index_of[-1]) * period
-    ends = np.append(index_of, grid), np.append(since if ours else freed, after_last)
+    ends = kept(np.append(index_of, grid)), kept(np.append(since if ours else freed, after_last))
     at = kept(np.interp(k, *ends))
     stamps = int(times[0]) + np.rint(at).astype(np.int64)
-    stamps = np.maximum.accumulate(np.maximum(stamps, 0) - k) + k
+    stamps = kept(np.maximum.accumulate(np.maximum(stamps, 0) - k) + k)
     return SyncTimes(
         stamps=stamps,
         period_s=period * 1e-9,
@@ -106,7 +106,7 @@ def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 1
     jumps = np.cumsum(np.where(steps < 0, usual - steps, 0))
     set_back = tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back)
-    return times + np.append(0, jumps), set_back
+    return kept(times + np.append(0, jumps)), set_back
 
 
 def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Ints, float]:
@@ -124,7 +124,7 @@ def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Int
             else period
         )
     freed, run = _freed(since - index * period, period, _LOOKAHEAD_SYNCS[1])
-    return freed + index * period, run, period
+    return kept(freed + index * period), run, period
 
 
 def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
@@ -137,7 +137,7 @@ def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
     (few, most), least = _LOOKAHEAD_SYNCS, minimum_ahead(deviation, ahead)
     # the last SYNCs before a pause keep their delays
     rises = least[1:] - minimum_behind(least, 3)[:-1] > _MIN_LASTING_PERIODS * period
-    paused = np.append(0, np.cumsum(rises & (np.diff(least) > 0.25 * period)))
+    paused = kept(np.append(0, np.cumsum(rises & (np.diff(least) > 0.25 * period))))
     if not (np.diff(deviation) < -_MIN_SOONER_PERIODS * period).any():
         return least, paused
     falls = np.diff(minimum_behind(deviation, most, paused)) < -_MIN_SOONER_PERIODS * period
@@ -167,7 +167,7 @@ def _slope(index: Ints, since: Array, run: Ints) -> float:
 
 def minimum_ahead(values: NDArray[Number], ahead: int, run: Ints | None = None) -> NDArray[Number]:
     """Minimum of each value and the next `ahead` of the same run, a power of two minus one."""
-    least = values.copy()
+    least = kept(values)
     step = 1
     while step <= ahead:
         np.minimum(
