@@ -39,8 +39,15 @@ from typing import TYPE_CHECKING
 
 from acquisition.lazy import lazy_names
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # type checkers follow names that a module imports only to their own modules
+    from .data import RecordingFile, Recordings, Signals, Work, load_signals
+    from .design import ExcitationSettings, select_friction
+    from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
+    from .fits import StoredFit
+    from .methods import Iteration
     from .notebook import *
+    from .regression import Overrides
+    from .study import Noise, Study
 
 __all__ = [
     "BadInputError",

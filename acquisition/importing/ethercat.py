@@ -26,6 +26,7 @@ from .captures import PCAP_HEAD, packets
 from .process_data import (
     AT_ONCE,
     MARGIN,
+    MAX_BACK,
     MAX_OFF,
     Bools,
     ProcessData,
@@ -35,7 +36,6 @@ from .time_base import ImportSummary
 
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
 _MIN_SHARE = 0.5  # of the rows: with fewer there is no reference
-_MAX_BACK = 5  # periods: packets out of order; a longer step back is one of the clock
 _LATE = 15  # rows: what delays more of them lasts
 MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
@@ -114,7 +114,7 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
         PCAP_HEAD,
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
-        for given in packets(file, at, warnings, _MAX_BACK * bus.period_ns):
+        for given in packets(file, at, warnings, MAX_BACK * bus.period_ns):
             kept = process.add(given)
             if len(kept):
                 writer.captured(head + given.records(kept), int(given.time_ns[kept[0]]))

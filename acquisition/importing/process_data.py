@@ -21,6 +21,7 @@ from .slaves import FPRD, LRD, LRW, LWR, MAILBOX, WRITES, Entries, Located, Slav
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
 # rows of a segment, and those before and after it on which it may depend
 AT_ONCE, MARGIN = 2**17, 2**10
+MAX_BACK = 5  # periods: packets out of order; a longer step back is one of the clock
 _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
 _ORDER = 15  # stamps before and after one that must not contradict it
 _MIN_SHARE = 0.01  # of the rows: a working counter that is no damage
@@ -249,8 +250,9 @@ class ProcessData:
         clock = sum(int((some["clock_ns"] >= 0).sum()) for some in in_parts(main)) > len(main) / 2
         # the stamps do not tell when later rows came, distributed clocks do
         for _, by_ns, since_ns in () if clock else steps_back(field_of(main, "time_ns")):
-            text = f"times step back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s"
-            self._place.refuse(text=text, expected=ONE_CLOCK)
+            if by_ns > MAX_BACK * self._bus.period_ns:
+                text = f"times step back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s"
+                self._place.refuse(text=text, expected=ONE_CLOCK)
         joined, begin = GrowingBytes(), 0
         for first in range(0, len(main), AT_ONCE):
             end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1
