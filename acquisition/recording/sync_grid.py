@@ -290,6 +290,8 @@ def sync_steps(
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
     after_last = 1 + int((end - times[-1]) / period + 1 - MAX_ANSWER_PERIODS)
     periods = np.diff(times) / period
+    # single steps are the better measure of even SYNCs, and those of bursts are short
+    usual = max(period, float(np.median(np.diff(times))))
     even = ours or periods.max() <= _MAX_EVEN_PERIODS
     periods = np.append(periods if even else _lasting_periods(times, period), after_last)
     long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
@@ -310,7 +312,7 @@ def sync_steps(
         )
         off = np.abs(came - np.median(came))
         unusual[
-            interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]
+            interval[off > _MAX_USUAL_PERIODS * usual + _MAX_USUAL_RATIO[two] * np.median(off)]
         ] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
     known = np.where(
