@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.files import field_of
-from acquisition.recording import OPTIONAL, Recording, read_recording
+from acquisition.recording import OPTIONAL, Recording, in_gaps, measured_rows, read_recording
 from acquisition.robot import (
     SIMULATED_CONTROLLER,
     Controller,
@@ -31,7 +31,7 @@ from .signals import SignalEvent, Signals
 from .work import Work
 
 ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
-MAX_GAP = 3.0  # periods between two samples, ± half a period
+MOST_MISSING = 10.0  # times the rows that are there: more are other recordings
 JOINT_KEYS = (
     "name",
     "type",
@@ -81,6 +81,11 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
     columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
+    rows, text = measured_rows(
+        stamps, field_of(samples, "position"), field_of(samples, "effort"), was
+    )
+    since = stamps - first_ns
+    measured = (np.interp(grid, since, rows) == 1) & ~in_gaps(since, grid)
     law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()
     # it belongs to the drives of this recording, not to the description
     if robot is not None and law is not None:
@@ -126,6 +131,8 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         began=recording.began,
         off_grid=off_grid,
         assumed=tuple(assumed),
+        measured=None if measured.all() else measured,
+        unmeasured=text,
         motion_hz=None,
         **columns,
     )
@@ -162,7 +169,8 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     of a stamp in periods.
 
     Uniform stamps are the grid. If samples are missing, the grid has the nominal rate, if that
-    agrees with theirs within 10 %. Refuses gaps over three periods and time that does not increase.
+    agrees with theirs within 10 %. Refuses time that does not increase, and a gap far longer than
+    the rows.
     """
     if len(stamps) < 2:
         raise BadInputError(
@@ -170,12 +178,11 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
         )
     steps = np.diff(stamps)
     period = float(np.median(steps))
-    bad = np.flatnonzero((steps <= 0) | (steps > (MAX_GAP + 0.5) * max(period, 1.0)))
+    bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(stamps) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
-        problem = f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s"
-        problem += f": a step of {steps[k] * 1e-6:.3f} ms"
-        expected = f"{period * 1e-6:.3f} ms throughout, and at most {MAX_GAP:g} times that"
+        problem = f"a step of {steps[k] * 1e-9:.6g} s after {1e-9 * (stamps[k] - stamps[0]):.4f} s"
+        expected = f"{period * 1e-6:.3f} ms, and each motion as a recording of its own"
         raise BadInputError(problem, place=str(path), key="samples", expected=expected)
     since = np.asarray(stamps - stamps[0], dtype=np.float64)
     whole = steps.max() <= 1.5 * period or len(stamps) < 3

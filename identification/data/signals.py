@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from acquisition.files import release_pages
-from acquisition.recording import OPTIONAL
+from acquisition.files import allocate, release_pages
+from acquisition.recording import OPTIONAL, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
 from ..arrays import Array
@@ -60,6 +60,8 @@ class Signals:
         off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID`
             samples are interpolated.
         assumed: what the description does not state and a fit assumes, as warnings.
+        measured: (N,) whether a sample was measured; what was not weighs nothing. None: all were.
+        unmeasured: in words how many were not, and why.
         motion_hz: of the rules if the description states no bandwidth: above it positions are
             only noise; else None.
     """
@@ -85,6 +87,8 @@ class Signals:
     began: datetime | None = None
     off_grid: float = 0.0
     assumed: tuple[str, ...] = ()
+    measured: NDArray[np.bool_] | None = None
+    unmeasured: str = ""
     motion_hz: float | None = None
 
     def __post_init__(self) -> None:
@@ -136,8 +140,16 @@ class Signals:
 
     @cached_property
     def torque(self) -> Array:
-        """(N, n) torque of the inverse dynamic model: efforts of the drives plus known torques."""
-        return self.effort if self.known_torque is None else self.effort + self.known_torque
+        """(N, n) torque of the inverse dynamic model: efforts of the drives plus known torques; on
+        straight lines where it was not measured, as an edge would ring in the rows beside it.
+        """
+        tau = self.effort if self.known_torque is None else self.effort + self.known_torque
+        if self.measured is None:
+            return tau
+        filled, rows = allocate(tau.shape), np.flatnonzero(self.measured)
+        for j, x in enumerate(tau.T):
+            filled[:, j] = np.interp(np.arange(len(x)), rows, x[rows])
+        return filled
 
     def __repr__(self) -> str:
         return (
@@ -199,6 +211,10 @@ def signals_from_arrays(
         sha256=digest.hexdigest(),
         **arrays,
     )
+    stamps = np.rint(1e9 * signals.t_s).astype(np.int64)
+    measured, text = measured_rows(stamps, signals.q, signals.effort, robot)
+    if text:
+        signals = replace(signals, measured=measured, unmeasured=text)
     if signals.velocity is None:
         return signals
     doubts = check_recorded_velocities(

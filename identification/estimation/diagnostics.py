@@ -19,14 +19,21 @@ _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of fre
 
 
 def torque_errors(
-    tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]
+    tau: Array,
+    predicted: Array,
+    speed: Array,
+    names: tuple[str, ...],
+    measured: NDArray[np.bool_] | None = None,
 ) -> tuple[TorqueResidual, ...]:
     """Torque errors of each of the joints `names` and, last and under the name `all`,
     of all joints together.
 
     Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not
-    known); by the joint speeds (rows, n), rad/s or m/s, rows move or stand.
+    known); by the joint speeds (rows, n), rad/s or m/s, rows move or stand. Rows that were not
+    `measured` (rows,) are left out.
     """
+    if measured is not None:
+        tau, predicted, speed = (x[measured] for x in (tau, predicted, speed))
     moving, rho = are_moving(speed), tau - predicted
     each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
     return tuple(

@@ -115,13 +115,16 @@ def fit_of(
     except NoFitError as error:
         warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
     measured = filtered.about()
+    there = [problem.measured_rows() for problem in filtered.problems]
     parts = zip(equations.problems, spans_of(rows.parts), spans_of(measured.parts), strict=True)
     fitted = [
         FittedRecording(
             problem=problem,
             arm=equations.unknowns.arms[k].settled(solved.estimate),
             rows=part,
-            errors=torque_errors(measured.tau[own], of_model[own], measured.speed[own], names),
+            errors=torque_errors(
+                measured.tau[own], of_model[own], measured.speed[own], names, there[k]
+            ),
             held_out=evidence.held_out[k]
             if len(equations.problems) > 1 and not evidence.gains
             else None,
@@ -140,7 +143,7 @@ def fit_of(
         tau=rows.tau,
         tau_predicted=predicted,
         speed=rows.speed,
-        errors=torque_errors(measured.tau, of_model, measured.speed, names),
+        errors=torque_errors(measured.tau, of_model, measured.speed, names, np.concatenate(there)),
         warnings=warnings,
         trust=trust_in(evidence),
         data=evidence,

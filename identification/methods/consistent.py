@@ -86,9 +86,9 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     ]
     tau, predicted, speed = (np.concatenate(x) for x in zip(*each, strict=True))
     names = tuple(joint.name for joint in problem.signals.robot.joints)
-    return replace(
-        fit, consistent_set=found, consistent_errors=torque_errors(tau, predicted, speed, names)
-    )
+    measured = np.concatenate([one.problem.measured_rows() for one in fit.recordings])
+    errors = torque_errors(tau, predicted, speed, names, measured)
+    return replace(fit, consistent_set=found, consistent_errors=errors)
 
 
 @one_thread

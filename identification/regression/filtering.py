@@ -336,3 +336,9 @@ def _fast_size(least: int) -> int:
         if left == 1:
             return size
         size += 1
+
+
+def nearby(x: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Whether any of x (N,) is true within `reach` samples."""
+    before = np.cumsum(np.pad(x, (reach + 1, reach)))
+    return np.asarray(before[2 * reach + 1 :] > before[: -2 * reach - 1])

@@ -7,19 +7,21 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
 from .bandwidth import with_bandwidth
-from .filtering import decimation_reach
+from .filtering import decimation_reach, nearby
 from .law import Law
 from .motion import FilteredMotion, Motion, later
-from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
+from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff_hz
 
 # of positions in the cache of a process: 64 MB, a few times as much in all
 MAX_CACHED_NUMBERS = 8_000_000
+SPLINE_NEAR = 8  # samples to each side that a torque moved by a lag is made of, to 3e-5
 MARGIN_S = 5.0  # behind the beginning of a recording
 # numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
 _SERIES_BLOCK = 12_000_000
@@ -93,8 +95,26 @@ class Problem:
             return settings.cutoff_hz
         return rule_cutoff_hz(self.signals)
 
+    def measured_samples(self, beside: int = 0) -> NDArray[np.bool_]:
+        """Which samples (N,) are far from all that were not measured: by half a period of the
+        low-pass, which smears their positions, by what the lag may move their torques, and by
+        `beside` samples.
+        """
+        measured, s, fs = self.signals.measured, self.settings, self.signals.sample_rate_hz
+        if measured is None:
+            return np.broadcast_to(True, len(self.signals.t_s) or s.stop)
+        lag_s = max(abs(s.torque_lag_s), abs(s.known_lag.value_s) + LAG_REACH * s.known_lag.sd_s)
+        smear = max(0.5 * fs / self.slip_cutoff_hz, fs * lag_s + SPLINE_NEAR)
+        return ~nearby(~measured, round(smear) + beside)
+
+    def measured_rows(self) -> NDArray[np.bool_]:
+        """Which decimated rows (rows,) have only measured samples within two rows."""
+        s = self.settings
+        at = s.start + s.decimator.instants(s.stop - s.start)
+        return self.measured_samples(2 * s.decimation)[at]
+
     def without_samples(self) -> "Problem":
-        """The same without samples: settings, model and `source`."""
+        """The same without samples: settings, model, which were measured, and `source`."""
         s = self.signals
         none = {name: x[:0] for name in COLUMNS if (x := getattr(s, name)) is not None}
         signals = replace(s, **none, health={})
@@ -126,6 +146,7 @@ class Problem:
         cut: dict[str, Any] = {
             name: np.array(x[:N]) for name in COLUMNS if (x := getattr(whole, name)) is not None
         }
+        cut["measured"] = None if whole.measured is None else whole.measured[:N]
         recorded = replace(whole, **cut)
         found = replace(
             self, signals=recorded, recorded=recorded, source=None, motion=FilteredMotion(recorded)

@@ -10,6 +10,8 @@ Y = W beta at every sample with w > 0 gives F[w Y] = F[w W] beta, whatever the f
 = 0. w is 0 where a joint stands, 1/2 L samples away and 1 from 2 L samples on: an abrupt edge would
 fold noise above the low-pass into the band. Moves that are shorter than the filter leave nothing:
 such a joint has no weights, but only the rows at whose instants it moves.
+
+Samples that nobody measured weigh nothing in the same way, also where those of standstill do.
 """
 
 import numpy as np
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import NoFitError
-from .filtering import Decimation
+from .filtering import Decimation, nearby
 from .motion import BLOCK_SAMPLES
 from .problem import Problem, row_blocks
 from .settings import RAMPS, ROWS
@@ -34,7 +36,7 @@ class SampleWeights:
     """The weights of a recording.
 
     Attributes:
-        moves: (N, n) which joints move at its samples.
+        moves: (N, n) which joints move at its samples, and were measured.
         ramps: (n,) L in rows, or `ROWS`, by joint: shorter than asked where a
             joint's moves are short.
         of_rows: (rows, n) weights of the decimated rows, 0 for those that do not count.
@@ -42,9 +44,10 @@ class SampleWeights:
 
     def __init__(self, problem: Problem, moves: NDArray[np.bool_]) -> None:
         settings, n = problem.settings, moves.shape[1]
-        self.moves, self.ramps = moves, (settings.ramp_rows,) * n
+        self._measured, self.ramps = problem.measured_samples(), (settings.ramp_rows,) * n
+        self.moves = moves
         at = settings.start + settings.decimator.instants(settings.stop - settings.start)
-        moving = moves[at]
+        moving = self.moves[at]
         self._set_rows(problem, moving)
         for shorter in (ramp for ramp in RAMPS if ramp < settings.ramp_rows):
             few = (self.of_rows**2).sum(axis=0) < MIN_ROWS_LEFT * moving.sum(axis=0)
@@ -69,7 +72,7 @@ class SampleWeights:
             off = 1 - self.between(settings.start + samples.start, settings.start + samples.stop)
             parts.append(1 - decimation.filtered(off)[:, at.inside] / decimation.gain)
         share = np.concatenate(parts, axis=1).T
-        share = np.where(np.array(self.ramps) == ROWS, moving, share)
+        share = np.where(np.array(self.ramps) == ROWS, moving * share, share)
         self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
 
     def between(self, start: int, stop: int) -> Array:
@@ -79,7 +82,13 @@ class SampleWeights:
         far = 2 * max(0, *self._reach)
         low, high = max(0, start - far), min(len(self.moves), stop + far)
         near, inside = self.moves[low:high], slice(start - low, stop - low)
-        w = np.stack([_ramped(near[:, j], reach)[inside] for j, reach in enumerate(self._reach)])
+        of_rows = self._measured[low:high].astype(float)
+        w = np.stack(
+            [
+                (of_rows if reach < 0 else _ramped(near[:, j], reach))[inside]
+                for j, reach in enumerate(self._reach)
+            ]
+        )
         self._last = (start, stop), w
         return w
 
@@ -126,8 +135,8 @@ def refuse_standing_joints(
 
 
 def _moves(problem: Problem) -> NDArray[np.bool_]:
-    """Which joints (N, n) move: no Coulomb direction that acts on a joint is slow within half a
-    period of the cut-off.
+    """Which joints (N, n) move, in samples that were measured: no Coulomb direction that acts on a
+    joint is slow within half a period of the cut-off.
 
     Slow: below 4 % of the peak in the span, or 4 deviations of the noise of the regressor's speed
     if that is more. Speeds have the low-pass of the fit, or of the rule if the fit has none or a
@@ -140,8 +149,9 @@ def _moves(problem: Problem) -> NDArray[np.bool_]:
         len(problem.signals.q),
     )
     directions, cutoff_hz = problem.model.coulomb_directions, problem.slip_cutoff_hz
+    measured = problem.measured_samples()[:, None]
     if percent == 0:
-        return np.broadcast_to(True, (N, directions.shape[1]))
+        return np.broadcast_to(measured, (N, directions.shape[1]))
     speed, noise = (
         np.empty((N, len(directions)), dtype=np.float32),
         np.zeros((2, directions.shape[1])),
@@ -149,7 +159,7 @@ def _moves(problem: Problem) -> NDArray[np.bool_]:
     for a in range(0, N, BLOCK_SAMPLES):
         b = min(N, a + BLOCK_SAMPLES)
         dq = problem.motion.between(a, b, cutoff_hz).dq
-        speed[a:b] = dq @ directions.T
+        speed[a:b] = dq @ directions.T * measured[a:b]
         low, high = max(a, settings.start), min(b, settings.stop)
         if not settings.filtered and low < high:
             off = problem.motion.between(low, high, settings.cutoff_hz).dq - dq[low - a : high - a]
@@ -164,28 +174,18 @@ def _moves(problem: Problem) -> NDArray[np.bool_]:
     slow[1:] |= speed[1:] * speed[:-1] < 0  # a reversal between two samples
     stands = slow @ (directions != 0)
     blur = round(0.5 * problem.signals.sample_rate_hz / cutoff_hz)
-    return ~np.stack([_nearby(own, blur) for own in stands.T], axis=1)
-
-
-def _nearby(x: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Whether any of x (N,) is true within `reach` samples."""
-    before = np.cumsum(np.pad(x, (reach + 1, reach)))
-    return np.asarray(before[2 * reach + 1 :] > before[: -2 * reach - 1])
+    return ~np.stack([nearby(own, blur) for own in stands.T], axis=1) & measured
 
 
 def _ramped(moves: NDArray[np.bool_], L: int) -> Array:
     """w (N,) of a joint: Hann ramps of 2 L samples inside its moves, zero where it stands.
 
     Beyond the ends nothing changes.
-
-    Ones for a negative L.
     """
-    if L < 0:
-        return np.ones(len(moves))
     if L == 0 or moves.all():
         return moves.astype(float)
     inner, window = (
-        np.pad(~_nearby(~moves, L), L, mode="edge").astype(float),
+        np.pad(~nearby(~moves, L), L, mode="edge").astype(float),
         np.hanning(2 * L + 3)[1:-1],
     )
     window, steps = window / window.sum(), np.zeros(len(inner) + 2 * L)

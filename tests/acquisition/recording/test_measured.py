@@ -1,0 +1,161 @@
+"""Rows that nobody measured, found by what they hold: every one of made-up losses, and none of
+recordings without a loss, however coarse, slow or free of noise.
+"""
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from scipy.interpolate import CubicSpline
+
+from acquisition.recording import in_gaps, measured_rows, read_recording
+
+RATE_HZ, N = 500, 6000
+T_S = np.arange(N) / RATE_HZ
+STAMPS = np.rint(1e9 * T_S).astype(np.int64)
+ARM = robot_named("tx40")  # the motors of joints 5 and 6 are coupled
+JOINTS = np.arange(ARM.n)
+NONE = np.zeros(N, dtype=bool)
+
+
+def recorded(seed, *, speed=1.0, noise=1.0):
+    """Positions and efforts (N, n) of six joints on sines, friction at their reversals."""
+    rng, w = np.random.default_rng(seed), speed * 2 * np.pi * rng_frequencies(seed)
+    phases = rng.uniform(0, 6, ARM.n)
+    q, dq = np.sin(np.outer(T_S, w) + phases), w * np.cos(np.outer(T_S, w) + phases)
+    effort = 30 * np.sin(q + JOINTS) - 4 * w * q + 6 * np.tanh(dq / 0.01) + 2 * dq
+    return (
+        q + noise * 1e-5 * rng.normal(size=q.shape),
+        effort + noise * 0.2 * rng.normal(size=q.shape),
+    )
+
+
+def rng_frequencies(seed):
+    return np.random.default_rng(1000 + seed).uniform(0.2, 0.7, ARM.n)
+
+
+def rows_from(*spans):
+    return np.any([(np.arange(N) >= first) & (np.arange(N) < last) for first, last in spans], 0)
+
+
+def frozen(x, lost):
+    """x (N, ...) with the last value before them in rows that were lost."""
+    return x[np.maximum.accumulate(np.where(lost, 0, np.arange(N)))]
+
+
+def with_motors(effort, motors, lost, values):
+    """Efforts at the joints where those of some motors are others in the rows `lost`."""
+    of_motors = ARM.motor_effort(effort)
+    chosen = np.isin(JOINTS, motors)
+    return ARM.joint_effort(np.where(lost[:, None] & chosen, values(of_motors), of_motors))
+
+
+def held_long(x):
+    return frozen(x, LONG)
+
+
+BURSTS = rows_from(*((k, k + 30) for k in range(250, N, 500)))
+LONG = rows_from((2000, 2300))
+GAPS = rows_from((1500, 1800), (4000, 4100))
+SINGLE = np.isin(np.arange(N), np.random.default_rng(5).choice(N, 60, replace=False))
+# What becomes of q and u, and the rows that were not measured.
+LOSSES = {
+    "all zero, in bursts": (lambda q, u: (q, np.where(BURSTS[:, None], 0.0, u)), BURSTS),
+    "all zero, single rows": (lambda q, u: (q, np.where(SINGLE[:, None], 0.0, u)), SINGLE),
+    "all held, in bursts": (lambda q, u: (q, frozen(u, BURSTS)), BURSTS),
+    "one motor zero": (lambda q, u: (q, with_motors(u, [1], LONG, np.zeros_like)), LONG),
+    "one motor held": (lambda q, u: (q, with_motors(u, [3], LONG, held_long)), LONG),
+    "one coupled motor zero": (lambda q, u: (q, with_motors(u, [5], LONG, np.zeros_like)), LONG),
+    "gaps filled by a spline": (
+        lambda q, u: tuple(CubicSpline(T_S[~GAPS], x[~GAPS])(T_S) for x in (q, u)),
+        GAPS,
+    ),
+    "gaps filled by lines": (
+        lambda q, u: tuple(
+            np.stack([np.interp(T_S, T_S[~GAPS], own[~GAPS]) for own in x.T], 1) for x in (q, u)
+        ),
+        GAPS,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("loss", LOSSES)
+def test_every_row_of_a_loss_is_found_and_no_other(loss, seed):
+    change, lost = LOSSES[loss]
+    q, u = change(*recorded(seed))
+    measured, text = measured_rows(STAMPS, q, u, ARM)
+    np.testing.assert_array_equal(measured, ~lost)
+    assert f"{lost.sum()} {'are interpolated' if 'filled' in loss else 'have lost efforts'}" in text
+
+
+def test_rows_that_were_held_over_a_gap_are_found_but_for_the_last_beside_the_jump():
+    q, u = (frozen(x, GAPS) for x in recorded(1))
+    measured, _ = measured_rows(STAMPS, q, u, ARM)
+    assert not (measured & rows_from((1500, 1799), (4000, 4099))).any()
+    assert measured[~GAPS].all()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("what", "speed", "noise", "q_step", "u_step"),
+    [
+        ("as it is", 1.0, 1.0, 0, 0),
+        ("without noise", 1.0, 0.0, 0, 0),
+        ("slow, without noise", 0.02, 0.0, 0, 0),
+        ("coarse", 1.0, 1.0, 1e-4, 1.0),
+        ("coarse, without noise", 1.0, 0.0, 1e-3, 3.0),
+        ("coarse and slow", 0.05, 0.0, 1e-4, 0.5),
+    ],
+)
+def test_nothing_is_found_where_nothing_is_lost(what, speed, noise, q_step, u_step, seed):
+    q, u = recorded(seed, speed=speed, noise=noise)
+    q, u = (np.round(x / by) * by if by else x for x, by in ((q, q_step), (u, u_step)))
+    assert measured_rows(STAMPS, q, u, ARM)[1] == ""
+
+
+PAUSED = np.minimum(np.arange(N), np.maximum(2000, np.arange(N) - 300))  # stands for 300 rows
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda q, u: (frozen(q, np.arange(N) % 4 > 0), u),
+        lambda q, u: (q, frozen(u, np.arange(N) % 4 > 0)),
+        lambda q, u: (q, ARM.joint_effort(np.clip(ARM.motor_effort(u), -0.2, 0.2))),  # limits
+        lambda q, u: (q[PAUSED], u[PAUSED]),
+        lambda q, u: (q, np.where(JOINTS == 2, 0.0, u)),  # never recorded, which is said elsewhere
+    ],
+)
+def test_what_is_held_or_at_a_limit_or_stands_was_measured(change):
+    assert measured_rows(STAMPS, *change(*recorded(4)), ARM)[1] == ""
+
+
+@pytest.mark.parametrize("name", ["emps", "scara", "tx40"])
+def test_nothing_is_found_in_shipped_sessions(name):
+    found = read_recording(REPLAY / name / "session.mcap")
+    rows = found.samples
+    columns = (rows[name] for name in ("stamp_ns", "position", "effort"))
+    measured, text = measured_rows(*columns, found.robot)
+    assert measured.all()
+    assert text == ""
+
+
+def test_nothing_is_found_in_the_real_records(emps, tx40):
+    for path in (emps, tx40):
+        found = read_recording(path)
+        columns = (found.samples[name] for name in ("stamp_ns", "position", "effort"))
+        assert measured_rows(*columns, found.robot)[1] == ""
+
+
+def test_gaps_and_steps_of_the_clock_are_told_apart():
+    """Of two steps of 0.5 s, rows are missing in one; over the other only the clock goes on."""
+    q, u = recorded(6)
+    there = ~rows_from((1500, 1750))
+    stamps = STAMPS + np.where(np.arange(N) >= 4000, 500_000_000, 0)
+    measured, text = measured_rows(stamps[there], q[there], u[there], ARM)
+    assert measured.all()
+    assert "500 are missing in 2 stretch(es)" in text
+    assert text.endswith("the clock steps at 7.998 s: positions go on as if no row were missing")
+    grid = np.arange(0.0, 13e9, 2e6)
+    inside = in_gaps(stamps[there] - stamps[0], grid)
+    np.testing.assert_array_equal(np.flatnonzero(inside), [*range(1500, 1750), *range(4000, 4250)])
