@@ -144,6 +144,8 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _print(found: "ImportSummary", warnings: TextIO) -> None:
+    from ..recording import read_recording, unmeasured
+
     parts = [
         f"{found.out}: {found.robot}",
         f"{found.samples} samples at {found.sample_rate_hz:g} Hz",
@@ -156,7 +158,8 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
         *(f"with {name.replace('_', ' ')}" for name in found.optional),
     ]
     print(one_line(", ".join(parts)))
-    for name, text in (("times", found.times), ("reference", found.reference)):
+    rows = unmeasured(read_recording(found.out))
+    for name, text in (("times", found.times), ("rows", rows), ("reference", found.reference)):
         if text:
             print(one_line(f"{name}: {text}"))
     for text in found.warnings:

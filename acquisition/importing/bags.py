@@ -11,8 +11,9 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import BadInputError, Place, listed
 from ..files import GrowingBytes, by_rows, taken
-from ..recording import JOINT_STATE, Header
+from ..recording import JOINT_STATE, Header, in_gaps
 from ..robot import Payload, Robot
+from .held import grid_of_new_rows
 from .publishers import ONE_PUBLISHER, refuse_several_publishers
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .time_base import (
@@ -99,16 +100,15 @@ def import_bag(
         warnings.append("velocities that are not finite numbers are left out")
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
-    grid = resample(time_s, parts, rate_hz=options.resample_hz, place=place)
+    held = grid_of_new_rows(time_s, parts, options.resample_hz, place)
+    grid = held or resample(time_s, parts, rate_hz=options.resample_hz, place=place)
     clock = "times of reception" if received else "header stamps"
     way_out = (
         "record a topic that the robot's own clock stamps, or import a table whose map states "
         "sample_rate_hz"
     )
-    grid, reference = (
-        replace(with_warnings(grid, time_s, position, clock, way_out), first_ns=first_ns),
-        {},
-    )
+    grid = held or with_warnings(grid, time_s, position, clock, way_out)
+    grid, reference = replace(grid, first_ns=first_ns), dict[str, str]()
     try:
         if controller:
             grid, reference["reference"] = _with_reference(
@@ -168,7 +168,8 @@ def _with_reference(
     kept["reference"] = interpolate(own_s, rows["reference"], time_s)
     text = f"{topic}, {report.rows} rows at {1 / report.period_s:.4g} Hz, interpolated"
     text += f"; {(~inside).sum()} samples before and after it left out" * (not inside.all())
-    return replace(grid, parts=kept, start_s=float(time_s[0])), text
+    absent = np.asarray(grid.absent)[at] | in_gaps(own_s, time_s)
+    return replace(grid, parts=kept, start_s=float(time_s[0]), absent=absent), text
 
 
 def _effort(

@@ -17,10 +17,10 @@ from ..errors import Place
 from ..files import read_columns, write_columns
 from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
+from .held import grid_of_new_rows
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
 from .time_base import (
-    MAX_GAP_PERIODS,
     GridValues,
     ImportSummary,
     resample,
@@ -49,8 +49,9 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     tick_s: Annotated[Positive | None, note("time of one count, s; with ticks")] = None
     resample_hz: Annotated[Positive | None, note("rate to interpolate all values to, Hz")] = None
     largest_gap_periods: Annotated[
-        float, note("longest step that is interpolated, in periods", ge=1.5)
-    ] = MAX_GAP_PERIODS
+        Annotated[float, msgspec.Meta(ge=1.5)] | None,
+        note("longest step that is accepted, in periods; default: any"),
+    ] = None
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -156,7 +157,9 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
             source.place.refuse(
                 "sample_rate_hz", given_hz, f"a rate in Hz, not a period: {1 / given_hz:g}?"
             )
-        return GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
+        time_s = np.arange(len(parts["position"])) / given_hz
+        held = grid_of_new_rows(time_s, parts, None, source.place)
+        return held or GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
     time_s, scatter_s = _times(source, time, parts)
     repeated = 0
     if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, even with different stamps
@@ -170,6 +173,9 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         f"{source.table('time.table', time.table)}: "
         f"{time.column if time.ticks is None else time.ticks}"
     )
+    held = grid_of_new_rows(time_s, parts, time.resample_hz, place)
+    if held is not None:
+        return held
     if time.resample_hz is None:
         grid = uniform_grid(time_s, parts, place)
     else:

@@ -9,17 +9,16 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import BLOCK_ROWS, allocate, atomic_write, taken
-from ..recording import MAX_STAMP_NS, Header, RecordingWriter
+from ..recording import MAX_STAMP_NS, Bools, Header, RecordingWriter, in_gaps
 from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
 from .stamps import MAX_COMPARED_ROWS, MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
 MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5  # times the rows' rate: grids outside give a warning
 MAX_LEFT_OUT = 0.02  # of the rows; more give a warning
-MAX_GAP_PERIODS = 3.0  # a longer step is not interpolated, unless the map allows it
+MOST_MISSING = 10.0  # times the rows that are there: a longer gap is between two recordings
 MAX_OVERSAMPLING = 100.0  # times the rows' rate: a finer grid is a mistake
-# A row acts on the spline that far away by less than rounding: 0.27 times as much per row.
-_SPLINE_REACH = 100
+_SPLINE_REACH = 100  # rows: farther ones act on a spline by less than rounding, 0.27 per row
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +71,7 @@ class TimeReport:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridValues:
     """Values (M, n) by name on a uniform grid from `start_s` after `first_ns`; the report on the
-    original times, warnings.
+    original times, warnings; `absent` (M,) are in gaps, and are not written.
     """
 
     parts: Mapping[str, Array]
@@ -81,6 +80,7 @@ class GridValues:
     first_ns: int = 0
     report: TimeReport | None = None
     warnings: tuple[str, ...] = ()
+    absent: Bools | None = None
 
     @property
     def notes(self) -> Mapping[str, str]:
@@ -135,7 +135,7 @@ def resample(
     parts: Mapping[str, Array],
     *,
     rate_hz: float | None,
-    largest_gap_periods: float = MAX_GAP_PERIODS,
+    largest_gap_periods: float | None = None,
     place: Place,
 ) -> GridValues:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
@@ -143,9 +143,8 @@ def resample(
     Rows that repeat the row before in time and values are left out, and rows whose `position`
     in `parts` contradicts their time (`rows_in_time`). The default rate of the grid is that of
     the rows, rounded within their scatter. Raises `BadInputError` if there are fewer than 4
-    rows, time runs backwards, two rows of one time have different values, a step is longer
-    than `largest_gap_periods` median ones, or the grid has less than two samples or over 100
-    times as many as the rows.
+    rows, time runs backwards, two rows of one time have different values, a step is longer than
+    `largest_gap_periods` median ones (or ten times the rows), or the grid has under 2 samples.
     """
     time_s, parts, report = rows_to_interpolate(time_s, parts, place, largest_gap_periods)
     rate_hz = rate_hz or roundest_rate_hz(time_s)
@@ -165,6 +164,7 @@ def resample(
         start_s=float(time_s[0]),
         rate_hz=rate_hz,
         report=replace(report, grid_hz=rate_hz),
+        absent=in_gaps(time_s, grid),
     )
 
 
@@ -187,7 +187,7 @@ def rows_to_interpolate(
     time_s: Array,
     parts: Mapping[str, Array],
     place: Place,
-    largest_gap_periods: float = MAX_GAP_PERIODS,
+    largest_gap_periods: float | None = None,
 ) -> tuple[Array, Mapping[str, Array], TimeReport]:
     """The times and rows that `resample` does not leave out or refuse, and
     a report on the times.
@@ -200,13 +200,13 @@ def rows_to_interpolate(
     rows = np.flatnonzero(np.broadcast_to(in_time, len(time_s)))
     time_s, parts = time_s[rows], {name: taken(x, rows) for name, x in parts.items()}
     steps = np.diff(time_s)
-    k = int(np.argmax(steps))
-    if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
+    k, most = int(np.argmax(steps)), largest_gap_periods or MOST_MISSING * len(steps)
+    if steps[k] > (most + 0.5) * report.period_s:
         after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
         place.refuse(
             "time",
             expected=(
-                f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the "
+                f"{most:g} periods of {report.period_s:.6g} s at most; import the "
                 "parts before and after it separately, or set time.largest_gap_periods"
             ),
             text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
@@ -245,9 +245,11 @@ def _drop_repeated_rows(
     return time_s[keep], {name: taken(x, keep) for name, x in parts.items()}, len(same)
 
 
-def roundest_rate_hz(time_s: Array) -> float:
-    """The rate of growing times (N,), rounded within their scatter: 1000, not 1000.0013."""
-    rows = row_numbers(time_s)
+def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
+    """The rate of growing times (N,) of numbered `rows` (N,), or of consecutive ones, rounded
+    within their scatter: 1000, not 1000.0013.
+    """
+    rows = row_numbers(time_s) if rows is None else rows
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
     scatter = (
         3
@@ -379,14 +381,15 @@ def write_samples(
         warnings += check_recorded_velocities(
             robot, parts["position"], parts["velocity"], grid.rate_hz, place
         )
+    rows = np.arange(len(stamps)) if grid.absent is None else np.flatnonzero(~grid.absent)
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
-        writer.columns(stamps, parts)
+        writer.columns(stamps[rows], {name: taken(x, rows) for name, x in parts.items()})
         for text in warnings:
             writer.event(int(stamps[-1]), "warning", text)
     return ImportSummary(
         out=out,
         robot=robot.name,
-        samples=len(stamps),
+        samples=len(rows),
         sample_rate_hz=grid.rate_hz,
         has_reference="reference" in parts,
         effort_units=robot.effort_units,

@@ -1,0 +1,98 @@
+"""Logs that are faster than their robot: only new rows are kept, at the rate and the instants of
+their source; coarse encoders and robots that stand are left alone.
+"""
+
+import numpy as np
+import pytest
+
+from acquisition.errors import Place
+from acquisition.importing.held import grid_of_new_rows
+
+SECONDS = 12.0
+
+
+def motion(t_s):
+    """Positions and efforts (N, 3), smooth but for friction."""
+    w = 2 * np.pi * np.array([0.31, 0.47, 0.59])
+    q, dq = np.sin(np.outer(t_s, w)), w * np.cos(np.outer(t_s, w))
+    return {"position": q, "effort": 20 * np.cos(q) + 5 * np.tanh(dq / 0.05) + 2 * dq}
+
+
+def logged(source_s, log_hz, new=("position", "effort")):
+    """Rows of a log in which the quantities `new` are the source's last ones, others of the row."""
+    t_s = np.arange(round(SECONDS * log_hz)) / log_hz
+    last = np.searchsorted(source_s, t_s + 1e-9) - 1
+    rows, own = motion(source_s), motion(t_s)
+    return t_s, {name: rows[name][last] if name in new else own[name] for name in rows}
+
+
+def even(rate_hz):
+    return np.arange(round(SECONDS * rate_hz)) / rate_hz
+
+
+RATES = [(125, 200), (125, 500), (100, 500), (167, 500), (250, 1000), (400, 500)]
+
+
+@pytest.mark.parametrize(("source_hz", "log_hz"), RATES)
+def test_new_rows_are_kept_at_the_instants_of_their_source(source_hz, log_hz):
+    """Up to a period of the log late, which is the same for all rows."""
+    found = grid_of_new_rows(*logged(even(source_hz), log_hz), None, Place("log"))
+    assert found.rate_hz == source_hz
+    assert len(found.parts["position"]) == pytest.approx(SECONDS * source_hz, abs=1)
+    t_s = np.arange(len(found.parts["position"])) / source_hz
+    for name, x in motion(t_s).items():
+        np.testing.assert_allclose(found.parts[name], x, atol=1e-9)
+    (told,) = found.warnings
+    assert f"each row stands {log_hz / source_hz:.3g} times" in told
+    assert f"new at {source_hz} Hz" in told
+
+
+def test_a_source_that_jitters_is_even():
+    rng = np.random.default_rng(1)
+    t_s, parts = logged(even(250) + rng.uniform(0, 1.5e-3, round(250 * SECONDS)), 1000)
+    found = grid_of_new_rows(t_s, parts, None, Place("log"))
+    assert found.rate_hz == 250
+    assert found.report.gaps == 0
+
+
+def test_lost_rows_of_the_source_are_missing_in_the_grid():
+    """Two rows, within whose time values are interpolated; ten, a gap."""
+    there = np.delete(even(125), [400, 800, *range(1000, 1010)])
+    found = grid_of_new_rows(*logged(there, 500), None, Place("log"))
+    assert (found.rate_hz, found.report.missing) == (125, 12)
+    assert np.flatnonzero(found.absent).tolist() == list(range(1000, 1010))
+    q = motion(np.arange(len(found.absent)) / 125)["position"]
+    np.testing.assert_allclose(found.parts["position"][~found.absent], q[~found.absent], atol=1e-5)
+
+
+def test_efforts_that_are_new_in_each_row_are_those_of_the_instants():
+    t_s, parts = logged(even(125), 500, new=("position",))
+    found = grid_of_new_rows(t_s, parts, None, Place("log"))
+    t_s = np.arange(len(found.parts["effort"])) / 125
+    late_s = 0.5 * (found.start_s - 0.0)
+    np.testing.assert_allclose(found.parts["effort"], motion(t_s + 2 * late_s)["effort"], atol=2e-3)
+
+
+def test_a_rate_that_is_stated_counts_if_it_is_lower():
+    rows = logged(even(125), 500)
+    rates = [grid_of_new_rows(*rows, hz, Place("log")).rate_hz for hz in (500.0, 50.0)]
+    assert rates == [125, 50]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda q: q,
+        lambda q: np.round(q, 3),
+        lambda q: np.round(q / 0.01) * 0.01,
+        lambda q: q[np.minimum(np.arange(len(q)), 3000)],
+        lambda q: np.zeros_like(q),
+        lambda q: np.where(np.arange(len(q))[:, None] % 50 == 0, np.roll(q, 1, axis=0), q),
+    ],
+)
+def test_other_rows_are_left_as_they_are(change):
+    """As they are, coarse, standing still for half of the time, never moving, a row in 50 late."""
+    t_s = even(500)
+    parts = motion(t_s)
+    parts["position"] = change(parts["position"])
+    assert grid_of_new_rows(t_s, parts, None, Place("log")) is None
