@@ -144,7 +144,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _print(found: "ImportSummary", warnings: TextIO) -> None:
-    from ..recording import read_recording, unmeasured
+    from ..recording import overview, read_recording
 
     parts = [
         f"{found.out}: {found.robot}",
@@ -158,8 +158,11 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
         *(f"with {name.replace('_', ' ')}" for name in found.optional),
     ]
     print(one_line(", ".join(parts)))
-    rows = unmeasured(read_recording(found.out))
-    for name, text in (("times", found.times), ("rows", rows), ("reference", found.reference)):
+    for name, text in (
+        ("times", found.times),
+        ("rows", overview(read_recording(found.out))["rows"]),
+        ("reference", found.reference),
+    ):
         if text:
             print(one_line(f"{name}: {text}"))
     for text in found.warnings:

@@ -22,6 +22,6 @@ from .rows import (
     in_parts,
     sample_dtype,
 )
-from .summary import as_tables, overview, unmeasured
+from .summary import as_tables, overview
 from .sync_grid import minimum_ahead
 from .writer import JOINT_STATE, Header, RecordingWriter

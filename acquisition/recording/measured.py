@@ -1,141 +1,114 @@
 """Rows that nobody measured: efforts that a bus lost, rows that somebody interpolated, and gaps.
 
-A lost effort is exactly 0 in all motors, or exactly the last value, while the positions go on. So
-is, by chance, that of a coarse ammeter: a stretch of repeats counts where the robot moves, where
-chance makes none as long, by how often efforts repeat, and where it ends in a jump. Rows that were
-filled lie on one cubic for longer than noise lets measured rows do; a straight line and a row that
-is held are cubics too.
+A lost effort is exactly 0, or exactly the last value, while the robot moves: in all motors, or for
+longer in one. Rows that were filled lie on one cubic, as straight lines and held rows do. So do, by
+chance, values of coarse sensors, and regularly those of a log that is faster than its sensors: such
+stretches count where chance makes none as long, and where nothing beside them is alike.
 """
 
-import math
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array, Ints
+from ..arrays import Array
 from ..files import by_rows
 from ..robot import Robot
+from .rows import Block
+from .sync_grid import Bools
 
 MAX_GAP = 3.0  # periods between two rows, ± half a period; a longer step is a gap
 CHANCE = 1e-6  # that efforts of a recording repeat by chance for as long
-MIN_TRAVEL = 0.05  # of the typical step, times the length of a stretch: less is standstill
-# of the largest effort of a motor, between equal ones; of its usual step, at an end of a stretch
-ROUNDING, MIN_JUMP = 1e-13, 2.0
-# of the largest value, fourth differences that are rounding; times that, typically, in so many rows
-# beside those that were filled, so many in sequence
-CUBIC, MIN_NOISE, BESIDE, MIN_FILLED = 1e-12, 1e3, 20, 10
-MAX_OFF = 0.5  # of the steps beside it: a step over which the clock went on, not the robot
-
-Bools = NDArray[np.bool_]
+# of the largest value: efforts of a motor that are equal, fourth differences that are zero
+EQUAL, CUBIC, MIN_FILLED = 1e-13, 1e-12, 10  # and differences in sequence
+# times that, in most of so many rows to each side of a stretch
+MIN_NOISE, MOST, BESIDE = 1e3, 0.9, 20
+# of the typical step, times the length of a stretch, in which a robot that moves travels more; of
+# the step before it, by which one over a step of the clock differs less
+MIN_TRAVEL, MAX_OFF = 0.05, 0.5
 
 
-def gaps_after(times: Array | Ints) -> Bools:
-    """Whether a gap follows a row (N - 1,), by growing `times` (N,)."""
-    steps = np.diff(times)
-    return np.asarray(steps > (MAX_GAP + 0.5) * np.median(steps))
-
-
-def in_gaps(times: Array | Ints, grid: Array) -> Bools:
+def in_gaps(times: Array, grid: Array) -> Bools:
     """Whether instants `grid` (M,) lie in a gap between rows at growing `times` (N,)."""
-    after = np.minimum(np.searchsorted(times, grid), len(times) - 1)
-    return np.asarray(gaps_after(times)[np.maximum(after - 1, 0)] & (grid < times[after]))
+    steps, after = np.diff(times), np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
+    return np.asarray(
+        (steps[after - 1] > (MAX_GAP + 0.5) * np.median(steps)) & (grid < times[after])
+    )
 
 
-def measured_rows(stamps: Ints, q: Array, effort: Array, robot: Robot) -> tuple[Bools, str]:
+def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bools, str]:
     """Which rows (N,) were measured, and in words how many were not, or are missing, and why.
 
-    By growing `stamps` (N,), ns, positions and efforts (N, n) at the joints. The words are empty
+    By growing `stamp_ns` (N,), `position` and `effort` (N, n) at the joints. The words are empty
     where all were measured, without a gap.
     """
-    lost, filled = lost_efforts(q, effort, robot), filled_rows(q, effort)
-    t_s, gaps = 1e-9 * (stamps - stamps[0]), np.flatnonzero(gaps_after(stamps))
-    period_s = float(np.median(np.diff(t_s)))
-    found = {
-        "{} have lost efforts": _runs(lost),
-        "{} are interpolated": _runs(filled & ~lost),
-        "{} are missing": np.stack([gaps, gaps + np.rint(np.diff(t_s)[gaps] / period_s) - 1], 1),
+    t_s, q = 1e-9 * (rows["stamp_ns"] - rows["stamp_ns"][0]), rows["position"]
+    lost, filled = _lost_efforts(q, rows["effort"], robot), _filled_rows(q, rows["effort"])
+    gaps = np.flatnonzero(in_gaps(t_s, 0.5 * (t_s[1:] + t_s[:-1])))
+    missing = np.rint(np.diff(t_s)[gaps] / np.median(np.diff(t_s))) - 1
+    before, over = (q[k + 1] - q[k] for k in (np.maximum(gaps - 1, 0), gaps))
+    steps = np.linalg.norm(over - before, axis=1) < MAX_OFF * np.linalg.norm(before, axis=1)
+    counts = {
+        "have lost efforts": lost.sum(),
+        "are interpolated": (filled & ~lost).sum(),
+        f"are missing in {len(gaps)} gap(s)": missing.sum(),
+        "of these gaps are steps of the clock, as positions go on": steps.sum(),
     }
-    stretches = np.concatenate(list(found.values())).astype(int)
-    if not len(stretches):
-        return np.ones(len(q), dtype=bool), ""
-    parts = [
-        f"{words.format(int(np.diff(runs).sum()))} in {len(runs)} stretch(es)"
-        for words, runs in found.items()
-        if len(runs)
-    ]
-    first, last = stretches[np.diff(stretches)[:, 0].argmax()]
-    text = f"of {len(q)}, {', '.join(parts)}; the longest lasts {(last - first) * period_s:.3g} s, "
-    text += f"from {t_s[first]:.4g} s: what nobody measured weighs nothing"
-    own, before, after = (
-        q[np.clip(gaps + k + 1, 0, len(q) - 1)] - q[np.clip(gaps + k, 0, len(q) - 1)]
-        for k in (0, -1, 1)
-    )
-    usual = 0.5 * np.linalg.norm(before + after, axis=1)
-    stepped = gaps[np.linalg.norm(own - 0.5 * (before + after), axis=1) < MAX_OFF * usual]
-    if len(stepped):
-        text += f"; the clock steps at {', '.join(f'{x:.4g} s' for x in t_s[stepped[:5]])}"
-        text += ": positions go on as if no row were missing"
+    runs = [*_runs(lost | filled), *([k, k + 1] for k in gaps.tolist())]
+    text = ", ".join(f"{count:.0f} {why}" for why, count in counts.items() if count)
+    if text:
+        lasts_s, first = max((t_s[min(b, len(q) - 1)] - t_s[a], a) for a, b in runs)
+        text += f"; of {len(q)} rows; the longest stretch: {lasts_s:.3g} s from {t_s[first]:.4g} s"
     return ~(lost | filled), text
 
 
-def lost_efforts(q: Array, effort: Array, robot: Robot) -> Bools:
+def _lost_efforts(q: Array, effort: Array, robot: Robot) -> Bools:
     """Rows (N,) whose efforts (N, n), at the joints as the positions q (N, n), were lost."""
-    lost, step = np.zeros(len(q), dtype=bool), _typical_step(q)
-    motor, zero = by_rows(robot.motor_effort, effort), by_rows(lambda x: x == 0, effort)
-    peak = by_rows(np.abs, motor).max(axis=0)
-    steps = by_rows(lambda x: np.abs(np.diff(x, axis=0)), motor, beside=1)
-    usual = np.array([np.median(x[x > 0]) if x.any() else 0.0 for x in steps.T])
-    repeats, none = steps <= ROUNDING * peak, np.asarray(zero.all(axis=1))
-    for motors in (list(range(robot.n)), *([m] for m in range(robot.n))):
-        joints, same = (robot.R[motors] != 0).any(axis=0), repeats[:, motors].all(axis=1)
-        least = math.log(CHANCE / len(q)) / min(math.log(max(same.mean(), 1 / len(q))), -1e-9)
-        for first, last in (run for run in _runs(same) if run[1] - run[0] >= least):
-            value = motor[first, motors]
-            jumps = np.abs(motor[[max(first - 1, 0), min(last + 1, len(q) - 1)]][:, motors] - value)
-            if (
-                _travels(q[first : last + 1], step)[joints].any()
-                and (jumps > MIN_JUMP * usual[motors]).any()
-                and not (value.any() and (np.abs(value) >= peak[motors] * (1 - ROUNDING)).all())
-            ):
-                lost[first + bool(value.any()) : last + 1] = True
-    # Motors that cross zero independently do not do so at once.
-    if robot.n > 1 and not none.all() and len(q) * zero[~none].mean(axis=0).prod() < CHANCE:
-        for first, last in _runs(none):
-            lost[first:last] |= _travels(q[max(first - 1, 0) : last + 1], step).any()
+    motor, lost = by_rows(robot.motor_effort, effort), np.zeros(len(q), dtype=bool)
+    peak = np.maximum(by_rows(np.abs, motor).max(axis=0), 1e-300)
+    changes = by_rows(
+        lambda x: np.where(
+            np.abs(x[1:]) < (1 - EQUAL) * peak,
+            np.minimum(np.abs(x[1:]), np.abs(np.diff(x, axis=0))) / (EQUAL * peak),
+            MIN_NOISE,  # at a limit, where nothing tells
+        ),
+        motor,
+        beside=1,
+    )
+    alone = (changes <= 1) & ((robot.n == 1) | (changes > 1).any(axis=1, keepdims=True))
+    often = np.log(np.clip(alone.mean(axis=0), 1 / len(q), 1 - 1e-9))
+    for motors in ([*range(robot.n)], *([m] for m in range(robot.n))):
+        least = np.log(CHANCE / len(q)) / often[motors].sum()
+        joints = (robot.R[motors] != 0).any(axis=0)
+        lost[1:] |= _alike(changes[:, motors].max(axis=1), least, q[:, joints])
     return lost
 
 
-def filled_rows(q: Array, effort: Array) -> Bools:
+def _filled_rows(q: Array, effort: Array) -> Bools:
     """Rows (N,) of positions and efforts (N, n) that lie on one cubic of the rows about them."""
-    filled, step = np.zeros(len(q), dtype=bool), _typical_step(q)
-    scale = CUBIC * np.maximum(np.r_[np.abs(q).max(axis=0), np.abs(effort).max(axis=0)], 1e-300)
-
-    def off(*x: Array) -> NDArray[np.float32]:
-        largest = (np.abs(np.diff(np.concatenate(x, axis=1), 4, axis=0)) / scale).max(axis=1)
-        return np.asarray(largest, dtype=np.float32)
-
-    rough = by_rows(off, q, effort, beside=4) if len(q) > 4 else np.ones(1)
-    cubic = np.asarray(rough <= 1)
-    # Where most rows are, the recording was interpolated as a whole.
-    for first, last in _runs(cubic) if cubic.mean() < 0.5 else ():
-        beside = np.r_[rough[max(first - BESIDE, 0) : first], rough[last : last + BESIDE]]
-        if last - first >= MIN_FILLED and np.median(beside) > MIN_NOISE:
-            moves = _travels(q[max(first - 1, 0) : last + 5], step).any()
-            filled[first + 1 : last + 3] = moves
-    return filled
+    largest = [np.maximum(x.max(axis=0), -x.min(axis=0)) for x in (q, effort)]
+    zero = CUBIC * np.maximum(np.concatenate(largest), 1e-300)
+    bends = by_rows(
+        lambda *x: np.abs(np.diff(np.hstack(x), 4, axis=0) / zero).max(axis=1), q, effort, beside=4
+    )
+    found = np.pad(_alike(bends, MIN_FILLED, q), 2)
+    return np.asarray(np.convolve(found, np.ones(3), "same") > 0)[: len(q)]
 
 
-def _typical_step(q: Array) -> Array:
-    """Root mean square (n,) of the steps of q (N, n)."""
-    squares = by_rows(lambda x: np.diff(x, axis=0) ** 2, q, beside=1)
-    return np.asarray(np.sqrt(squares.mean(axis=0)))
+def _alike(differences: Array, least: float, q: Array) -> Bools:
+    """Which `differences` (N - k,), in units of rounding, are none in a stretch of at least so many
+    in which the robot moves, by its positions q (N, n), and beside which they are some.
+    """
+    found, order = np.zeros(len(differences), dtype=bool), len(q) - len(differences)
+    typical = np.sqrt(by_rows(lambda x: np.diff(x, axis=0) ** 2, q, beside=1).mean(axis=0))
+    for first, last in _runs(differences <= 1, least):
+        beside = np.r_[differences[max(first - BESIDE, 0) : first], differences[last:][:BESIDE]]
+        part = q[first : last + order + 1]
+        moves = (np.ptp(part, axis=0) > MIN_TRAVEL * typical * (len(part) - 1)).any()
+        found[first:last] = moves and np.sum(beside > MIN_NOISE) > MOST * len(beside)
+    return found
 
 
-def _travels(q: Array, step: Array) -> Bools:
-    """Whether joints (n,) move in the rows q (k, n), for typical steps (n,)."""
-    return np.asarray(np.ptp(q, axis=0) > MIN_TRAVEL * step * (len(q) - 1))
-
-
-def _runs(x: Bools) -> NDArray[np.intp]:
-    """First and last row, exclusive, of each stretch (k, 2) of true ones."""
-    return np.flatnonzero(np.diff(np.pad(x, 1).astype(np.int8))).reshape(-1, 2)
+def _runs(x: Bools, least: float = 1) -> list[list[int]]:
+    """First and last place, exclusive, of each stretch of at least so many true ones."""
+    runs = np.flatnonzero(np.diff(np.pad(x, 1).astype(np.int8))).reshape(-1, 2)
+    return list(runs[np.diff(runs)[:, 0] >= least].tolist())

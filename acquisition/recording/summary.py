@@ -10,7 +10,6 @@ from rich.text import Text
 
 from ..arrays import Ints
 from ..errors import one_line
-from ..files import field_of
 from .measured import measured_rows
 from .reader import Recording
 from .rows import SENT, Block, gaps, in_parts
@@ -55,7 +54,7 @@ def overview(recording: Recording) -> dict[str, Any]:
         "has_reference": samples is not None and "reference" in (samples.dtype.names or ()),
         "joints": joints,
         "step_jitter_s": (0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
-        "rows": unmeasured(recording),
+        "rows": "" if samples is None or len(samples) < 2 else measured_rows(samples, robot)[1],
         "no_samples": recording.no_samples if samples is None else "",
         **{key: metadata.get(key, "") for key in ("effort_provenance", "times")},
         "payload": recording.payload,
@@ -79,14 +78,6 @@ def overview(recording: Recording) -> dict[str, Any]:
         "attachments": {name: len(content) for name, content in recording.attachments.items()},
         "sha256": recording.sha256,
     }
-
-
-def unmeasured(recording: Recording) -> str:
-    """Return in words which rows nobody measured, and why; empty where all were, or are none."""
-    if (rows := recording.samples) is None or len(rows) < 2:
-        return ""
-    stamps, q, effort = (field_of(rows, name) for name in ("stamp_ns", "position", "effort"))
-    return measured_rows(stamps, q, effort, recording.robot)[1]
 
 
 def _ranges(rows: Block, field: str) -> list[tuple[float, float]]:
@@ -183,15 +174,13 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             if found["gaps"]
             else "none",
         )
-        if found["rows"]:
-            yield "rows", found["rows"]
         sd, worst = (1e3 * value for value in found["step_jitter_s"])
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
     else:
         yield "samples", found["no_samples"]
     yield from (
         (key.partition("_")[0], found[key])
-        for key in ("times", "effort_provenance", "payload_text")
+        for key in ("times", "rows", "effort_provenance", "payload_text")
         if found[key]
     )
     for count in found["frames"]:

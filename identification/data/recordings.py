@@ -81,9 +81,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
     columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
-    rows, text = measured_rows(
-        stamps, field_of(samples, "position"), field_of(samples, "effort"), was
-    )
+    rows, text = measured_rows(samples, was)
     since = stamps - first_ns
     measured = (np.interp(grid, since, rows) == 1) & ~in_gaps(since, grid)
     law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()

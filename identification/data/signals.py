@@ -211,19 +211,21 @@ def signals_from_arrays(
         sha256=digest.hexdigest(),
         **arrays,
     )
-    stamps = np.rint(1e9 * signals.t_s).astype(np.int64)
-    measured, text = measured_rows(stamps, signals.q, signals.effort, robot)
-    if text:
-        signals = replace(signals, measured=measured, unmeasured=text)
-    if signals.velocity is None:
-        return signals
-    doubts = check_recorded_velocities(
-        robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME
+    rows = {"stamp_ns": 1e9 * signals.t_s, "position": signals.q, "effort": signals.effort}
+    measured, text = measured_rows(rows, robot)
+    doubts = (
+        check_recorded_velocities(robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME)
+        if signals.velocity is not None
+        else ()
     )
-    events = tuple(
-        SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=text) for text in doubts
+    return replace(
+        signals,
+        measured=measured if text else None,
+        unmeasured=text,
+        events=tuple(
+            SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=doubt) for doubt in doubts
+        ),
     )
-    return replace(signals, events=events)
 
 
 def _copy(name: str, array: ArrayLike, n: int) -> Array:

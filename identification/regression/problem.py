@@ -63,8 +63,7 @@ class Problem:
         """(rows,) instants of the decimated rows, s: decimation keeps the last sample and
         every n_d-th before it.
         """
-        s, t_s = self.settings, self.with_samples().signals.t_s
-        return np.asarray(t_s[s.start + s.decimator.instants(s.stop - s.start)])
+        return np.asarray(self.with_samples().signals.t_s[self.settings.instants])
 
     def term_of(self, name: str) -> JointTerm:
         """The term of a joint that a base parameter stands for alone."""
@@ -100,18 +99,16 @@ class Problem:
         low-pass, which smears their positions, by what the lag may move their torques, and by
         `beside` samples.
         """
-        measured, s, fs = self.signals.measured, self.settings, self.signals.sample_rate_hz
-        if measured is None:
-            return np.broadcast_to(True, len(self.signals.t_s) or s.stop)
-        lag_s = max(abs(s.torque_lag_s), abs(s.known_lag.value_s) + LAG_REACH * s.known_lag.sd_s)
-        smear = max(0.5 * fs / self.slip_cutoff_hz, fs * lag_s + SPLINE_NEAR)
-        return ~nearby(~measured, round(smear) + beside)
+        fs, lag = self.signals.sample_rate_hz, self.settings.known_lag
+        if self.signals.measured is None:
+            return np.broadcast_to(True, len(self.signals.t_s) or self.settings.stop)
+        moved = fs * (abs(lag.value_s) + LAG_REACH * lag.sd_s) + SPLINE_NEAR
+        reach = beside + round(max(0.5 * fs / self.slip_cutoff_hz, moved))
+        return ~nearby(~self.signals.measured, reach)
 
     def measured_rows(self) -> NDArray[np.bool_]:
         """Which decimated rows (rows,) have only measured samples within two rows."""
-        s = self.settings
-        at = s.start + s.decimator.instants(s.stop - s.start)
-        return self.measured_samples(2 * s.decimation)[at]
+        return self.measured_samples(2 * self.settings.decimation)[self.settings.instants]
 
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model, which were measured, and `source`."""
@@ -144,9 +141,10 @@ class Problem:
         """
         whole, N = self.recorded, stop + round(MARGIN_S * self.recorded.sample_rate_hz)
         cut: dict[str, Any] = {
-            name: np.array(x[:N]) for name in COLUMNS if (x := getattr(whole, name)) is not None
+            name: np.array(x[:N])
+            for name in (*COLUMNS, "measured")
+            if (x := getattr(whole, name)) is not None
         }
-        cut["measured"] = None if whole.measured is None else whole.measured[:N]
         recorded = replace(whole, **cut)
         found = replace(
             self, signals=recorded, recorded=recorded, source=None, motion=FilteredMotion(recorded)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition import robot
 from acquisition.errors import BadInputError, NoFitError
@@ -97,6 +98,11 @@ class Settings:
     def decimator(self) -> Decimation:
         """The decimation of torque and regressor."""
         return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
+
+    @property
+    def instants(self) -> NDArray[np.intp]:
+        """The samples (rows,) of the decimated rows: the last of the span, every n_d-th before."""
+        return self.start + self.decimator.instants(self.stop - self.start)
 
 
 def make_settings(

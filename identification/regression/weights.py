@@ -46,8 +46,7 @@ class SampleWeights:
         settings, n = problem.settings, moves.shape[1]
         self._measured, self.ramps = problem.measured_samples(), (settings.ramp_rows,) * n
         self.moves = moves
-        at = settings.start + settings.decimator.instants(settings.stop - settings.start)
-        moving = self.moves[at]
+        moving = self.moves[settings.instants]
         self._set_rows(problem, moving)
         for shorter in (ramp for ramp in RAMPS if ramp < settings.ramp_rows):
             few = (self.of_rows**2).sum(axis=0) < MIN_ROWS_LEFT * moving.sum(axis=0)

@@ -235,11 +235,6 @@ def rows_test(e: FitData) -> TrustLine | None:
     """
     every = [position_steps(problem.used_positions()) for problem in e.problems]
     places = [f"{name}: " if len(e.names) > 1 else "" for name in e.names]
-    unmeasured = [
-        place + one.signals.unmeasured
-        for place, one in zip(places, e.problems, strict=True)
-        if one.signals.unmeasured
-    ]
     shares = [
         100 * np.array([steps.lost, steps.repeated, steps.held]) / max(steps.moving, 1)
         for steps in every
@@ -251,12 +246,10 @@ def rows_test(e: FitData) -> TrustLine | None:
         finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
         text = f"{places[k]}{finding} (position steps that are double or zero)"
         text += ": record time stamps or a row counter ([time] in map.toml), or record again"
-        text = "; ".join([text, *unmeasured])
         return TrustLine("rows", "caution", text, float(surplus[k].sum()), finding=finding)
-    if unmeasured:
-        return TrustLine("rows", "ok", "; ".join(unmeasured))
     notes = [
-        _slow_encoder(e.problem, steps, float(x[2])) for steps, x in zip(every, shares, strict=True)
+        one.signals.unmeasured or _slow_encoder(one, steps, float(x[2]))
+        for one, steps, x in zip(e.problems, every, shares, strict=True)
     ]
     noted = (place + note for place, note in zip(places, notes, strict=True) if note)
     return next((TrustLine("rows", "ok", text) for text in noted), None)

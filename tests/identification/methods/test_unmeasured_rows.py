@@ -173,7 +173,7 @@ def test_a_recording_with_gaps_is_fitted(arm, robot, measured, tmp_path):
     signals = load_signals(recording_with_gaps(tmp_path / "a.mcap", robot, measured, ~GAPS))
     assert len(signals.q) == N
     np.testing.assert_array_equal(signals.measured, ~GAPS)
-    assert "550 are missing in 2 stretch(es)" in signals.unmeasured
+    assert "550 are missing in 2 gap(s)" in signals.unmeasured
     assert worst_percent(arm, identify_ls(signals, Overrides())) < 0.1
 
 

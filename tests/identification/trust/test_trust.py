@@ -305,6 +305,6 @@ def test_samples_at_real_times_are_made_uniform(tmp_path):
         np.testing.assert_allclose(x[:, 1], 0.3 * np.sin(3.0 * signals.t_s + 1), atol=1e-8)
     assert signals.measured is None
     rewritten(path, robot, np.delete(made, [5000, 5001, 5002, 5003]))
-    assert "4 are missing in 1 stretch(es)" in load_signals(path).unmeasured
+    assert "4 are missing in 1 gap(s)" in load_signals(path).unmeasured
     assert (~load_signals(path).measured).sum() in (4, 5)  # samples of the grid between them
     assert signals_of(SCARA).off_grid <= 0.05
