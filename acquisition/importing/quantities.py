@@ -177,7 +177,7 @@ def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Si
         place.refuse(
             f"{key}.side",
             side,
-            f"'motor', or no {name}",
+            f"no {name}; or 'motor', where a map states it",
             text=(
                 f"{name} of joint {joint.name} in robot.toml has no effect on positions at the "
                 "joint"
