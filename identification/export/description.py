@@ -53,9 +53,7 @@ def chain_of_letters(letters: str) -> Chain:
         )
     unknown: Any = dict.fromkeys(("position", "speed", "effort"))
     joints = (
-        UrdfJoint(
-            name=f"joint_{j + 1}", type=str(kind), child="", damping=0.0, friction=0.0, **unknown
-        )
+        UrdfJoint(name=f"joint_{j + 1}", type=str(kind), damping=0.0, friction=0.0, **unknown)
         for j, kind in enumerate(types)
     )
     return Chain(
@@ -70,7 +68,7 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf`
     is the path relative to its folder. `[parameters]` has the links' inertials in the frames of
     `InverseModel`, fixed and locked links lumped into their carrier; damping as Fv and friction as
-    Fc. Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
+    Fc; nothing if a joint moves no mass. Raises `BadInputError`: a URDF that does not load.
     """
     head = "\n".join(
         [
@@ -231,6 +229,8 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
     values = InverseModel(robot).link_parameters()
+    if not chain.has_inertials:
+        return
     rotors = "" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and "
     yield from (
         "",
@@ -241,14 +241,6 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
         "[parameters]",
     )
     for j, joint in enumerate(chain.joints):
-        mass = values[j, LINK.index("M")]
-        if not mass > 0:
-            at, key = (
-                f"{chain.place}: joint {joint.name!r}",
-                f"mass of link {joint.child!r} and those fixed to it",
-            )
-            expected = "more than 0: an <inertial> in one of them"
-            raise BadInputError(place=at, key=key, value=float(mass), expected=expected)
         yield (
             "# "
             f"{one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"
