@@ -2,7 +2,16 @@
 references that it may follow.
 """
 
-from .bus import BITRATES, FILL_IN, BusFile, DriveFile, EffortTiming, parse_homed, ripple_notes
+from .bus import (
+    BITRATES,
+    FILL_IN,
+    BusFile,
+    DriveFile,
+    EffortTiming,
+    efforts_of_scan,
+    parse_homed,
+    ripple_notes,
+)
 from .description import (
     Capsule,
     FrictionTerm,

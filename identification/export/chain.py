@@ -40,8 +40,8 @@ class UrdfJoint:
     """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing
     damping and friction are 0.
 
-    Acceleration, following error, ratio and drive gain (motor N m or N per unit of
-    effort) come from options.
+    Acceleration, following error, ratio, drive gain (motor N m or N per unit of effort) and the
+    unit of the recorded effort (empty: N m or N at the joint) come from options.
     """
 
     name: str
@@ -55,6 +55,7 @@ class UrdfJoint:
     following_error: float | None = None
     ratio: float | None = None
     drive_gain: float | None = None
+    effort_unit: str = ""
 
     @property
     def unit(self) -> str:
@@ -74,8 +75,7 @@ class Chain:
         notes: what is odd in the inertials.
         has_inertials: whether they are a-priori values: masses of all joints, none impossible.
         bandwidth_hz: of the position loops; not part of a URDF.
-        effort_unit: of the recorded efforts, empty: N m or N at the joints; torque_sensors: whether
-            these are their source.
+        torque_sensors: whether these are the source of the recorded efforts.
     """
 
     place: str
@@ -87,7 +87,6 @@ class Chain:
     notes: tuple[str, ...]
     has_inertials: bool = True
     bandwidth_hz: float | None = None
-    effort_unit: str = ""
     torque_sensors: bool = False
 
     def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":

@@ -22,6 +22,7 @@ _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has 
 _EFFORT_SHARE, _RISE_S = 0.02, 0.2
 # of the example's drives: per turn or m; rated over maximum effort
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5
+_OF_GAINS = "A", "V", "%"  # efforts that a drive gain makes N m or N
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
 
 
@@ -79,7 +80,7 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     head += "\n".join(_motors_and_controller(chain))
     drives = [f"# {FILL_IN}: the drives. Replace every number by those of the real drives."]
     drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
-    if not bus and (chain.effort_unit in ("A", "%") or any(joint.ratio for joint in chain.joints)):
+    if not bus and any(joint.ratio or joint.effort_unit in _OF_GAINS for joint in chain.joints):
         drives = []  # those of the example record the torque at the joint
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
@@ -170,7 +171,7 @@ def _number(x: float) -> str:
 
 def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield from ("", "")
-    if not chain.effort_unit:
+    if not all(joint.effort_unit for joint in chain.joints):
         yield from (
             f"# {FILL_IN}: for each motor",
             "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included",
@@ -208,17 +209,17 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
     A gain has no effect before the ratio is known too: it would give wrong N m.
     """
     torque = "N" if joint.type == "prismatic" else "N m"
-    unit = torque if chain.effort_unit in ("", "N m") else chain.effort_unit
+    unit = joint.effort_unit or torque
     gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
-    known = joint.ratio is not None and joint.drive_gain is not None
+    known = None not in (joint.ratio, joint.drive_gain) and unit in _OF_GAINS
     if joint.ratio is not None:
         yield f"ratio = {_number(joint.ratio)}"
-    elif chain.effort_unit and not chain.torque_sensors:
+    elif joint.effort_unit and not chain.torque_sensors:
         yield (
             f"# ratio = ... # {FILL_IN}: motor rad (or m) per joint rad (or m), sign included; "
             "none for efforts at the joint"
         )
-    if unit != torque:
+    if unit in _OF_GAINS:
         mark = "" if known else f" # {FILL_IN}: replaces effort_unit, together with ratio"
         yield f"{'' if known else '# '}drive_gain = {gain}{mark}"
         yield f'{"" if known else "# "}drive_gain_unit = "{torque}/{unit}"'

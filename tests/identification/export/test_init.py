@@ -142,7 +142,9 @@ def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsy
     assert list(lines)[-5:] == marked[-5:]
     of_motion = ["# acceleration_deg_s2", "# following_error_deg"]
     keys = [line.partition(" = ")[0] for line in lines.values()]
-    assert keys[:-5] == [*of_motion, *of_motion, "# FILL IN: for each motor"]
+    assert keys[:-5] == [*of_motion, *of_motion, "# ratio", "# ratio"]
+    # 6074h is per mille of the rated torque
+    assert [motor.effort_unit for motor in robot.motors] == ["N m", "N m"]
     assert len(marked) > 10
     # the first line says what the mark means
     assert f"to be filled in: {len(marked) - 1} lines" in printed
