@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -95,8 +96,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the description, and print its joints and the locked ones."""
     from acquisition.files import atomic_write
+    from acquisition.robot import marks_of_motion
 
-    from ..export import FILL_IN, chain_of_letters, describe, describe_rows, read_chain
+    from ..export import FILL_IN, USES, chain_of_letters, describe, describe_rows, read_chain
 
     out: Path | None = options.out
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
@@ -139,7 +141,16 @@ def run(options: argparse.Namespace) -> None:
         return
     with atomic_write(out) as partial:
         partial.write_text(text, encoding="utf-8")
-    missing = sum(FILL_IN in line for line in text.splitlines()[1:])
+    marked = [(k, x) for k, x in enumerate(text.splitlines(), 1) if FILL_IN in x][1:]
+    moving = marks_of_motion(text)
+    needed = {
+        use: [
+            str(k)
+            for k, x in marked
+            if re.search(f"{FILL_IN}{use}(:|$)", x) or (use == USES[-1] and k in moving)
+        ]
+        for use in USES
+    }
     sensors_only = (
         "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
         "includes its rotor",
@@ -150,7 +161,11 @@ def run(options: argparse.Namespace) -> None:
         *(f"locked at zero: {locked}" for locked in chain.locked),
         *(f"note: {note}" for note in chain.notes),
         *(sensors_only if chain.torque_sensors else ()),
-        f"to be filled in: {missing} lines with {FILL_IN}",
+        f"to be filled in: {len(marked)} lines with {FILL_IN}",
+        *(
+            f"of these, lines needed{use}: {', '.join(lines) or 'none'}"
+            for use, lines in needed.items()
+        ),
     ):
         print(one_line(line))
 

@@ -110,7 +110,43 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
         "drives",
     ):
         assert any(key in line for line in marked), key
-    assert out.splitlines()[-1] == f"to be filled in: {len(marked)} lines with FILL IN"
+    assert out.splitlines()[-4] == f"to be filled in: {len(marked)} lines with FILL IN"
+
+
+@pytest.mark.parametrize(
+    ("given", "fit", "motors", "move"),
+    [
+        # counted by hand: range and speed (of --dh), acceleration, following error of each joint;
+        # ratios, gains; what is said of the drives
+        ("arm.urdf", 0, 1, 3 * 2 + 1 + 1),
+        ("arm.urdf --effort A", 0, 3, 3 * 2 + 3 * 2 + 1),
+        ("arm.urdf --effort A --ratio 9,9,8", 0, 0, 3 * 2 + 3 + 1),
+        ("arm.urdf --effort A --ratio 9,9,8 --drive-gain 1,1,2", 0, 0, 3 * 2 + 1),
+        ("arm.urdf --torque-sensor --effort N_m", 0, 0, 3 * 2 + 1),
+        ("arm.urdf --joints turn,lift --bus bus.toml", 0, 2, 2 * 2 + 2 + 5),
+        (" ".join(["arm.urdf", "--effort N_m", *STATED]), 0, 3, 3 + 1),
+        ("--dh RRP", 3, 1, 3 * 4 + 1 + 1),
+        ("--dh RR --bus bus.toml", 2, 2, 2 * 4 + 2 + 5),
+    ],
+)
+def test_lines_are_told_by_what_needs_them(here, capsys, given, fit, motors, move):
+    """Of a log with efforts of the joints nothing is needed; dimensions if there is no URDF."""
+    (here / "bus.toml").write_text(BUS)
+    words = [word.replace("_", " ") for word in given.split()]
+    status, out, _ = run(capsys, "init", *words, "-o", "robot.toml")
+    assert status == 0
+    text = (here / "robot.toml").read_text().splitlines()
+    told = dict[str, list[str]]()
+    for line in out.splitlines()[-3:]:
+        use, numbers = line.removeprefix("of these, lines needed ").split(": ")
+        told[use] = [text[int(k) - 1] for k in numbers.split(", ") if k != "none"]
+    assert {use: len(lines) for use, lines in told.items()} == {
+        "to fit": fit, "to fit efforts of motors": motors, "to move": move
+    }  # fmt: skip
+    assert all("FILL IN" in line for lines in told.values() for line in lines)
+    assert all(line.startswith("dh = ") for line in told["to fit"])
+    if "--bus" not in words:
+        assert load_robot("robot.toml").n == 3  # it loads as it is
 
 
 BUS = """[bus]
