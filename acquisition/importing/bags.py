@@ -191,7 +191,7 @@ def _effort(
     at_joint = all(unit in ("N m", "N") for unit in units)
     if at_joint and len(effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
-    side = effort_side(robot, units, "joint" if at_joint else "motor", "effort", place)
+    side = effort_side(robot, units, "joint" if at_joint else "motor", "--effort-unit", place)
     what = f"{', '.join(effort_unit)} at the {side}"
     joint_effort = by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort)
     rule = effort_at_joint(robot, effort[:1] * factors, side)[1]

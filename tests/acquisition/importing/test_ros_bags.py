@@ -217,7 +217,7 @@ def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
         out.unlink()
     with pytest.raises(BadInputError) as refused:
         import_bag(whole, robot, out, replace(OPTIONS, effort_unit=["V"]))
-    assert (refused.value.key, refused.value.expected) == ("effort.unit", "A, as in robot.toml")
+    assert (refused.value.key, refused.value.expected) == ("--effort-unit", "A, as in robot.toml")
 
 
 def edited(count=40, **change):
