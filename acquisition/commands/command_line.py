@@ -45,6 +45,8 @@ STATUSES = (
     "3 done, but the result is not to be trusted (robot-identify fit, fleet, validate); 130 "
     "interrupted by Ctrl-C"
 )
+# letters that two words have in common, of all their letters, for one to be meant by the other
+_ALIKE = 0.75
 DISTRIBUTION = "robot-idim"
 PACKAGES = (
     "numpy",
@@ -137,17 +139,26 @@ class _Parser(argparse.ArgumentParser):
         commands = [
             c for a in self._actions if isinstance(a.choices, dict) for c in a.choices.values()
         ]
-        known = [
-            *(str(choice) for action in self._actions for choice in action.choices or ()),
-            *(option for parser in (self, *commands) for option in parser._option_string_actions),
-        ]
-        wrong = re.findall(
-            r"(?:unrecognized arguments|invalid choice): (.*?)(?: \(choose|$)", message
+        options, choices = (
+            {
+                option.lstrip("-"): option
+                for p in (self, *commands)
+                for option in p._option_string_actions
+            },
+            {
+                str(choice): str(choice)
+                for action in self._actions
+                for choice in action.choices or ()
+            },
         )
         near = [
-            x
-            for word in re.findall(r"-*\w[\w-]*", *wrong or [""])
-            for x in get_close_matches(word, known, 1)
+            known[x]
+            for known, pattern, text in (
+                (options, r" --?([\w-]+)", message.partition("unrecognized arguments:")[2]),
+                (choices, r"invalid choice: '([^']*)'", message),
+            )
+            for word in re.findall(pattern, text)
+            for x in get_close_matches(word, known, 1, _ALIKE)
         ]
         message = (
             f"{message.partition(' (choose')[0]}: did you mean {near[0]}?" if near else message

@@ -43,12 +43,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--topic",
         metavar="NAME",
         help="topic of JointState; after a comma of JointTrajectoryControllerState (default: the "
-        "only one with the joints)",
+        "only ones)",
     )
     bag.add_argument(
         "--effort-unit",
         metavar="UNIT",
-        help="required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in "
+        help="required with a bag, unit of the effort: 'N m' at the joints (prismatic: force in "
         "N), or A, V, ... at the motors; one for all joints, or one per joint separated by commas",
     )
     bag.add_argument(
@@ -77,9 +77,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import a bag (with a topic), tables (with a map), a CAN log or a
-    recording, and print a summary.
-    """
+    """Import a bag, tables (with a map), a CAN log or a recording, and print a summary."""
     from ..files import is_recording, refuse_clash
 
     options.output = options.output or options.tables[0].with_suffix(".mcap")
@@ -93,16 +91,18 @@ def run(options: argparse.Namespace) -> None:
             import_log,
             import_recording,
             import_tables,
+            is_bag,
             is_log,
         )
         from ..robot import load_robot, parse_payload
 
         out, tables = options.output, options.tables
+        bag = options.topic is not None or (options.map is None and is_bag(tables[0]))
         if options.mapping and (options.topic or options.map or not is_log(tables[0])):
             raise BadInputError(
                 key="--mapping", value=options.mapping[0], expected="an EtherCAT capture"
             )
-        again = options.topic is None and options.map is None and is_recording(tables[0])
+        again = not bag and options.map is None and is_recording(tables[0])
         robot = None if options.robot is None else load_robot(options.robot)
         payload = (
             None
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> None:
             _refuse_bag_options(options)
             _refuse_as_recording(options)
             found = import_recording(tables[0], out, robot, str(options.robot or ""))
-        elif options.topic is None and options.map is None and _propose(options, robot):
+        elif not bag and options.map is None and _propose(options, robot):
             return
         elif robot is None:
             raise BadInputError(
@@ -121,16 +121,16 @@ def run(options: argparse.Namespace) -> None:
                 value=None,
                 expected="the robot's description; only recordings have their own",
             )
-        elif options.topic is not None:
+        elif bag:
             _refuse_as_bag(options)
-            topic, _, other = (name.strip() for name in options.topic.partition(","))
-            bag = BagOptions(
+            topic, _, other = (name.strip() for name in (options.topic or "").partition(","))
+            asked = BagOptions(
                 topic=topic,
                 reference_topic=other,
                 effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
                 resample_hz=options.resample_hz,
             )
-            found = import_bag(tables[0], robot, out, bag, payload)
+            found = import_bag(tables[0], robot, out, asked, payload)
         else:
             _refuse_bag_options(options)
             if options.map is not None:
@@ -140,7 +140,7 @@ def run(options: argparse.Namespace) -> None:
                 found = import_log(
                     tables[0], out, robot, str(options.robot), payload, options.mapping
                 )
-    _print(found, sys.stderr if options.topic is None and options.map is None else sys.stdout)
+    _print(found, sys.stdout if bag or options.map is not None else sys.stderr)
 
 
 def _print(found: "ImportSummary", warnings: TextIO) -> None:
@@ -158,9 +158,11 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
         *(f"with {name.replace('_', ' ')}" for name in found.optional),
     ]
     print(one_line(", ".join(parts)))
+    rows = overview(read_recording(found.out))["rows"]
     for name, text in (
+        ("topic", found.topic),
         ("times", found.times),
-        ("rows", overview(read_recording(found.out))["rows"]),
+        ("rows", rows),
         ("reference", found.reference),
     ):
         if text:
@@ -174,10 +176,10 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
     the user has to go on.
     """
     from ..files import atomic_write
-    from ..importing import TORQUE_SENSORS, is_bag, is_log, lines_to_fill_in, propose_map
+    from ..importing import TORQUE_SENSORS, is_log, lines_to_fill_in, propose_map
 
     table: Path = options.tables[0]
-    if len(options.tables) > 1 or is_bag(table) or is_log(table) or table.suffix.lower() == ".mat":
+    if len(options.tables) > 1 or is_log(table) or table.suffix.lower() == ".mat":
         return False
     options.map = table.with_suffix(".map.toml")
     if options.map.exists():
@@ -228,7 +230,7 @@ def _refuse_bag_options(options: argparse.Namespace) -> None:
                 "is only for ROS 2 bags",
                 key=name,
                 value=value,
-                expected="--topic; for tables, time.resample_hz and effort.unit in MAP.toml",
+                expected="none; for tables, time.resample_hz and effort.unit in MAP.toml",
             )
 
 
@@ -238,7 +240,7 @@ def _refuse_as_bag(options: argparse.Namespace) -> None:
             "is only for tables",
             key="--map",
             value=str(options.map),
-            expected="no --map with --topic",
+            expected="no --map with a bag",
         )
     if len(options.tables) > 1:
         raise BadInputError("is a second bag", place=str(options.tables[1]), expected="one")
@@ -270,15 +272,9 @@ def _refuse_as_recording(options: argparse.Namespace) -> None:
 
 
 def _refuse_as_log(paths: Sequence[Path]) -> None:
-    from ..importing import is_bag, is_log
+    from ..importing import is_log
 
     tables = [path for path in paths if not is_log(path)]
-    if tables and is_bag(tables[0]):
-        raise BadInputError(
-            "a ROS 2 bag needs --topic",
-            place=str(tables[0]),
-            expected="the topic of its joint states, such as --topic /joint_states",
-        )
     if tables:
         raise BadInputError(
             "a table needs --map MAP.toml",

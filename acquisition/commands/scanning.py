@@ -163,11 +163,13 @@ def _drive_lines(node: int, readings: Readings) -> Iterator[str]:
     if not efforts:
         yield f'# reference = "..." # {FILL_IN}: object of the current or torque reference'
     for key in sorted(efforts, key=lambda key: "actual" in EFFORT_OBJECTS[key][2])[:1]:
-        _, rule, meaning = EFFORT_OBJECTS[key]
+        kind, rule, meaning = EFFORT_OBJECTS[key]
         certain = "" if key[0] >= 0x6000 else f"{FILL_IN}: if it is "
+        # the standard says no type of a maker's object
+        yield from [f'objects = {{ "{key[0]:04X}" = "{kind}" }}'] if certain else []
         yield (
             f'{"actual" if "actual" in meaning else "reference"} = "{key[0]:04X}" # '
-            f"{certain}{meaning}"
+            f"{certain}{meaning}, {RULES[rule].unit}"
         )
         if rated := RULES[rule].rated:
             # with all bits: none

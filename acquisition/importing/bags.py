@@ -49,8 +49,11 @@ _WAYS_OUT = (
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a ROS 2 bag, a folder or a file."""
-    return path.is_dir() or path.suffix.lower() in SUFFIXES
+    """Whether a path is that of a ROS 2 bag: a folder, .db3, or .mcap with the profile of ROS 2."""
+    if path.suffix.lower() == ".mcap" and path.is_file():
+        with path.open("rb") as file:  # magic, op code and length of the header, its profile
+            return b"ros2" in file.read(32)
+    return path.is_dir() or path.suffix.lower() == ".db3"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +63,11 @@ class BagOptions:
 
     N m and N are at the joints; A, V and their fractions are of the motors, in the order of the
     joints. Without a rate that of the stamps is taken, rounded within their scatter; without a
-    topic of the reference the only one of a controller.
+    topic the only one of joint states, and as the reference the only one of a controller.
     """
 
-    topic: str
     effort_unit: Sequence[str]
+    topic: str = ""
     reference_topic: str = ""
     resample_hz: float | None = None
 
@@ -84,10 +87,10 @@ def import_bag(
     not finite or in other units than those of robot.toml, stamps do not grow or have gaps.
     Nothing is written then.
     """
-    joints, topic = [joint.name for joint in robot.joints], options.topic
-    place = Place(f"{bag}: {topic}")
-    position_side(robot, "joint", "position", place)
-    read, controllers = _read(bag, options, joints)
+    joints = [joint.name for joint in robot.joints]
+    position_side(robot, "joint", "position", Place(str(bag)))
+    read, controllers, topic = _read(bag, options, joints)
+    place = read.place
     stamps_ns, received, parts, warnings = read.states(topic)
     controller = options.reference_topic or _only_controller(controllers, joints, Place(str(bag)))
     position = parts["position"]
@@ -127,7 +130,8 @@ def import_bag(
         payload=payload,
         notes={**grid.notes, "effort_object": effort_object, **reference},
     )
-    return write_samples(header, grid, warnings, str(place), out)
+    chosen = "" if options.topic else f"{topic}, the only one of {JOINT_STATE}"
+    return replace(write_samples(header, grid, warnings, str(place), out), topic=chosen)
 
 
 def _only_controller(
@@ -188,7 +192,7 @@ def _effort(
     at_joint = all(unit in ("N m", "N") for unit in units)
     if at_joint and len(effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
-    side = effort_side(robot, units, "joint" if at_joint else None, "effort", place)
+    side = effort_side(robot, units, "joint" if at_joint else "motor", "--effort-unit", place)
     what = f"{', '.join(effort_unit)} at the {side}"
     joint_effort = by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort)
     rule = effort_at_joint(robot, effort[:1] * factors, side)[1]
@@ -225,10 +229,9 @@ def _storage(path: Path) -> Path:
 
 def _read(
     path: Path, options: BagOptions, joints: Sequence[str]
-) -> tuple["_Parts", dict[str, "_Parts"]]:
-    """Joint states of the `joints`, in the order of the bag; states of controllers by topic."""
-    topic, wanted = options.topic, options.reference_topic
-    parts = _Parts(joints, Place(f"{path}: {topic}"))
+) -> tuple["_Parts", dict[str, "_Parts"], str]:
+    """Joint states of the `joints` in the bag's order, controllers' by topic; the topic read."""
+    wanted, parts = options.reference_topic, _Parts(joints, Place(str(path)))
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -238,9 +241,10 @@ def _read(
         begin = store.get_msgdef(CONTROLLER_STATE)
         with AnyReader([_storage(path)], default_typestore=store) as reader:
             types = {c.topic: c.msgtype for c in reader.connections}
-            _refuse_topic(topic, JOINT_STATE, types, Place(str(path)))
+            topic = _topic_of(JOINT_STATE, options.topic, types, parts.place)
             if wanted:
-                _refuse_topic(wanted, CONTROLLER_STATE, types, Place(str(path)))
+                _topic_of(CONTROLLER_STATE, wanted, types, parts.place)
+            parts.place = Place(f"{path}: {topic}")
             connections = [c for c in reader.connections if c.topic == topic]
             parts.publishers = sum(
                 max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections
@@ -267,20 +271,19 @@ def _read(
             expected=next(way for pattern, way in _WAYS_OUT if re.search(pattern, told)),
             text=f"cannot be read{after}: {told}",
         )
-    return parts, controllers
+    return parts, controllers, topic
 
 
-def _refuse_topic(topic: str, wanted: str, types: dict[str, str], place: Place) -> None:
-    if types.get(topic) == wanted:
-        return
-    states = [name for name, kind in types.items() if kind == wanted]
+def _topic_of(kind: str, topic: str, types: dict[str, str], place: Place) -> str:
+    """The topic, by default the only one of its kind."""
+    found = [name for name, own in types.items() if own == kind]
+    if topic in found or (not topic and len(found) == 1):
+        return topic or found[0]
     problem = f"has type {types[topic]}" if topic in types else "does not exist"
-    expected = (
-        f"one of {wanted}: {listed(states)}"
-        if states
-        else f"a topic of {wanted}; it has {listed([*types])}"
+    place.refuse(
+        expected=f"--topic of {kind}; it has {listed(found or [*types])}",
+        text=f"topic {topic} {problem}" if topic else f"has {len(found)} topics of joint states",
     )
-    place.refuse(expected=expected, text=f"topic {topic} {problem}")
 
 
 class _Parts:

@@ -104,7 +104,7 @@ class Source:
         they are: unit and side.
         """
         units, values = self._read(key, quantity, EFFORT_UNITS)
-        side = effort_side(self.robot, units, quantity.side, key, self.place)
+        side = effort_side(self.robot, units, quantity.side, f"{key}.unit", self.place)
         unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
         what = f"{unit} at the {side}"
         joint_effort, rule = effort_at_joint(self.robot, values, side)
@@ -129,7 +129,7 @@ class Source:
         if quantity.side not in (None, side):
             self.place.refuse(f"{key}.side", quantity.side, f"{side!r}, {why}")
         units, values = self._read(key, quantity, EFFORT_UNITS)
-        effort_side(self.robot, units, side, key, self.place)
+        effort_side(self.robot, units, side, f"{key}.unit", self.place)
         return values
 
     def _read(self, key: str, quantity: Quantity, known: Units) -> tuple[tuple[str, ...], Array]:
@@ -177,7 +177,7 @@ def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Si
         place.refuse(
             f"{key}.side",
             side,
-            f"'motor', or no {name}",
+            f"no {name}; or 'motor', where a map states it",
             text=(
                 f"{name} of joint {joint.name} in robot.toml has no effect on positions at the "
                 "joint"
@@ -199,18 +199,18 @@ def _side_or_joint(side: Side | None, same: bool, key: str, place: Place) -> Sid
 def effort_side(
     robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Place
 ) -> Side:
-    """The side of efforts in the units `given`; by default the one whose units are the same."""
+    """The side of efforts in the units `given`, which `key` states; by default the one whose units
+    are the same.
+    """
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
     fits = [side for side in ("motor", "joint") if given == expected[side]]
     if side is None:
         if len(fits) == 2 and not _is_identity(robot.R * robot.gain[:, None]):
-            place.refuse(f"{key}.side", None, "'motor' or 'joint'")
+            place.refuse(key.replace(".unit", ".side"), None, "'motor' or 'joint'")
         side = "joint" if fits == ["joint"] else "motor"
     if side not in fits:
         wanted = f"{join_units(expected[side])}, as in robot.toml"
-        place.refuse(
-            f"{key}.unit", expected=wanted, text=f"gives {join_units(given)} at the {side}"
-        )
+        place.refuse(key, expected=wanted, text=f"gives {join_units(given)} at the {side}")
     return side
 
 

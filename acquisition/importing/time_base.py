@@ -338,8 +338,8 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSummary:
-    """A written recording: sizes, recorded quantities, the report on the times, origin of
-    the reference, warnings.
+    """A written recording: sizes, recorded quantities, the report on the times, the topic that was
+    not named, origin of the reference, warnings.
     """
 
     out: Path
@@ -350,6 +350,7 @@ class ImportSummary:
     effort_units: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     times: str = ""
+    topic: str = ""
     reference: str = ""
     warnings: tuple[str, ...] = ()
 

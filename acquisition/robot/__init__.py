@@ -2,7 +2,16 @@
 references that it may follow.
 """
 
-from .bus import BITRATES, FILL_IN, BusFile, DriveFile, EffortTiming, parse_homed, ripple_notes
+from .bus import (
+    BITRATES,
+    FILL_IN,
+    BusFile,
+    DriveFile,
+    EffortTiming,
+    efforts_of_scan,
+    parse_homed,
+    ripple_notes,
+)
 from .description import (
     Capsule,
     FrictionTerm,
@@ -40,5 +49,12 @@ from .reference import (
     table_reference,
 )
 from .resolving import resolve
-from .robot import SIMULATED_CONTROLLER, Robot, lines_to_fill_in, load_robot, robot_from_files
+from .robot import (
+    SIMULATED_CONTROLLER,
+    Robot,
+    lines_to_fill_in,
+    load_robot,
+    marks_of_motion,
+    robot_from_files,
+)
 from .toml import Positive, note, parse_toml

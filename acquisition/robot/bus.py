@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from ..protocol import BITS, RATED_UNITS, RULES
-from .toml import Positive, TomlTable, note
+from ..protocol import BITS, EFFORT_OBJECTS, RATED_UNITS, RULES
+from .toml import Positive, TomlTable, note, parse_toml
 
 Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
 CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
@@ -275,6 +275,28 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
         "drives interpolate linearly: shorten sync_period_s, or record an averaged object"
     )
     return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
+
+
+class _Drives(msgspec.Struct):
+    drive: tuple[dict[str, Any], ...]
+
+
+class _Scanned(msgspec.Struct):
+    bus: _Drives
+
+
+def efforts_of_scan(text: bytes, place: str) -> tuple[str, ...]:
+    """Return the unit of the effort of each `[[bus.drive]]`, A, V, N m or N, by its rule or its
+    object; empty where both are still to be filled in. Other keys may be missing or wrong.
+    """
+    usual = {f"{index:04X}": rule for (index, _), (_, rule, _) in EFFORT_OBJECTS.items()}
+    units = []
+    for drive in parse_toml(text, _Scanned, place).bus.drive:
+        word = "reference" if "reference" in drive else "actual"
+        by_object = usual.get(str(drive.get(word)).upper().removesuffix(":0"), "")
+        rule = RULES.get(str(drive.get(f"{word}_rule", by_object)))
+        units.append(rule.unit if rule else "")
+    return tuple(units)
 
 
 def parse_object(name: str) -> tuple[int, int]:

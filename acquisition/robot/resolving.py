@@ -220,7 +220,7 @@ def _effort(
         at.refuse(
             f"{word}_rule",
             name,
-            f"{motor.recorded_unit} as motor {motor.name!r} says",
+            f"{motor.recorded_unit} as motor {motor.name!r} says, or {rule.unit} as effort_unit",
             text=f"gives {rule.unit}",
         )
     times = f" x {getattr(file, rule.rated):g} ({rule.rated})" if rule.rated else ""

@@ -315,11 +315,16 @@ _LIMIT = re.compile(r"[# ]*(position|speed|acceleration|following_error)_(deg|m)
 
 
 def lines_to_fill_in(robot: Robot) -> list[int]:
-    """Return the numbers of the lines of robot.toml with `FILL_IN` that motion needs: those of
-    `[bus]` and `[[motor]]`, the comments above these tables, and limits of joints.
+    """Return the numbers of the lines of robot.toml with `FILL_IN` that motion needs."""
+    return marks_of_motion(robot.files["robot.toml"].decode())
+
+
+def marks_of_motion(text: str) -> list[int]:
+    """Return the same of a robot.toml that need not load yet: marks of `[bus]` and `[[motor]]`, the
+    comments above these tables, and limits of joints.
     """
     found, above, inside = [], list[int](), False
-    for number, line in enumerate(robot.files["robot.toml"].decode().splitlines(), 1):
+    for number, line in enumerate(text.splitlines(), 1):
         marked, begins = [number] if FILL_IN in line else [], line.startswith("[")
         inside = _OF_MOTION.match(line) is not None if begins else inside
         needed = inside or _LIMIT.match(line) is not None

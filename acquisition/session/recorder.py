@@ -51,6 +51,19 @@ class RecordedSummary:
     path: Path | None = None
 
 
+def refuse_taken(path: Path) -> None:
+    """Raise `BadInputError` if a new recording cannot have this name: it is taken, or its folder
+    cannot be written.
+    """
+    taken = path.exists()
+    if taken or not os.access(f"{path.absolute().parent}/", os.W_OK):
+        raise BadInputError(
+            "already exists" if taken else "cannot be written",
+            place=str(path),
+            expected="a new name in a folder that is there; recordings are not replaced",
+        )
+
+
 class Recorder:
     """Writes the recording `path`; flushed data survives a kill.
 
@@ -64,12 +77,6 @@ class Recorder:
         self._path, self._robot, self._place = path, robot, place
         file = robot.bus
         self._bus: Bus | None = None if file.mapped_by_traffic else resolve(robot, place)
-        if path.exists():
-            raise BadInputError(
-                "already exists",
-                place=str(path),
-                expected="a new name; recordings are not replaced",
-            )
         header = recording.Header(
             robot=robot,
             source=source,
@@ -88,6 +95,7 @@ class Recorder:
             },
         )
         try:
+            path.touch(exist_ok=False)  # of two sessions that begin at once, one has the name
             self._writer = recording.RecordingWriter(path, header)
         except OSError as error:
             raise BadInputError(

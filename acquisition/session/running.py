@@ -52,7 +52,7 @@ from ..robot import (
 from ..simulated import LockStepLink, SimulatedDrives, describe_loops, driven_plant
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
-from .recorder import RecordedSummary, Recorder, Status
+from .recorder import RecordedSummary, Recorder, Status, refuse_taken
 from .session import Outcome, Stop, Task, run_active
 from .timing import real_time_scheduling, refuse_jitter
 
@@ -89,6 +89,7 @@ def record(
     existing file is never replaced. Errors of a running session are in the returned outcome; those
     of options, description, bus or file are raised as `RobotIdimError` before it runs.
     """
+    refuse_taken(out)
     if robot.bus is None:
         expected = "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`"
         raise BadInputError(place=place, key="bus", value=None, expected=expected)

@@ -2,8 +2,10 @@
 
 import argparse
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from acquisition.commands import add_flag, add_path
 from acquisition.errors import one_line
@@ -11,6 +13,9 @@ from acquisition.errors import one_line
 from ..errors import BadInputError
 from ..options import list_of_names, list_of_ratios, list_of_values
 from .arguments import refuse_outputs
+
+if TYPE_CHECKING:
+    from ..export import Chain
 
 _URDF_OPTIONS = {
     "--range": (
@@ -25,8 +30,12 @@ _URDF_OPTIONS = {
         "bandwidth of the position loop in Hz; if several are given, the lowest is used",
     ),
 }
-# that go with them
-_EFFORTS = {"--ratio": ("A", "N m", "%"), "--drive-gain": ("A", "%"), "--torque-sensor": ("N m",)}
+# units of efforts that go with them
+_EFFORTS = {
+    "--ratio": ("A", "N m", "%", "V", "N"),
+    "--drive-gain": ("A", "%", "V"),
+    "--torque-sensor": ("N m",),
+}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -51,8 +60,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
     group.add_argument(
         "--effort",
-        choices=_EFFORTS["--ratio"],
-        help="unit of the recorded efforts; %% of the rated torque",
+        choices=_EFFORTS["--ratio"][:3],
+        help="unit of the recorded efforts (default with --bus: what the drives give); %% of the "
+        "rated torque",
     )
     group.add_argument(
         "--ratio",
@@ -86,8 +96,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the description, and print its joints and the locked ones."""
     from acquisition.files import atomic_write
+    from acquisition.robot import marks_of_motion
 
-    from ..export import FILL_IN, chain_of_letters, describe, describe_rows, read_chain
+    from ..export import FILL_IN, USES, chain_of_letters, describe, describe_rows, read_chain
 
     out: Path | None = options.out
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
@@ -107,32 +118,39 @@ def run(options: argparse.Namespace) -> None:
         for option in (*_URDF_OPTIONS, *_EFFORTS)
         if (values := getattr(options, option[2:].replace("-", "_")))
     }
+    bus = b"" if options.bus is None else options.bus.read_bytes()
+    efforts = _efforts(chain, options, bus)
     for option, units in _EFFORTS.items():
         if option in given and (
-            options.effort not in units or (option == "--ratio" and options.torque_sensor)
+            not {*efforts} & {*units} or (option == "--ratio" and options.torque_sensor)
         ):
             expected = (
-                f"with --effort {' or '.join(map(repr, units))}, and --ratio not with "
+                f"with --effort {' or '.join(map(repr, units[:3]))}, and --ratio not with "
                 "--torque-sensor"
             )
             raise BadInputError(key=option, value=given[option], expected=expected)
-    sensors = given.pop("--torque-sensor", False)
+    joints = (replace(j, effort_unit=x) for j, x in zip(chain.joints, efforts, strict=True))
     chain = replace(
-        chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors
-    )
+        chain, joints=tuple(joints), torque_sensors=bool(given.pop("--torque-sensor", False))
+    ).with_options(given)
     folder = Path.cwd() if out is None else out.absolute().parent
-    bus = "" if options.bus is None else options.bus.read_text(encoding="utf-8", errors="replace")
-    if options.bus is not None and (drives := bus.count("[[bus.drive]]")) != len(chain.joints):
-        expected = f"{len(chain.joints)} [[bus.drive]], one for each joint of the URDF"
-        raise BadInputError(place=str(options.bus), key="drives", value=drives, expected=expected)
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
-    text = describe(chain, urdf, bus) if urdf else describe_rows(chain, bus)
+    text = describe(chain, urdf, bus.decode()) if urdf else describe_rows(chain, bus.decode())
     if out is None:
         print(text, end="")
         return
     with atomic_write(out) as partial:
         partial.write_text(text, encoding="utf-8")
-    missing = sum(FILL_IN in line for line in text.splitlines()[1:])
+    marked = [(k, x) for k, x in enumerate(text.splitlines(), 1) if FILL_IN in x][1:]
+    moving = marks_of_motion(text)
+    needed = {
+        use: [
+            str(k)
+            for k, x in marked
+            if re.search(f"{FILL_IN}{use}(:|$)", x) or (use == USES[-1] and k in moving)
+        ]
+        for use in USES
+    }
     sensors_only = (
         "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
         "includes its rotor",
@@ -143,6 +161,40 @@ def run(options: argparse.Namespace) -> None:
         *(f"locked at zero: {locked}" for locked in chain.locked),
         *(f"note: {note}" for note in chain.notes),
         *(sensors_only if chain.torque_sensors else ()),
-        f"to be filled in: {missing} lines with {FILL_IN}",
+        f"to be filled in: {len(marked)} lines with {FILL_IN}",
+        *(
+            f"of these, lines needed{use}: {', '.join(lines) or 'none'}"
+            for use, lines in needed.items()
+        ),
     ):
         print(one_line(line))
+
+
+def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[str]:
+    """By joint the unit of the recorded effort: what its drive gives, or as stated; empty if
+    neither says it.
+    """
+    from acquisition.robot import efforts_of_scan
+
+    stated = [
+        "N" if options.effort == "N m" and joint.type == "prismatic" else options.effort or ""
+        for joint in chain.joints
+    ]
+    given = (
+        efforts_of_scan(bus, str(options.bus)) if options.bus is not None else [""] * len(stated)
+    )
+    if len(given) != len(stated):
+        raise BadInputError(
+            place=str(options.bus),
+            key="drives",
+            value=len(given),
+            expected=f"{len(stated)} [[bus.drive]], one for each joint of the URDF",
+        )
+    efforts = [unit or said for unit, said in zip(given, stated, strict=True)]
+    if options.effort and {*efforts} - {options.effort, *stated}:
+        raise BadInputError(
+            key="--effort",
+            value=options.effort,
+            expected=f"{', '.join(efforts)}, as the objects of the drives in {options.bus} give",
+        )
+    return efforts

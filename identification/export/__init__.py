@@ -5,6 +5,7 @@ description from a URDF.
 from .chain import Chain, read_chain
 from .description import (
     FILL_IN,
+    USES,
     chain_of_letters,
     describe,
     describe_rows,

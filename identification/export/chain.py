@@ -40,13 +40,12 @@ class UrdfJoint:
     """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing
     damping and friction are 0.
 
-    Acceleration, following error, ratio and drive gain (motor N m or N per unit of
-    effort) come from options.
+    Acceleration, following error, ratio, drive gain (motor N m or N per unit of effort) and the
+    unit of the recorded effort (empty: N m or N at the joint) come from options.
     """
 
     name: str
     type: str
-    child: str
     position: tuple[float, float] | None
     speed: float | None
     effort: float | None
@@ -56,6 +55,7 @@ class UrdfJoint:
     following_error: float | None = None
     ratio: float | None = None
     drive_gain: float | None = None
+    effort_unit: str = ""
 
     @property
     def unit(self) -> str:
@@ -72,11 +72,10 @@ class Chain:
         joints: joints to identify, numbered from the base outwards.
         locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
         rigid: for each joint of the chain, the links that move with it as one body.
-        notes: links whose inertia is impossible for a rigid body, though its
-            numbers are not negative.
+        notes: what is odd in the inertials.
+        has_inertials: whether they are a-priori values: masses of all joints, none impossible.
         bandwidth_hz: of the position loops; not part of a URDF.
-        effort_unit: of the recorded efforts, empty: N m or N at the joints; torque_sensors: whether
-            these are their source.
+        torque_sensors: whether these are the source of the recorded efforts.
     """
 
     place: str
@@ -86,8 +85,8 @@ class Chain:
     locked: tuple[str, ...]
     rigid: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
+    has_inertials: bool = True
     bandwidth_hz: float | None = None
-    effort_unit: str = ""
     torque_sensors: bool = False
 
     def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
@@ -149,7 +148,7 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
 
     `names` are the joints to identify, from the base outwards; by default the longest serial chain
     without fingers. Raises `BadInputError`: not a URDF, not one tree, floating or planar joints,
-    two chains of equal length, invalid numbers, reversed limits, negative masses or inertias.
+    two chains of equal length, invalid numbers, reversed limits.
     """
     try:
         text = path.read_bytes()
@@ -177,6 +176,7 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
         for name, joint in tree.joints.items()
         if name not in chain and joint.get("type") != "fixed"
     ]
+    lacks, notes = _check_inertials(tree, rigid)
     return Chain(
         place=str(path),
         name="".join(c if c.isascii() and (c.isalnum() or c in "_.- ") else "_" for c in tree.name)[
@@ -187,7 +187,8 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
         joints=tuple(_read_joint(tree, name) for name in chain),
         locked=tuple(_describe_locked(tree, name) for name in others),
         rigid=tuple(tuple(links) for links in rigid.values()),
-        notes=_check_inertials(tree, [link for links in rigid.values() for link in links]),
+        notes=(*lacks, *notes),
+        has_inertials=not lacks,
     )
 
 
@@ -357,7 +358,6 @@ def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
     return UrdfJoint(
         name=name,
         type="prismatic" if kind == "prismatic" else "revolute",
-        child=_end(joint, "child"),
         # Equal limits mean no limits: 0 is the default of both.
         position=None if kind == "continuous" or low == high else (low, high),
         speed=numbers["speed"] or None,
@@ -367,32 +367,33 @@ def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
     )
 
 
-def _check_inertials(tree: _Tree, links: Sequence[str]) -> tuple[str, ...]:
-    """Notes on principal moments that violate the triangle inequality: impossible, but
-    they can be simulated.
+def _check_inertials(
+    tree: _Tree, rigid: Mapping[str, Sequence[str]]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """A note that there are no a-priori values, where joints move no mass or inertials are
+    negative; notes on moments that violate the triangle inequality: these can be simulated.
     """
-    notes = []
-    for link in links:
+    negative, notes, masses = list[str](), list[str](), dict.fromkeys(rigid, 0.0)
+    for joint, link in ((joint, link) for joint, links in rigid.items() for link in links):
         inertial, at = tree.links[link].find("inertial"), f"{tree.place}: link {link!r}"
         if inertial is None:
             continue
         m = _number(_text(inertial, "mass", "value"), at, "mass")
-        if m < 0:
-            raise BadInputError(place=at, key="mass", value=m, expected="a number from 0, kg")
+        masses[joint] += abs(m)
         matrix = np.zeros((3, 3))
         matrix[np.triu_indices(3)] = [
             _number(_text(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA
         ]
         moments = np.linalg.eigvalsh(matrix, UPLO="U")
         slack, shown = _MAX_ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)
-        if moments[0] < -slack:
-            key, expected = "principal moments", "none below zero, kg m²"
-            raise BadInputError(
-                place=at, key=key, value=moments.tolist(), shown=shown, expected=expected
-            )
-        if moments[2] > moments[0] + moments[1] + slack:
+        if m < 0 or moments[0] < -slack:
+            negative.append(f"link {link} has mass {m:g} kg, principal moments {shown} kg m²")
+        elif moments[2] > moments[0] + moments[1] + slack:
             notes.append(
                 f"link {link}: principal moments {shown} kg m²: impossible, one exceeds the sum of "
                 "the others"
             )
-    return tuple(notes)
+    without = [joint for joint, mass in masses.items() if not mass]
+    lacks = [*([f"no mass moves with {listed(without)}"] if without else []), *negative]
+    text = f"no [parameters], which a simulation needs and a fit does not: {listed(lacks)}"
+    return (text,) * bool(lacks), tuple(notes)

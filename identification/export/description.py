@@ -16,12 +16,16 @@ from ..errors import BadInputError
 from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint, is_urdf, read_chain
 
+# what a marked line is needed for, behind the mark
+TO_FIT, TO_FIT_MOTORS, TO_MOVE = USES = " to fit", " to fit efforts of motors", " to move"
+_NO_BUS = f"# {FILL_IN}{TO_MOVE}: [bus] and its drives, which `robot-acquire scan --toml` writes"
 _EXAMPLE = "#: "  # starts each line of the example for dry runs with simulated drives
 _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has none
 # of the effort: for friction, and to bring the rotor to full speed in this time
 _EFFORT_SHARE, _RISE_S = 0.02, 0.2
 # of the example's drives: per turn or m; rated over maximum effort
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5
+_OF_GAINS = "A", "V", "%"  # efforts that a drive gain makes N m or N
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
 
 
@@ -53,9 +57,7 @@ def chain_of_letters(letters: str) -> Chain:
         )
     unknown: Any = dict.fromkeys(("position", "speed", "effort"))
     joints = (
-        UrdfJoint(
-            name=f"joint_{j + 1}", type=str(kind), child="", damping=0.0, friction=0.0, **unknown
-        )
+        UrdfJoint(name=f"joint_{j + 1}", type=str(kind), damping=0.0, friction=0.0, **unknown)
         for j, kind in enumerate(types)
     )
     return Chain(
@@ -70,7 +72,7 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf`
     is the path relative to its folder. `[parameters]` has the links' inertials in the frames of
     `InverseModel`, fixed and locked links lumped into their carrier; damping as Fv and friction as
-    Fc. Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
+    Fc; nothing if a joint moves no mass. Raises `BadInputError`: a URDF that does not load.
     """
     head = "\n".join(
         [
@@ -79,10 +81,10 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
         ]
     )
     head += "\n".join(_motors_and_controller(chain))
-    drives = [f"# {FILL_IN}: the drives. Replace every number by those of the real drives."]
+    drives = [f"# {FILL_IN}{TO_MOVE}: the drives. Replace every number by those of the real ones."]
     drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
-    if not bus and (chain.effort_unit in ("A", "%") or any(joint.ratio for joint in chain.joints)):
-        drives = []  # those of the example record the torque at the joint
+    if not bus and any(joint.ratio or joint.effort_unit in _OF_GAINS for joint in chain.joints):
+        drives = [_NO_BUS]  # those of the example record the torque at the joint
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
 
@@ -99,10 +101,10 @@ def describe_rows(chain: Chain, bus: str = "") -> str:
     for j in range(len(chain.joints)):
         lines += [
             *_joint(chain, j),
-            f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}",
+            f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}{TO_FIT}",
         ]
-    text = "\n".join([*lines, *_motors_and_controller(chain), bus])
-    return text.replace("the URDF has no ", "the ").replace("not in a URDF; ", "")
+    text = "\n".join([*lines, *_motors_and_controller(chain), "", bus or f"{_NO_BUS}\n"])
+    return text.replace("the URDF has no ", "the ").replace(": not in a URDF", "")
 
 
 def _load_robot(text: str, chain: Chain) -> Robot:
@@ -140,12 +142,11 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
     if chain.torque_sensors:
         yield "rotor_inertia = false # torque sensors behind the gears do not see the rotors"
     length, scale = ("m", 1.0) if joint.type == "prismatic" else ("deg", math.degrees(1.0))
-    to_move = "not in a URDF; needed to move"
     for key, value, remark in (
         (f"position_{length}", joint.position, "the URDF has no range"),
         (f"speed_{length}_s", joint.speed, "the URDF has no speed"),
-        (f"acceleration_{length}_s2", joint.acceleration, to_move),
-        (f"following_error_{length}", joint.following_error, to_move),
+        (f"acceleration_{length}_s2", joint.acceleration, "not in a URDF"),
+        (f"following_error_{length}", joint.following_error, "not in a URDF"),
     ):
         if isinstance(value, tuple):
             yield f"{key} = [{', '.join(_number(x * scale) for x in value)}]"
@@ -154,7 +155,7 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
         else:
             yield (
                 f"# {key} = {'[LOWEST, HIGHEST]' if remark.endswith('range') else '...'} # "
-                f"{FILL_IN}: {remark}"
+                f"{FILL_IN}{TO_MOVE}: {remark}"
             )
     key = "effort_n" if joint.type == "prismatic" else "effort_nm"
     if joint.effort is None:
@@ -172,9 +173,9 @@ def _number(x: float) -> str:
 
 def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield from ("", "")
-    if not chain.effort_unit:
+    if not all(joint.effort_unit for joint in chain.joints):
         yield from (
-            f"# {FILL_IN}: for each motor",
+            f"# {FILL_IN}{TO_FIT_MOTORS}: for each motor",
             "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included",
             "#     drive_gain = 0.12         motor torque per unit of recorded effort, with "
             'drive_gain_unit = "N m/A"',
@@ -210,18 +211,22 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
     A gain has no effect before the ratio is known too: it would give wrong N m.
     """
     torque = "N" if joint.type == "prismatic" else "N m"
-    unit = torque if chain.effort_unit in ("", "N m") else chain.effort_unit
+    unit = joint.effort_unit or torque
     gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
-    known = joint.ratio is not None and joint.drive_gain is not None
+    known = None not in (joint.ratio, joint.drive_gain) and unit in _OF_GAINS
     if joint.ratio is not None:
         yield f"ratio = {_number(joint.ratio)}"
-    elif chain.effort_unit and not chain.torque_sensors:
+    elif joint.effort_unit and not chain.torque_sensors:
         yield (
-            f"# ratio = ... # {FILL_IN}: motor rad (or m) per joint rad (or m), sign included; "
-            "none for efforts at the joint"
+            f"# ratio = ... # {FILL_IN}{TO_FIT_MOTORS}: motor rad (or m) per joint rad (or m), "
+            "sign included; none for efforts at the joint"
         )
-    if unit != torque:
-        mark = "" if known else f" # {FILL_IN}: replaces effort_unit, together with ratio"
+    if unit in _OF_GAINS:
+        mark = (
+            ""
+            if known
+            else f" # {FILL_IN} to fit in {torque}: replaces effort_unit, together with ratio"
+        )
         yield f"{'' if known else '# '}drive_gain = {gain}{mark}"
         yield f'{"" if known else "# "}drive_gain_unit = "{torque}/{unit}"'
     if not known:
@@ -231,6 +236,8 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
     values = InverseModel(robot).link_parameters()
+    if not chain.has_inertials:
+        return
     rotors = "" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and "
     yield from (
         "",
@@ -241,14 +248,6 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
         "[parameters]",
     )
     for j, joint in enumerate(chain.joints):
-        mass = values[j, LINK.index("M")]
-        if not mass > 0:
-            at, key = (
-                f"{chain.place}: joint {joint.name!r}",
-                f"mass of link {joint.child!r} and those fixed to it",
-            )
-            expected = "more than 0: an <inertial> in one of them"
-            raise BadInputError(place=at, key=key, value=float(mass), expected=expected)
         yield (
             "# "
             f"{one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"

@@ -165,7 +165,11 @@ def known_parameters(dynamics: InverseModel) -> Array:
     """Standard parameters chi (p,) of the description's `[parameters]`, zero if not stated."""
     values, names, place = dynamics.robot.parameters, dynamics.names, f"robot {dynamics.robot.name}"
     if not values:
-        raise BadInputError("no [parameters] to simulate with", place=place)
+        raise BadInputError(
+            "no [parameters] to simulate with",
+            place=place,
+            expected="inertials in the URDF when `init` read it, or `export --toml` of a fit",
+        )
     for name, value in values.items():
         if name not in names:
             text, expected = (

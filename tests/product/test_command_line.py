@@ -276,6 +276,40 @@ def test_wrong_usage_is_one_line_with_what_was_meant(program, command, line, cap
     assert said.endswith(f"{line}\n")
 
 
+@pytest.mark.parametrize(
+    ("program", "typed", "meant"),
+    [
+        # one letter too many, too few, another, two exchanged; a part of a long name
+        (acquire, "record r.toml -o a --durration 3", "--duration"),
+        (acquire, "record r.toml -o a --pasive", "--passive"),
+        (acquire, "record r.toml -o a --tarck=b", "--track"),
+        (acquire, "record r.toml -o a --unsupervised", "--unsupervised-drives"),
+        (acquire, "import a --robto r.toml", "--robot"),
+        (acquire, "import a -o=b --over-write", "--overwrite"),
+        (acquire, "inof a.mcap", "info"),
+        (acquire, "recrod r.toml", "record"),
+        (identify, "fit a --jsn b", "--json"),
+        (identify, "fit a --cutoff 3", "--cutoff-hz"),
+        (identify, "simulat r.toml", "simulate"),
+        (identify, "fit a --method lsw", ""),
+        # words of something else
+        (acquire, "record r.toml -o a --overwrite", ""),
+        (acquire, "record r.toml -o a --output-folder b", ""),
+        (acquire, "scan --interface virtual --channel c --duration 3", ""),
+        (acquire, "record r.toml records.mcap -o a", ""),
+        (identify, "fit a --period 3", ""),
+        (identify, "fit a.mcap b -o export", ""),
+        (identify, "plot a", ""),
+        (identify, "excite r.toml -o a --cutoff-hz -3", ""),
+    ],
+)
+def test_what_was_meant_is_told_only_where_it_is_near(program, typed, meant, capsys):
+    with pytest.raises(SystemExit):
+        program(typed.split())
+    said = capsys.readouterr().err.strip()
+    assert said.partition(": did you mean ")[2] == (f"{meant}?" if meant else "")
+
+
 def test_a_method_may_be_in_capitals():
     assert IDENTIFY.parser("fit").parse_args(["fit", "a.mcap", "--method", "IV"]).method == "iv"
 

@@ -492,7 +492,8 @@ def test_an_empty_bus(tmp_path, capsys):
                                                   "counts_per_turn = 65536"]),
         ({(0x6074, 0): None, (0x6077, 0): None, (0x6075, 0): 1250},
          ['actual = "6078"', "rated_current_a = 1.25"]),
-        ({(0x6074, 0): None, (0x30D0, 0): 7}, ['reference = "30D0"', "counts_per_turn = 65536"]),
+        ({(0x6074, 0): None, (0x30D0, 0): 7},
+         ['objects = { "30D0" = "I32" }', 'reference = "30D0"', "counts_per_turn = 65536"]),
     ],
 )  # fmt: skip
 def test_units_and_efforts_of_a_drive(values, lines):
@@ -509,4 +510,6 @@ def test_units_and_efforts_of_a_drive(values, lines):
     stated = [line.split(" #")[0] for line in written[at + 1 :] if not line.startswith("#")]
     assert stated[: len(lines)] == lines
     assert len(stated) == len(lines) + (lines[0] == 'actual = "6078"')
-    assert ("FILL IN" in written[at + 1]) == ("30D0" in written[at + 1])
+    (effort,) = (line for line in written if line.startswith(("reference = ", "actual = ")))
+    assert ("FILL IN" in effort) == ("30D0" in effort)
+    assert effort.endswith({'"6078"': ", A", '"30D0"': ", A"}.get(effort.split()[2], ", N m"))

@@ -129,19 +129,84 @@ def test_times_are_header_stamps_from_0_on_or_receptions_where_there_are_none(tm
     )
 
 
-def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
-    """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an
-    ampere; N m is of the joints.
-    """
+RATIOS = "ratio = 2\n", "ratio = 5\n"
+
+
+def with_motors(*keys):
+    """The description with these keys of its motors."""
     left_out = ("effort_unit", "drive_gain", "ratio")
     text = "\n".join(
         line for line in TOML.read_text().splitlines() if not line.startswith(left_out)
     )
     head, *motors = text.split("[[motor]]")
-    gains = [
-        f'[[motor]]\nratio = {ratio}\ndrive_gain = 3\ndrive_gain_unit = "N m/A"' for ratio in (2, 5)
-    ]
-    text = head + "".join(gain + motor for gain, motor in zip(gains, motors, strict=True))
+    return head + "".join(
+        f"[[motor]]\n{own}{motor}" for own, motor in zip(keys, motors, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("recorded", "given", "ratios", "factor"),
+    [
+        ("A", "A", RATIOS, (2, 5)),
+        ("A", "mA", RATIOS, (0.002, 0.005)),
+        ("%", "per mille", RATIOS, (0.2, 0.5)),
+        ("V", "V", ("ratio = -2\n", "ratio = 5\n"), (-2, 5)),
+        ("A", "A", ("", ""), (1, 1)),
+        ("N m", "N m", RATIOS, (1, 1)),
+    ],
+)
+def test_without_drive_gains_amperes_are_of_the_motors_and_newton_metres_of_the_joints(
+    tmp_path, whole, capsys, recorded, given, ratios, factor
+):
+    """The unit alone would fit both sides; the ratios say what is of the motors."""
+    toml, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
+    toml.write_text(with_motors(*(f'{x}effort_unit = "{recorded}"\n' for x in ratios)))
+    command = ["import", str(whole), "--robot", str(toml), "-o", str(out)]
+    assert main([*command, "--effort-unit", given]) == 0, capsys.readouterr().err
+    assert read_recording(out).samples["effort"] == pytest.approx(EFFORT * factor, abs=1e-12)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_the_only_topic_of_joint_states_is_taken_and_named_and_one_of_several_is_asked_for(
+    tmp_path, capsys, storage
+):
+    path, out = bag(tmp_path / "a", map(message, range(N)), storage=storage), tmp_path / "out.mcap"
+    (file,) = (x for x in path.iterdir() if x.suffix in (".mcap", ".db3"))
+    options = ["--robot", str(TOML), "-o", str(out), "--effort-unit", "N m", "--overwrite"]
+    for place in (path, file):
+        assert main(["import", str(place), *options]) == 0
+        said = "topic: /joint_states, the only one of sensor_msgs/msg/JointState"
+        assert capsys.readouterr().out.splitlines()[1] == said
+        assert read_recording(out).samples["position"] == pytest.approx(Q, abs=1e-12)
+    out.unlink()
+    with Writer(tmp_path / "two", version=9, storage_plugin=storage) as writer:
+        for topic in ("/arm/joint_states", "/gripper/joint_states"):
+            states = writer.add_connection(topic, STATE, typestore=STORE)
+            for k in range(N):
+                ns = FIRST_NS + k * 10_000_000
+                writer.write(states, ns, STORE.serialize_cdr(message(k), STATE))
+    with Writer(tmp_path / "none", version=9, storage_plugin=storage) as writer:
+        texts = writer.add_connection("/rosout", TEXT, typestore=STORE)
+        writer.write(texts, FIRST_NS, STORE.serialize_cdr(STORE.types[TEXT]("hello"), TEXT))
+    for name, count, topics in (
+        ("two", 2, "/arm/joint_states, /gripper/joint_states"),
+        ("none", 0, "/rosout"),
+    ):
+        assert main(["import", str(tmp_path / name), *options]) == 1
+        expected = f"expected --topic of {STATE}; it has {topics}"
+        assert capsys.readouterr().err == (
+            f"robot-acquire: {tmp_path / name}: has {count} topics of joint states: {expected}\n"
+        )
+    assert not out.exists()
+    assert main(["import", str(tmp_path / "two"), *options, "--topic", "/arm/joint_states"]) == 0
+    assert "topic: " not in capsys.readouterr().out
+
+
+def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
+    """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an
+    ampere; N m is of the joints.
+    """
+    text = with_motors(*(f'{x}drive_gain = 3\ndrive_gain_unit = "N m/A"\n' for x in RATIOS))
     robot, out = (
         robot_from_files({"robot.toml": text.encode()}, "amperes.toml"),
         tmp_path / "out.mcap",
@@ -152,7 +217,7 @@ def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
         out.unlink()
     with pytest.raises(BadInputError) as refused:
         import_bag(whole, robot, out, replace(OPTIONS, effort_unit=["V"]))
-    assert (refused.value.key, refused.value.expected) == ("effort.unit", "A, as in robot.toml")
+    assert (refused.value.key, refused.value.expected) == ("--effort-unit", "A, as in robot.toml")
 
 
 def edited(count=40, **change):
@@ -449,7 +514,7 @@ def test_a_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
         (
             "topic",
             "/away",
-            "does not exist: expected one of sensor_msgs/msg/JointState: /joint_states",
+            "does not exist: expected topic of sensor_msgs/msg/JointState; it has /joint_",
         ),
     ):
         with pytest.raises(BadInputError, match=f"topic {topic} {problem}"):
@@ -459,7 +524,7 @@ def test_a_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
 def test_options_that_do_not_go_together(tmp_path, whole, capsys):
     topic, unit = ("--topic", "/joint_states"), "--effort-unit"
     for options, told in (
-        ((), "a ROS 2 bag needs --topic: expected the topic"),
+        ((), "--effort-unit is missing: a bag does not contain it: expected the unit"),
         (topic, "--effort-unit is missing: a bag does not contain it: expected the unit"),
         ((*topic, unit, "Nm"), "--effort-unit = 'Nm': expected one of A, mA"),
         ((*topic, unit, "A,A,A"), "--effort-unit: 3 units: expected one, or 2"),
@@ -467,7 +532,8 @@ def test_options_that_do_not_go_together(tmp_path, whole, capsys):
             (*topic, unit, "N m", "--resample-hz", "-1"),
             "--resample-hz = -1.0: expected a number above 0",
         ),
-        ((unit, "A"), "--effort-unit = 'A': is only for ROS 2 bags: expected --topic"),
+        ((unit, "N m", "--map", str(TOML)), "--effort-unit = 'N m': is only for ROS 2 bags"),
+        ((*topic, "--map", str(TOML)), "is only for tables: expected no --map with a bag"),
     ):
         assert (
             main(

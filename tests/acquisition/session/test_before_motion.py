@@ -20,11 +20,13 @@ from acquisition.commands import main
 from acquisition.errors import BadInputError, BusFaultError, RefusedError, RobotIdimError
 from acquisition.robot import table_reference
 from acquisition.session import (
+    Recorder,
     RecordOptions,
     Task,
     UserInterface,
     real_time_scheduling,
     record,
+    running,
     timing,
 )
 from acquisition.session.running import _before_motion as before_motion
@@ -182,6 +184,62 @@ def test_without_a_terminal_and_without_yes_nothing_begins(tmp_path, capsys, mon
     assert main([*command, "--yes"]) == 1  # it gets as far as the bus
     assert "none0: cannot be opened" in capsys.readouterr().err
     assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.parametrize("way", ["", "--passive", "--dry-run", "--track ref.csv --yes"])
+@pytest.mark.parametrize(
+    ("out", "told"),
+    [
+        ("old.mcap", "old.mcap: already exists: expected a new name"),
+        ("ref.csv", "ref.csv: already exists: expected a new name"),
+        ("robot.toml", "robot.toml: already exists: expected a new name"),
+        ("away/a.mcap", "away/a.mcap: cannot be written: expected a new name in a folder that is"),
+        ("old.mcap/a.mcap", "old.mcap/a.mcap: cannot be written: expected a new name in a folder"),
+    ],
+)
+def test_a_name_that_cannot_be_had_is_refused_before_a_bus_is_opened(
+    tmp_path, capsys, monkeypatch, way, out, told
+):
+    check_that_nothing_begins(tmp_path, monkeypatch, ["-o", out, *way.split()])
+    assert capsys.readouterr().err.startswith(f"robot-acquire: {told}")
+
+
+@pytest.mark.parametrize("way", ["--yes", "--dry-run", "--yes --payload 2", "--speed 0.5 --yes"])
+def test_a_duration_of_a_reference_is_refused_before_a_bus_is_opened(
+    tmp_path, capsys, monkeypatch, way
+):
+    """A session of a reference lasts as long as it, on drives and in a dry run."""
+    options = ["-o", "a.mcap", "--track", "ref.csv", "--duration", "3", *way.split()]
+    check_that_nothing_begins(tmp_path, monkeypatch, options)
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said == "robot-acquire: --track: lasts as long as its reference: expected no --duration"
+
+
+def check_that_nothing_begins(folder, monkeypatch, options):
+    """`record` with `options` ends with status 1: no bus, process or simulated drive was begun, and
+    no file has changed.
+    """
+    (folder / "robot.toml").write_text(bus_text(2, interface="socketcan", channel="none0"))
+    (folder / "ref.csv").write_text("time_s,joint_1,joint_2\n0,0,0\n0.1,0,0\n")
+    (folder / "old.mcap").write_bytes(b"old")
+    monkeypatch.chdir(folder)
+    begun = list[str]()
+    for name in ("open_link", "ProcessLog", "Recorder", "driven_plant", "LockStepLink"):
+        monkeypatch.setattr(running, name, lambda *_, name=name, **__: begun.append(name))
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    assert main(["record", "robot.toml", *options]) == 1
+    assert not begun
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_of_two_sessions_that_begin_at_once_one_has_the_name(tmp_path):
+    robot, out = robot_of(bus_text(1)), tmp_path / "a.mcap"
+    first = Recorder(out, robot, source="first", place="robot.toml")
+    size = out.stat().st_size
+    with pytest.raises(BadInputError) as caught:
+        Recorder(out, robot, source="second", place="robot.toml")
+    assert (caught.value.place, out.stat().st_size) == (str(out), size)
+    first.close()
 
 
 def test_the_same_path_slowly(tmp_path):

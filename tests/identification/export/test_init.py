@@ -2,10 +2,12 @@
 pinocchio's own reading.
 """
 
+import re
 import tomllib
 from pathlib import Path
 
 import command_runs
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -15,7 +17,7 @@ from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 from acquisition.errors import RobotIdimError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
 from acquisition.simulated import driven_plant
-from identification import read_robot
+from identification import fit, read_robot
 from identification.export import read_chain, robot_of_chain
 from identification.model import InverseModel
 
@@ -108,7 +110,43 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
         "drives",
     ):
         assert any(key in line for line in marked), key
-    assert out.splitlines()[-1] == f"to be filled in: {len(marked)} lines with FILL IN"
+    assert out.splitlines()[-4] == f"to be filled in: {len(marked)} lines with FILL IN"
+
+
+@pytest.mark.parametrize(
+    ("given", "fit", "motors", "move"),
+    [
+        # counted by hand: range and speed (of --dh), acceleration, following error of each joint;
+        # ratios, gains; what is said of the drives
+        ("arm.urdf", 0, 1, 3 * 2 + 1 + 1),
+        ("arm.urdf --effort A", 0, 3, 3 * 2 + 3 * 2 + 1),
+        ("arm.urdf --effort A --ratio 9,9,8", 0, 0, 3 * 2 + 3 + 1),
+        ("arm.urdf --effort A --ratio 9,9,8 --drive-gain 1,1,2", 0, 0, 3 * 2 + 1),
+        ("arm.urdf --torque-sensor --effort N_m", 0, 0, 3 * 2 + 1),
+        ("arm.urdf --joints turn,lift --bus bus.toml", 0, 2, 2 * 2 + 2 + 5),
+        (" ".join(["arm.urdf", "--effort N_m", *STATED]), 0, 3, 3 + 1),
+        ("--dh RRP", 3, 1, 3 * 4 + 1 + 1),
+        ("--dh RR --bus bus.toml", 2, 2, 2 * 4 + 2 + 5),
+    ],
+)
+def test_lines_are_told_by_what_needs_them(here, capsys, given, fit, motors, move):
+    """Of a log with efforts of the joints nothing is needed; dimensions if there is no URDF."""
+    (here / "bus.toml").write_text(BUS)
+    words = [word.replace("_", " ") for word in given.split()]
+    status, out, _ = run(capsys, "init", *words, "-o", "robot.toml")
+    assert status == 0
+    text = (here / "robot.toml").read_text().splitlines()
+    told = dict[str, list[str]]()
+    for line in out.splitlines()[-3:]:
+        use, numbers = line.removeprefix("of these, lines needed ").split(": ")
+        told[use] = [text[int(k) - 1] for k in numbers.split(", ") if k != "none"]
+    assert {use: len(lines) for use, lines in told.items()} == {
+        "to fit": fit, "to fit efforts of motors": motors, "to move": move
+    }  # fmt: skip
+    assert all("FILL IN" in line for lines in told.values() for line in lines)
+    assert all(line.startswith("dh = ") for line in told["to fit"])
+    if "--bus" not in words:
+        assert load_robot("robot.toml").n == 3  # it loads as it is
 
 
 BUS = """[bus]
@@ -140,7 +178,9 @@ def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsy
     assert list(lines)[-5:] == marked[-5:]
     of_motion = ["# acceleration_deg_s2", "# following_error_deg"]
     keys = [line.partition(" = ")[0] for line in lines.values()]
-    assert keys[:-5] == [*of_motion, *of_motion, "# FILL IN: for each motor"]
+    assert keys[:-5] == [*of_motion, *of_motion, "# ratio", "# ratio"]
+    # 6074h is per mille of the rated torque
+    assert [motor.effort_unit for motor in robot.motors] == ["N m", "N m"]
     assert len(marked) > 10
     # the first line says what the mark means
     assert f"to be filled in: {len(marked) - 1} lines" in printed
@@ -307,10 +347,6 @@ FLOATING = urdf(mid=joint("swing", "floating", "column", "arm"), lift="")
 TWO_CHAINS = urdf(extra=link("mast") + joint("sway", "revolute", "arm", "mast"))
 BETWEEN = "between the base and joint 'slide': type = "
 AGAIN = "joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another"
-EMPTY = (
-    "joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an "
-    "<inertial>"
-)
 BAD = (
     ("<robot", "is not XML: "),
     ("<sdf/>", "its root = <sdf>: expected <robot>"),
@@ -355,16 +391,6 @@ BAD = (
     ),
     (turn(axis="0 0 0"), "joint 'turn': axis = '0 0 0': expected a direction"),
     (turn(name="a/b"), "name of a joint = 'a/b': expected 1 to 64 letters"),
-    (urdf(arm=massless("arm")), EMPTY),
-    (urdf(arm=link("arm", mass=-1)), "link 'arm': mass = -1.0: expected a number from 0"),
-    (
-        urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))),
-        "link 'arm': principal moments = -0.03",
-    ),
-    (
-        urdf(arm=link("arm", inertia=BOX.replace("0.001", "0.1"))),
-        "link 'arm': principal moments = -0.07",
-    ),
     (
         urdf(arm=link("arm", inertia="")),
         "link 'arm': inertia ixx is missing: expected a finite number",
@@ -395,6 +421,83 @@ def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
     (here / "arm.urdf").write_text(urdf(arm=massless("arm"), sensor=link("sensor", mass=0.4)))
     assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
     assert load_robot("robot.toml").parameters["M2"] == pytest.approx(0.4)
+
+
+def bare(text, but=""):
+    """The URDF without inertials, as many models for drawing are; but of one link."""
+    return re.sub(f'(?s)(?<!<link name="{but}">)<inertial>.*?</inertial>', "", text)
+
+
+NEGATIVE = BOX.replace("0.03", "-0.03")
+LACKING = [
+    (bare(urdf()), "no mass moves with turn, lift, slide"),
+    (bare(urdf(), but="base"), "no mass moves with turn, lift, slide"),
+    (bare(urdf(), but="tool"), "no mass moves with turn, lift"),
+    (re.sub('mass value="[^"]*"', 'mass value="0"', urdf()), "no mass moves with turn, lift, sl"),
+    (urdf(arm=massless("arm")), "no mass moves with lift"),
+    (urdf(arm=link("arm", mass=-1)), "link arm has mass -1 kg, principal moments 0.0199, "),
+    (urdf(arm=link("arm", inertia=NEGATIVE)), "link arm has mass 2 kg, principal moments -0.0300"),
+    (
+        urdf(arm=massless("arm"), column=link("column", inertia=BOX.replace("0.001", "0.1"))),
+        "no mass moves with lift, link column has mass 2 kg, principal moments -0.07",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "why"), LACKING)
+def test_without_inertials_of_bodies_there_are_no_a_priori_values_and_a_note(
+    here, capsys, text, why
+):
+    """A fit needs the geometry alone. A mass or moment below zero, or a link that was forgotten,
+    would be simulated, and compared with a fit, as if it were the robot's.
+    """
+    (here / "arm.urdf").write_text(text)
+    status, out, err = run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")
+    assert (status, err) == (0, "")
+    note = f"note: no [parameters], which a simulation needs and a fit does not: {why}"
+    for written in (out, (here / "robot.toml").read_text()):
+        (line,) = (one for one in written.splitlines() if "[parameters]" in one)
+        assert line.removeprefix("# ").startswith(note)
+    robot = load_robot("robot.toml")
+    assert (dict(robot.parameters), robot.n) == ({}, 3)
+    direct = read_robot("arm.urdf", joints=ARM, acceleration=(8, 8, 2), bandwidth_hz=5)
+    assert (dict(direct.parameters), direct.n) == ({}, 3)
+    example = (here / "robot.toml").read_text().replace("\n#: ", "\n")
+    (here / "cell.toml").write_text(example)
+    cell = load_robot("cell.toml")
+    assert "no [parameters]" in driven_plant(cell, resolve(cell, "cell.toml")).warning
+    for command in (["study", "robot.toml", "--runs", "1"], ["simulate", "robot.toml", "-o", "a"]):
+        assert "no [parameters] to simulate with: expected" in refused(capsys, *command)
+
+
+@pytest.mark.parametrize("text", [bare(urdf()), urdf(arm=link("arm", mass=-1))])
+def test_a_urdf_without_inertials_is_fitted_and_gets_them_by_export(here, capsys, text):
+    """The recording is pinocchio's torque of the whole URDF; the exported URDF needs the same at
+    states that were not recorded.
+    """
+    (here / "arm.urdf").write_text(text)
+    options = [*NAMES, *STATED, "--effort", "N m", "--torque-sensor", "-o", "robot.toml"]
+    assert run(capsys, "init", "arm.urdf", *options)[0] == 0
+    draw, w = np.random.default_rng(5), 2 * np.pi * np.array([0.1, 0.2, 0.3, 0.5])
+    # within the limits: 0.8 rad, 0.14 m about the middle of the slide
+    size = np.array([0.8, 0.8, 0.14]) * draw.dirichlet(np.ones(4), 3).T
+    waves = size * np.exp(
+        1j * (np.arange(2000)[:, None, None] / 200 * w[:, None] + draw.normal(scale=9, size=(4, 3)))
+    )
+    q, dq, ddq = ((waves * (1j * w[:, None]) ** k).sum(axis=1).imag for k in range(3))
+    q += [0, 0, 0.25]
+    tau = torque_of_the_urdf(urdf(), ARM, (q, dq, ddq)) + 2 * dq + 0.5 * np.sign(dq)
+    tau += 1e-3 * tau.std(axis=0) * draw.normal(size=tau.shape)
+    found = fit(q, tau, 200.0, "robot.toml")
+    found.consistent().export(urdf="new.urdf", mjcf="new.xml", toml="new.toml")
+    others = draw.normal(size=(3, 30, 3))
+    true, exported = (
+        torque_of_the_urdf(one, ARM, others) for one in (urdf(), Path("new.urdf").read_text())
+    )
+    error = np.linalg.norm(exported - true, axis=0) / np.linalg.norm(true, axis=0)
+    assert error.max() < 0.01
+    assert mujoco.MjModel.from_xml_path("new.xml").nv == 3
+    assert run(capsys, "simulate", "new.toml", "-o", "new.mcap", "--duration-s", "2")[0] == 0
 
 
 FLAT = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
