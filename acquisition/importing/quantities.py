@@ -46,7 +46,9 @@ EFFORT_UNITS = {
     "N": ("N", 1.0),
     "%": ("%", 1.0),
     "per mille": ("%", 0.1),
+    "‰": ("%", 0.1),
 }
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 # Efforts that exist at one side only, and the reason.
 ONE_SIDE: Mapping[str, tuple[Side, str]] = {
     "known_torque": ("joint", "where it acts"),

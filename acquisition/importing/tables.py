@@ -17,7 +17,7 @@ from ..errors import Place
 from ..files import read_columns, write_columns
 from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
-from .quantities import Quantity, Source, TableNumber
+from .quantities import TIME_UNITS, Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
 from .time_base import (
     MAX_GAP_PERIODS,
@@ -30,7 +30,6 @@ from .time_base import (
 )
 
 MAX_TICK_ERROR = 0.01  # relative difference from the tick of the stamps; more is a mistake
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 
 FROM_VELOCITY = "from velocity"  # instead of the column of a counter
 
