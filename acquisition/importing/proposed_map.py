@@ -16,9 +16,10 @@ from ..errors import Place, listed
 from ..files import TableColumn, read_columns, scan_table
 from ..robot import FILL_IN, Robot
 from .column_words import AT_JOINT, EFFORTS, FRANKA, KIND, MAKERS, TOKEN, UNIT, UNITS, UR
-from .quantities import TIME_UNITS
+from .quantities import TIME_UNITS, TURN, turn_jumps
 from .time_base import roundest_rate_hz
 
+_UNWRAP = "\nunwrap = true # angles jump by a turn"
 TORQUE_SENSORS = "torque sensors behind the gears"
 ROWS = 1000  # that the proposal looks at
 MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # of a table
@@ -58,7 +59,8 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     size = len(position)
     effort, why_effort = _only(groups, EFFORTS, size)
     time, time_s = _time(table, columns)
-    unit, side = _position_unit(position, robot, maker), _side(position, robot, maker)
+    turn, side = _turn(table, position), _side(position, robot, maker)
+    unit = _position_unit(position, robot, maker, turn)
     lines = [
         f"# Proposed by robot-acquire import for {table.name}. {FILL_IN} marks what the table does "
         "not say.",
@@ -67,17 +69,22 @@ def propose_map(table: Path, robot: Robot | None) -> str:
         "[position]",
         _listed(position, why),
         unit,
-        side,
+        side + _UNWRAP * bool(turn),
     ]
     reference, why = _only(groups, ["position"], size, "reference")
-    q = _values(position)
-    if reference and position and not _moves_as(_values(reference), q):
+    q, turn = _values(position, turn), _turn(table, reference)
+    if reference and position and not _moves_as(_values(reference, turn), q):
         reference, why = (
             [],
             f"is it a reference? It does not move as the position: {_keys(reference)}",
         )
     if reference or why:
-        lines += ["[reference]", _listed(reference, why), _stated(reference, unit), side]
+        lines += [
+            "[reference]",
+            _listed(reference, why),
+            _stated(reference, unit),
+            side + _UNWRAP * bool(turn),
+        ]
     velocity, why = _only(groups, ["velocity"], size)
     if velocity and position and ("motor" in velocity[0].words) == ("motor" in position[0].words):
         path = (
@@ -96,8 +103,10 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     return "\n".join([*lines, ""])
 
 
-def _values(columns: Sequence[_Column]) -> Array:
-    return np.column_stack([c.x for c in columns]) if columns else np.empty((0, 0))
+def _values(columns: Sequence[_Column], turn: float = 0.0) -> Array:
+    """The first rows (N, n), without jumps by a `turn`."""
+    x = np.column_stack([c.x for c in columns]) if columns else np.empty((1, 0))
+    return np.unwrap(x, axis=0, period=turn) if turn else x
 
 
 def _columns(
@@ -243,6 +252,12 @@ def _ranges(table: Path, columns: Sequence[_Column], scanned: Sequence[TableColu
     return ["# Columns, counted from 1:", *told]
 
 
+def _turn(table: Path, columns: Sequence[_Column]) -> float:
+    """The turn in rad or degrees by which angles of the columns jump; 0 if none does."""
+    x = read_columns(table, [c.key for c in columns], len(columns)) if columns else np.empty((1, 0))
+    return next((turn for turn in (TURN, 360.0) if turn_jumps(x, turn).any()), 0.0)
+
+
 def _listed(columns: Sequence[_Column], why: str) -> str:
     if not columns:
         return f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
@@ -269,12 +284,16 @@ def _stated(columns: Sequence[_Column], otherwise: str) -> str:
     )
 
 
-def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
+def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, turn: float) -> str:
     types = [joint.position_unit for joint in robot.joints] if robot else ["rad"]
     largest = float(np.abs(_values(columns)).max(initial=0.0))
     at_joint = columns and "m" not in types and '"joint"' in _side(columns, robot, maker)
     line = _first(
         (maker, f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"),
+        (
+            turn and "m" not in types,
+            f'unit = "{"deg" if turn == 360 else "rad"}" # angles jump by {turn:.4g}',
+        ),
         (not at_joint, f'unit = "{FILL_IN}" # rad, deg, m, ...'),
         (
             2 * np.pi < largest <= MAX_TURN_DEG,

@@ -17,7 +17,7 @@ from ..errors import Place
 from ..files import read_columns, write_columns
 from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
-from .quantities import TIME_UNITS, Quantity, Source, TableNumber
+from .quantities import TIME_UNITS, TURN, Angles, Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
 from .time_base import (
     MAX_GAP_PERIODS,
@@ -57,9 +57,9 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     the times of the samples.
     """
 
-    position: Annotated[Quantity, note("columns of the positions")]
+    position: Annotated[Angles, note("columns of the positions")]
     effort: Annotated[Quantity, note("columns of currents, voltages, torques or forces")]
-    reference: Annotated[Quantity | None, note("columns of the position reference")] = None
+    reference: Annotated[Angles | None, note("columns of the position reference")] = None
     velocity: Annotated[Quantity | None, note("columns of measured speeds")] = None
     known_torque: Annotated[Quantity | None, note("columns of known torques on the joints")] = None
     feedforward: Annotated[
@@ -136,6 +136,10 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, 
     parts["effort"], provenance, effort_object = source.effort("effort", table_map.effort)
     if table_map.reference is not None:
         parts["reference"] = source.position("reference", table_map.reference)
+        if table_map.position.unwrap or table_map.reference.unwrap:
+            # to the same turn
+            off = np.median(parts["reference"], axis=0) - np.median(parts["position"], axis=0)
+            parts["reference"] -= TURN * np.rint(off / TURN)
     for name in OPTIONAL:
         quantity = getattr(table_map, name)
         if quantity is not None:

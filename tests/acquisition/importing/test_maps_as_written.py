@@ -215,14 +215,89 @@ def test_per_mille_of_the_rating_is_a_tenth_of_a_percent(tmp_path, monkeypatch, 
     assert np.array_equal(read_recording(Path("y.mcap")).samples["effort"], samples["effort"])
 
 
-def refused(folder, monkeypatch, capsys, content: bytes) -> str:
+TURN = 2 * np.pi
+AWAY = Q + np.array([np.pi - 0.01 - Q[1001, 0], -0.5, -3.0])
+REFERENCE = AWAY + 0.02
+
+
+def wrapped(x, low: float, scale: float = 1.0):
+    return scale * ((x - low) % TURN + low)
+
+
+@pytest.mark.parametrize(
+    ("low", "scale"), [(-np.pi, 1.0), (0.0, 1.0), (-np.pi, 180 / np.pi), (0.0, 180 / np.pi)]
+)
+def test_angles_that_jump_by_a_turn(tmp_path, monkeypatch, low, scale):
+    """The joint moves through the jump, the reference in its turn; no jump is in the first rows."""
+    describe(tmp_path)
+    q, ref = (np.where(K[:, None] < 1001, x[1001], x) for x in (AWAY, REFERENCE))
+    names = [f"{x}{j}" for x in ("q", "q_ref", "tau") for j in "123"]
+    table = csv(
+        T, wrapped(q, low, scale), wrapped(ref, low, scale), U, header=",".join(["t", *names])
+    )
+    (tmp_path / "x.csv").write_bytes(table)
+    samples = imported(tmp_path, monkeypatch, "x.csv", NM)
+    turns = np.rint((samples["position"] - q) / TURN)
+    assert (turns == turns[0]).all()
+    assert np.abs(samples["position"] - q - TURN * turns).max() < 1e-9
+    assert np.abs(samples["reference"] - samples["position"] - ref + q).max() < 1e-9
+    assert np.abs(np.median(samples["position"], axis=0)).max() <= np.pi
+
+
+def test_speeds_of_angles_that_jump_in_the_first_rows(tmp_path, monkeypatch):
+    describe(tmp_path)
+    names = [f"{x}{j}" for x in ("q", "qd", "tau") for j in "123"]
+    q = Q + np.array([3.0, 0.0, -3.0])
+    speed = np.gradient(q, PERIOD_S, axis=0)
+    table = csv(T, wrapped(q, -np.pi), speed, U, header=",".join(["t", *names]))
+    (tmp_path / "x.csv").write_bytes(table)
+    samples = imported(tmp_path, monkeypatch, "x.csv", NM)
+    assert np.abs(samples["velocity"] - speed).max() < 1e-9
+
+
+def refused(folder, monkeypatch, capsys, content: bytes, table_map: str = "") -> str:
     """The one line of the error; nothing is written."""
     monkeypatch.chdir(folder)
     Path("x.csv").write_bytes(content)
+    if table_map:
+        Path("x.map.toml").write_text(table_map)
     assert main(["import", "x.csv", "--robot", "robot.toml"]) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert not Path("x.mcap").exists()
     return line
+
+
+def a_map(time: str = 'column = "t"', more: str = "", side: str = "joint") -> str:
+    position = f'[position]\ncolumns = ["q1", "q2", "q3"]\nunit = "rad"\nside = "{side}"\n{more}\n'
+    effort = '[effort]\ncolumns = ["tau1", "tau2", "tau3"]\nunit = "N m"\nside = "joint"\n'
+    return f"[time]\n{time}\n{position}{effort}"
+
+
+FAST = np.column_stack([1.8 * K, Q[:, 1:]])
+REFUSED = {
+    "jumps that the map does not state": (
+        wrapped(AWAY, 0.0), T, a_map(), 1, "position.unwrap = False"
+    ),
+    "jumps of motors with a ratio": (
+        wrapped(60 * AWAY, 0.0), T, a_map(side="motor"), 60, "position.unwrap = False"
+    ),
+    "jumps of motors with a ratio, stated": (
+        wrapped(60 * AWAY, 0.0), T, a_map(more="unwrap = true", side="motor"), 60,
+        "position.unwrap = True",
+    ),
+    "steps that may be jumps": (
+        wrapped(FAST, 0.0), T, a_map(more="unwrap = true"), 1, "position.unwrap = True"
+    ),
+    "a key of angles for efforts": (Q, T, a_map() + "unwrap = true\n", 1, "unwrap"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_is_not_known_is_refused(tmp_path, monkeypatch, capsys, kind):
+    q, t, table_map, ratio, named = REFUSED[kind]
+    describe(tmp_path, ratio=ratio)
+    line = refused(tmp_path, monkeypatch, capsys, csv(t, q, U[: len(t)], header=NAMED), table_map)
+    assert named in line
 
 
 def test_rows_of_one_joint_each_and_names_that_change_are_refused(tmp_path, monkeypatch, capsys):
