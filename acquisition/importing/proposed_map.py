@@ -17,7 +17,8 @@ from ..files import TableColumn, read_columns, scan_table
 from ..robot import FILL_IN, Robot
 from .column_words import AT_JOINT, EFFORTS, FRANKA, KIND, MAKERS, TOKEN, UNIT, UNITS, UR
 from .quantities import TIME_UNITS, TURN, turn_jumps
-from .time_base import roundest_rate_hz
+from .stamps import bursts
+from .time_base import roundest, roundest_rate_hz
 
 _UNWRAP = "\nunwrap = true # angles jump by a turn"
 TORQUE_SENSORS = "torque sensors behind the gears"
@@ -336,11 +337,7 @@ def _effort_lines(columns: Sequence[_Column], maker: str) -> list[str]:
 
 def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | None]:
     """`[time]`, or a rate to be filled in; the times of the first rows in s."""
-    growing = [
-        c
-        for c in columns
-        if (steps := np.diff(c.x)).size and (steps >= 0).all() and np.median(steps) > 0
-    ]
+    growing = [c for c in columns if len(c.x) > 1 and (np.diff(c.x) >= 0).all() and bursts(c.x)[0]]
     found = [
         c
         for c in growing
@@ -362,7 +359,7 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
             f'sample_rate_hz = "{FILL_IN}" # or [time]: '
             f"{_keys(found) if found else 'no column of times'}"
         ], None
-    column, period = found[0], float(np.median(np.diff(found[0].x)))
+    column, period = found[0], bursts(found[0].x)[0]
     stated = [unit for unit in TIME_UNITS if unit == UNITS.get(column.unit or "")]
     fits = stated or [
         u for u, s in TIME_UNITS.items() if MIN_RATE_HZ <= 1 / (period * s) <= MAX_RATE_HZ
@@ -376,9 +373,15 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
         f"Hz{', the header says so' * bool(stated)}"
     ]
     time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[fits[0]]
-    if (np.abs((steps := np.diff(time_s)) * rate_hz - 1) > 0.1).any():
+    steps, (step_s, between_s) = np.diff(time_s), bursts(time_s)
+    if (np.abs(steps * rate_hz - 1) > 0.1).any():
         grid_hz = roundest_rate_hz(time_s[np.append(True, steps > 0)])
-        lines += [f"resample_hz = {grid_hz:.12g} # the steps are uneven"]
+        if between_s:  # within the drift that an import allows
+            grid_hz = roundest(1 / step_s, between_s / (time_s[-1] - time_s[0]) / 8)
+        lines += [
+            f"resample_hz = {grid_hz:.12g} # "
+            + ("stamps come in bursts" if between_s else "the steps are uneven")
+        ]
     return lines, column.x * TIME_UNITS[fits[0]]
 
 

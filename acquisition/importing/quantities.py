@@ -114,8 +114,8 @@ class Source:
         """
         angles, of_motor = np.array(units) == "rad", np.linalg.inv(self.robot.R)
         unwrapped = np.where(angles, np.unwrap(x, axis=0), x)
-        whole = side == "joint" or np.allclose(of_motor, np.rint(of_motor))
-        known = whole and np.abs(np.diff(unwrapped, axis=0))[:, angles].max(initial=0.0) < TURN / 4
+        slow = np.abs(np.diff(unwrapped, axis=0))[:, angles].max(initial=0.0) < TURN / 4
+        known = slow and (side == "joint" or np.allclose(of_motor, np.rint(of_motor)))
         jumps = (turn_jumps(x, TURN) & angles).any(axis=1)
         if not known if quantity.unwrap else jumps.any():
             self.place.refuse(

@@ -18,7 +18,7 @@ from ..files import read_columns, write_columns
 from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .quantities import TIME_UNITS, TURN, Angles, Quantity, Source, TableNumber
-from .stamps import ticks_from_velocity
+from .stamps import even_times, ticks_from_velocity
 from .time_base import (
     MAX_GAP_PERIODS,
     GridValues,
@@ -195,7 +195,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         grid,
         time_s,
         parts["position"],
-        "stamps" if time.ticks is None else "ticks",
+        "ticks" if time.ticks is not None else "stamps" if scatter_s is None else "even times",
         "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]",
     )
     assert grid.report is not None
@@ -226,7 +226,11 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
         stamp_s = column * TIME_UNITS[time.unit]
     if time.tick_s is None:
         assert stamp_s is not None
-        return stamp_s, None
+        return (
+            even_times(stamp_s, parts["position"], time.resample_hz, place)
+            if time.resample_hz
+            else (stamp_s, None)
+        )
     time_s = _ticks(source, time, parts, stamp_s) * time.tick_s
     return time_s, None if stamp_s is None else stamp_scatter_s(time_s, stamp_s, time.tick_s, place)
 

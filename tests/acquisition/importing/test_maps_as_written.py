@@ -255,6 +255,43 @@ def test_speeds_of_angles_that_jump_in_the_first_rows(tmp_path, monkeypatch):
     assert np.abs(samples["velocity"] - speed).max() < 1e-9
 
 
+def burst(size: int, inside_s: float = 1e-4):
+    """Times at which packets of rows were read."""
+    return (K // size * size + size - 1) * PERIOD_S + K % size * inside_s
+
+
+NOISE = np.random.default_rng(7)
+ARRIVALS = np.maximum.accumulate(burst(10) + np.repeat(NOISE.exponential(4e-3, N // 10), 10))
+BURSTS = {
+    "packets of ten": burst(10),
+    "one stamp for each packet": burst(8, 0.0),
+    "pairs": burst(2),
+    "jitter of the arrival": ARRIVALS,
+    "a clock that is off by 100 ppm": burst(10) * (1 + 1e-4),
+}
+
+
+@pytest.mark.parametrize("kind", BURSTS)
+def test_stamps_in_bursts_are_judged_by_the_stated_rate(tmp_path, monkeypatch, capsys, kind):
+    describe(tmp_path)
+    noisy = Q + 1e-4 * NOISE.normal(size=Q.shape)
+    (tmp_path / "x.csv").write_bytes(csv(BURSTS[kind], noisy, U, header=NAMED))
+    samples = imported(tmp_path, monkeypatch, "x.csv", RAD | NM)
+    assert "resample_hz = 250 # stamps come in bursts" in (tmp_path / "x.map.toml").read_text()
+    assert "times: even times of 1200 rows" in capsys.readouterr().out
+    assert len(samples) == N
+    assert np.abs(samples["position"] - noisy).max() < 1e-8
+    assert np.abs(samples["effort"] - U).max() < 1e-8
+
+
+def test_rows_that_are_there_twice_are_no_bursts(tmp_path, monkeypatch):
+    describe(tmp_path)
+    twice = K // 2 * 2
+    (tmp_path / "x.csv").write_bytes(csv(T[twice], Q[twice], U[twice], header=NAMED))
+    samples = imported(tmp_path, monkeypatch, "x.csv", RAD | NM)
+    assert np.abs(samples["position"] - Q[: len(samples)]).max() < 1e-5
+
+
 def refused(folder, monkeypatch, capsys, content: bytes, table_map: str = "") -> str:
     """The one line of the error; nothing is written."""
     monkeypatch.chdir(folder)
@@ -273,6 +310,10 @@ def a_map(time: str = 'column = "t"', more: str = "", side: str = "joint") -> st
     return f"[time]\n{time}\n{position}{effort}"
 
 
+RATE = 'column = "t"\nresample_hz = {}'
+LOST = np.r_[0:600, 610:N]
+TRUE = K // 10 * 10 * PERIOD_S + K % 10 * 1e-4
+Q_TRUE = np.sin(np.outer(TRUE, [2.0, 3.0, 4.0]))
 FAST = np.column_stack([1.8 * K, Q[:, 1:]])
 REFUSED = {
     "jumps that the map does not state": (
@@ -289,6 +330,15 @@ REFUSED = {
         wrapped(FAST, 0.0), T, a_map(more="unwrap = true"), 1, "position.unwrap = True"
     ),
     "a key of angles for efforts": (Q, T, a_map() + "unwrap = true\n", 1, "unwrap"),
+    "a packet that is missing": (
+        Q[LOST], burst(10)[LOST], a_map(RATE.format(250)), 1, "time.resample_hz = 250"
+    ),
+    "another rate than that of the bursts": (
+        Q, burst(10), a_map(RATE.format(500)), 1, "expected 250.0"
+    ),
+    "samples that were taken in bursts": (
+        Q_TRUE, TRUE, a_map(RATE.format(250)), 1, "x.csv: t: time: a gap of"
+    ),
 }  # fmt: skip
 
 
