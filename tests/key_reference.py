@@ -35,7 +35,8 @@ BUS_TABLES = {"BusFile": "[bus]", "DriveFile": "[[bus.drive]]", "PdoFile": "tpdo
 MAP_TABLES = {
     "TableMap": "top level",
     "Time": "[time]",
-    "Quantity": "[position], [effort] and others",
+    "Angles": "[position] and [reference]",
+    "Quantity": "[effort] and others",
 }
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 

@@ -172,14 +172,14 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
 
 
 def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
-    """Use the map of one CSV table, after it was proposed if there is none; whether
+    """Use the map of one table, after it was proposed if there is none; whether
     the user has to go on.
     """
     from ..files import atomic_write
     from ..importing import TORQUE_SENSORS, is_log, lines_to_fill_in, propose_map
 
     table: Path = options.tables[0]
-    if len(options.tables) > 1 or is_log(table) or table.suffix.lower() == ".mat":
+    if len(options.tables) > 1 or is_log(table):
         return False
     options.map = table.with_suffix(".map.toml")
     if options.map.exists():

@@ -12,4 +12,4 @@ from .on_disk import (
     release_pages,
     taken,
 )
-from .tables import format_numbers, read_columns, read_csv_head, write_columns
+from .tables import TableColumn, format_numbers, read_columns, scan_table, write_columns

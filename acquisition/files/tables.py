@@ -6,13 +6,14 @@ import io
 import re
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..arrays import Array
-from ..errors import Place, listed
+from ..errors import BadInputError, Place, listed
 from .atomic import atomic_write
 
 MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
@@ -43,19 +44,8 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     with the file and the line or row as `place`: it cannot be read, a column does not exist, or a
     cell is not a finite number.
     """
-    place = Place(str(path))
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        place.refuse(text=f"cannot be read: {error.strerror}")
-    if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        place.refuse(
-            text="a MAT file of version 7.3 (HDF5)", expected="version 7; save it with -v7"
-        )
-    if data.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        values, labels = _mat(data, columns, count, place)
-    else:
-        values, labels = _csv(data, columns, place)
+    data, place, is_mat = _read(path)
+    values, labels = (_mat_columns if is_mat else _csv_columns)(data, columns, count, place)
     finite = np.isfinite(values)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
@@ -75,16 +65,54 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
             np.savetxt(file, values, delimiter=",", fmt="%.17g")
 
 
-def read_csv_head(path: Path, rows: int) -> tuple[list[str], bool, Array]:
-    """Names of the columns of a CSV file, whether they are those of a header, and its first
-    `rows` rows; NaN for text.
+@dataclass(frozen=True, kw_only=True)
+class TableColumn:
+    """A column: `key` for `read_columns`, its name in the header (empty without one).
+
+    `x`: its first numbers, nan for text. `texts`: of a column of texts, each that is in it.
     """
-    try:
-        names, has_header, separator, lines = _parse_csv(path.read_bytes(), Place(str(path)))
-    except OSError as error:
-        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+
+    key: str | int
+    name: str
+    x: Array
+    texts: tuple[str, ...] = ()
+
+
+def scan_table(path: Path, rows: int) -> list[TableColumn]:
+    """The columns of a CSV or MAT file with their first `rows` numbers.
+
+    Raises `BadInputError` if the file cannot be read.
+    """
+    data, place, is_mat = _read(path)
+    if is_mat:
+        return _scan_mat(data, rows, place)
+    names, has_header, separator, lines = _parse_csv(data, place)
     cells = [[_number(cell) for cell in line.split(separator)] for _, line in lines[:rows]]
-    return names, has_header, np.array(cells, dtype=np.float64)
+    return [
+        TableColumn(
+            key=name if has_header and name and names.count(name) == 1 else k + 1,
+            name=name if has_header else "",
+            x=x,
+            texts=tuple(dict.fromkeys(line.split(separator)[k].strip() for _, line in lines))
+            if None in (row[k] for row in cells)
+            else (),
+        )
+        for k, (name, x) in enumerate(zip(names, np.array(cells, np.float64).T, strict=True))
+    ]
+
+
+def _read(path: Path) -> tuple[bytes, Place, bool]:
+    """The bytes of a table, its place in errors, and whether it is a MAT file."""
+    place = Place(str(path))
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        place.refuse(text=f"cannot be read: {error.strerror}")
+    if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        place.refuse(
+            text="a MAT file of version 7.3 (HDF5)", expected="version 7; save it with -v7"
+        )
+    return data, place, data.startswith(b"MATLAB") or path.suffix.lower() == ".mat"
 
 
 def _parse_csv(
@@ -93,7 +121,11 @@ def _parse_csv(
     """Names, whether there is a header, separator (None: blanks), rows with their line numbers,
     decimal commas as points.
     """
-    text = data.decode("utf-8-sig", errors="replace").replace('"', "")
+    marked = data.startswith((b"\xff\xfe", b"\xfe\xff"))  # byte order marks
+    text = data.decode("utf-16" if marked else "utf-8-sig", errors="replace")
+    if "\N{REPLACEMENT CHARACTER}" in text:
+        text = data.decode("cp1252", errors="replace")  # Windows in western Europe
+    text = text.replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
         place.refuse(text="has no lines", expected="a table")
@@ -113,10 +145,17 @@ def _parse_csv(
     first = lines[0][1].lstrip("# \t")
     separator = next((mark for mark in ";\t," if mark in first), None)
     names = [cell.strip() for cell in first.split(separator)]
-    has_header = any(_number(cell) is None for cell in names)
+    rows = [lines[0], *((k, line) for k, line in lines[1:] if not line.startswith("#"))]
+    if separator != "," and "," in text and not any(_POINT.search(line) for _, line in rows[1:]):
+        rows = [(k, line.replace(",", ".")) for k, line in rows]
+    # A text above a number is of a header; one above a text may be the name of a joint.
+    below = next((line for _, line in rows[1:] if _has_numbers(line)), "").split(separator)
+    above = rows[0][1].lstrip("# \t").split(separator)
+    pairs = zip(above, below + ["0"] * len(above), strict=False)
+    has_header = any(_number(x) is None and _number(under) is not None for x, under in pairs)
     if not has_header:
         names = [f"column {k}" for k in range(1, len(names) + 1)]
-    rows = [(k, line) for k, line in lines[has_header:] if not line.startswith("#")]
+    rows = rows[has_header or first != lines[0][1] :]
     while has_header and len(rows) > 1 and not _has_numbers(rows[0][1]):
         del rows[0]  # of units or types
     for k, line in rows:
@@ -129,12 +168,12 @@ def _parse_csv(
             Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=expected)
     if not rows:
         place.refuse(text="has no rows", expected="numbers below the header")
-    if separator != "," and "," in text and not any(_POINT.search(line) for _, line in rows):
-        rows = [(k, line.replace(",", ".")) for k, line in rows]
     return names, has_header, separator, rows
 
 
-def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array, list[str]]:
+def _csv_columns(
+    data: bytes, columns: Sequence[str | int], _count: int, place: Place
+) -> tuple[Array, list[str]]:
     names, has_header, separator, rows = _parse_csv(data, place)
     chosen = [_index(column, names, has_header, place) for column in columns]
     labels = [names[k] for k in chosen]
@@ -179,17 +218,14 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Pla
     return names.index(column)
 
 
-def _mat(
+def _mat_columns(
     data: bytes, names: Sequence[str | int], count: int, place: Place
 ) -> tuple[Array, list[str]]:
     """The named parts of a MAT file as columns (N, count), and a label for each column."""
     # Matrices may be samples by joints or joints by samples: the number of samples is the one that
     # gives all parts the same length and `count` columns in all.
     matches = [_NAME.fullmatch(str(name)) for name in names]
-    try:
-        variables = _load(data, [match["path"].split(".")[0] for match in matches if match])
-    except Exception as error:  # scipy raises errors of any kind on a damaged file
-        place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
+    variables = _load(data, place, [match["path"].split(".")[0] for match in matches if match])
     parts = []
     for name, match in zip(names, matches, strict=True):
         found = (
@@ -199,7 +235,7 @@ def _mat(
         )
         if found is None or match is None:
             place.refuse(
-                text=f"variable {name!r} does not exist", expected=f"one of {_present(data)}"
+                text=f"variable {name!r} does not exist", expected=f"one of {_present(data, place)}"
             )
         parts.append(_part(found, match, place))
     size = sum(part.size for part, _ in parts)
@@ -225,18 +261,20 @@ def _mat(
     return np.hstack(turned), labels
 
 
-def _load(data: bytes, names: Sequence[str] | None = None) -> dict[str, Any]:
+def _load(data: bytes, place: Place, names: Sequence[str] | None = None) -> dict[str, Any]:
     """The variables with these names (default: all).
 
     Others are not read, since objects of MATLAB's classes cannot be.
     """
     import scipy.io
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings about variables that are not read
-        return dict(
-            scipy.io.loadmat(io.BytesIO(data), variable_names=names and list(dict.fromkeys(names)))
-        )
+    wanted = names and list(dict.fromkeys(names))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # warnings about variables that are not read
+            return dict(scipy.io.loadmat(io.BytesIO(data), variable_names=wanted))
+    except Exception as error:  # scipy raises errors of any kind on a damaged file
+        place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
 
 
 def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
@@ -293,21 +331,55 @@ def _size(part: Array) -> str:
     return " x ".join(str(size) for size in part.shape)
 
 
-def _present(data: bytes) -> str:
+def _present(data: bytes, place: Place) -> str:
     """Names of a file's variables and of the fields of its structs, for an error."""
     try:
-        variables = _load(data)
-    except Exception:  # scipy cannot skip objects of MATLAB's classes
+        return listed([*_leaves(_load(data, place))])
+    except BadInputError:  # scipy cannot skip objects of MATLAB's classes
         return "the file's variables (they cannot be listed, because one of them is an object)"
-    names: list[str] = []
-    # objects have no name
-    waiting = [(k, v) for k, v in variables.items() if not k.startswith("__") and k != "None"]
-    while waiting:
-        name, value = waiting.pop(0)
-        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
-            waiting = [
-                (f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names
-            ] + waiting
-        else:
-            names.append(name)
-    return listed(names)
+
+
+def _leaves(variables: dict[str, Any]) -> dict[str, Any]:
+    """The variables, and of structs the fields by their dotted names."""
+    structs = {
+        name: {f"{name}.{field}": value[field].flat[0] for field in value.dtype.names}
+        for name, value in variables.items()
+        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1
+    }
+    return {
+        path: leaf
+        for name, value in variables.items()
+        if not name.startswith("__") and name != "None"  # objects have no name
+        for path, leaf in (_leaves(structs[name]) if name in structs else {name: value}).items()
+    }
+
+
+def _scan_mat(data: bytes, rows: int, place: Place) -> list[TableColumn]:
+    """Vectors and columns of matrices, of the length that most variables have, and texts."""
+    leaves = {name: np.squeeze(value) for name, value in _leaves(_load(data, place)).items()}
+    numbers = {name: np.atleast_2d(x) for name, x in leaves.items() if x.dtype.kind in "fiu"}
+    lengths = [max(x.shape) for x in numbers.values() if x.ndim == 2]
+    length = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
+    # The name of the only variable says nothing of its columns.
+    only = len({name.partition(".")[0] for name in leaves}) == 1
+    sides = {
+        name: x.shape.index(length)
+        for name, x in numbers.items()
+        if x.shape.count(length) == 1 and x.ndim == 2
+    }
+    return [
+        TableColumn(
+            key=key, name=key.partition(".")[2] if only else key, x=column[:rows].astype(np.float64)
+        )
+        for name, side in sides.items()
+        for k, column in enumerate(np.moveaxis(numbers[name], side, 1), 1)
+        for key in [
+            name if 1 in numbers[name].shape else f"{name}({k},:)" if side else f"{name}(:,{k})"
+        ]
+    ] + [
+        TableColumn(key=key, name=f"{key}_{k}", x=np.array([np.nan]), texts=(str(text).strip(),))
+        for key, x in leaves.items()
+        if x.dtype.kind in "OU"
+        for k, cell in enumerate(x.flat, 1)
+        for text in np.ravel(cell)[:1]
+    ]

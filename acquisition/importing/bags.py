@@ -58,8 +58,7 @@ def is_bag(path: Path) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class BagOptions:
-    """Topic of the joint states; unit of the effort, one for all joints or one for
-    each; rate of the grid.
+    """Topic of the joint states; unit of the effort, one or one for each joint; rate of the grid.
 
     N m and N are at the joints; A, V and their fractions are of the motors, in the order of the
     joints. Without a rate that of the stamps is taken, rounded within their scatter; without a

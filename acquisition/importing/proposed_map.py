@@ -6,140 +6,86 @@ import json
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..arrays import Array
-from ..files import read_columns, read_csv_head
+from ..errors import Place, listed
+from ..files import TableColumn, read_columns, scan_table
 from ..robot import FILL_IN, Robot
-from .quantities import POSITION_UNITS, VELOCITY_UNITS
-from .tables import TIME_UNITS
-from .time_base import roundest_rate_hz
+from .column_words import AT_JOINT, EFFORTS, FRANKA, KIND, MAKERS, TOKEN, UNIT, UNITS, UR
+from .quantities import TIME_UNITS, TURN, turn_jumps
+from .stamps import bursts
+from .time_base import roundest, roundest_rate_hz
 
+_UNWRAP = "\nunwrap = true # angles jump by a turn"
 TORQUE_SENSORS = "torque sensors behind the gears"
 ROWS = 1000  # that the proposal looks at
 MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # of a table
 MAX_TURN_DEG = 720.0  # of a joint; positions beyond it are a motor's, or counts
+MAX_UNEVEN, MIN_EVEN = 0.1, 0.9  # of steps of an unnamed time, and the share of such steps
 MIN_MOTION = 1e-2  # of a position that moves, in any unit
-_WORDS = {
-    "position": "q qpos jpos pos posn position positions angle angles theta winkel lage stellung "
-    "posizione angolo "
-    "posicion angulo posicao 位置 角度",
-    "velocity": "dq qd qdot qvel jvel vel velo velocity velocities speed speeds omega "
-    "geschwindigkeit "
-    "drehzahl vitesse "
-    "velocita velocidad velocidade 速度",
-    "torque": "tau torque torques trq moment drehmoment couple coppia par 力矩 扭矩 转矩 トルク",
-    "current": "current currents curr strom motorstrom courant corrente corriente 电流 電流",
-    "effort": "eff effort efforts",
-    "reference": "ref reference references set setpoint setpoints target targets tgt cmd command "
-    "commanded des desired d soll "
-    "goal consigne consigna riferimento referencia 目标 目標 指令 期望 给定",
-    "measured": "act actual ist istwert feedback fb fbk meas measured msr present mesure mesuree "
-    "reale "
-    "real 实际 実際",
-    "time": "t time timestamp stamp zeit temps tiempo tempo duration 时间 時間",
-    "motor": "m motor motors mot moteur motore encoder enc 电机",
-    "joint": "joint joints j axis axes axe achse gelenk asse eje articulation 关节 関節 轴",
-    "": "a state states robot data value values controller trajectory nc to plc field header",
-}
-_KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
-_AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
-_EFFORTS = ("torque", "current", "effort")
-_UR, _FRANKA = "UR RTDE", "libfranka"
-_ROS = r"joint_states|controller_state|(feedback|reference|actual|desired)[./]positions"
-# By names that no other has.
-_MAKERS = {_UR: r"^actual_q_\d", _FRANKA: r"(^|\.)tau_J[\[_]\d", "ROS, REP 103": _ROS}
-_UNITS = {unit: unit for unit in (*POSITION_UNITS, *VELOCITY_UNITS, *TIME_UNITS, "%")}
-_UNITS |= {
-    "radian": "rad",
-    "radians": "rad",
-    "degree": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "u/min": "rpm",
-    "n": "N",
-    "rads": "rad/s",
-    "degs": "deg/s",
-    "degps": "deg/s",
-    "°/s": "deg/s",
-    "\u03bcs": "us",
-    "a": "A",
-    "ma": "mA",
-    "v": "V",
-    "nm": "N m",
-    "n*m": "N m",
-    "mnm": "mN m",
-    "‰": "per mille",
-}
-_TOKEN = re.compile(r"[^\W\d_]+|\d+")
-_UNIT = re.compile(  # in brackets, or a word
-    r"[\[(]([^\])\d]+)[\])]|(?<![a-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![a-z])",
-    re.IGNORECASE,
-)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Column:
-    """A column: how a map names it, its words by kind, what else its name has (a joint's number or
-    name), its stated unit.
+class _Column(TableColumn):
+    """A column, its words by kind, what else its name has (a joint's number or name), its stated
+    unit; the joint that a column of names has for its number.
     """
 
-    key: str | int
     words: dict[str, str]
     label: tuple[str, ...]
     unit: str | None
-    x: Array
+    joint: str = ""
 
 
 Groups = dict[tuple[str, str], list[_Column] | str]
 
 
 def propose_map(table: Path, robot: Robot | None) -> str:
-    """The text of a map.toml for a CSV table, with the reason of each line.
-
-    `effort_timing` is never set.
+    """The text of a map.toml for a CSV or MAT table, with the reason of each line.
 
     Columns go by words of several languages and tools, with the joint's number or its name in
-    `robot`. Unit and side of efforts are those of the maker's format, or stated in the header.
-    Raises `BadInputError`: no table.
+    `robot`, in the header or in cells; those without names are listed. Unit and side of efforts are
+    those of the maker's format, or stated in the header. `effort_timing` is never set. Raises
+    `BadInputError`: no table, or rows of one joint each.
     """
-    names, has_header, values = read_csv_head(table, ROWS)
-    maker = next(
-        (
-            maker
-            for maker, pattern in _MAKERS.items()
-            if any(re.search(pattern, name) for name in names)
-        ),
-        "",
-    )
-    columns = _columns(names if has_header else [""] * len(names), values, maker)
+    scanned = scan_table(table, ROWS)
+    maker = next((m for m, x in MAKERS.items() if any(re.search(x, c.name) for c in scanned)), "")
+    columns = _columns(scanned, maker, robot, Place(str(table)))
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
-    effort, why_effort = _only(groups, _EFFORTS, size)
+    effort, why_effort = _only(groups, EFFORTS, size)
     time, time_s = _time(table, columns)
-    unit, side = _position_unit(position, robot, maker), _side(position, robot, maker)
+    turn, side = _turn(table, position), _side(position, robot, maker)
+    unit = _position_unit(position, robot, maker, turn)
     lines = [
         f"# Proposed by robot-acquire import for {table.name}. {FILL_IN} marks what the table does "
         "not say.",
+        *([] if any(c.name for c in scanned) else _ranges(table, columns, scanned)),
         *time,
         "[position]",
         _listed(position, why),
         unit,
-        side,
+        side + _UNWRAP * bool(turn),
     ]
     reference, why = _only(groups, ["position"], size, "reference")
-    q = _values(position)
-    if reference and position and not _moves_as(_values(reference), q):
+    q, turn = _values(position, turn), _turn(table, reference)
+    if reference and position and not _moves_as(_values(reference, turn), q):
         reference, why = (
             [],
             f"is it a reference? It does not move as the position: {_keys(reference)}",
         )
     if reference or why:
-        lines += ["[reference]", _listed(reference, why), _stated(reference, unit), side]
+        lines += [
+            "[reference]",
+            _listed(reference, why),
+            _stated(reference, unit),
+            side + _UNWRAP * bool(turn),
+        ]
     velocity, why = _only(groups, ["velocity"], size)
     if velocity and position and ("motor" in velocity[0].words) == ("motor" in position[0].words):
         path = (
@@ -158,52 +104,61 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     return "\n".join([*lines, ""])
 
 
-def _values(columns: Sequence[_Column]) -> Array:
-    return np.column_stack([c.x for c in columns]) if columns else np.empty((0, 0))
+def _values(columns: Sequence[_Column], turn: float = 0.0) -> Array:
+    """The first rows (N, n), without jumps by a `turn`."""
+    x = np.column_stack([c.x for c in columns]) if columns else np.empty((1, 0))
+    return np.unwrap(x, axis=0, period=turn) if turn else x
 
 
-def _columns(names: list[str], values: Array, maker: str) -> list[_Column]:
+def _columns(
+    scanned: Sequence[TableColumn], maker: str, robot: Robot | None, place: Place
+) -> list[_Column]:
     """The columns that hold numbers.
 
-    Of libfranka's state and command the state, of its motor and joint the joint.
+    Of libfranka's state and command the state, of its motor and joint the joint. Refuses columns of
+    the joints' names that change between rows.
     """
+    joints = {joint.name for joint in robot.joints} if robot else set()
     found: list[_Column] = []
-    for k, name in enumerate(names):
+    told: dict[tuple[str, ...], str] = {}
+    for k, column in enumerate(scanned):
         text = "".join(
-            c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c)
+            c for c in unicodedata.normalize("NFKD", column.name) if not unicodedata.combining(c)
         )
-        stated = _UNIT.search(text)
-        unit = (
-            None
-            if stated is None
-            else (stated[1] or stated[2]).strip().lower().replace("·", "").replace("_", "")
-        )
-        text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", _UNIT.sub(" ", text))
-        text = re.sub("|".join(word for word in _KIND if not word.isascii()), r" \g<0> ", text)
-        tokens = [token.lower() for token in _TOKEN.findall(text)]
-        other = maker == _FRANKA and ({"cmd", "theta"} & {*tokens} or name in names[:k])
-        if other or np.isnan(values[:, k]).any():
-            continue
-        words = {_KIND[token]: token for token in tokens if token in _KIND}
+        stated = UNIT.search(text)
+        text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", UNIT.sub(" ", text))
+        text = re.sub("|".join(word for word in KIND if not word.isascii()), r" \g<0> ", text)
+        tokens = [token.lower() for token in TOKEN.findall(text)]
+        words = {KIND[token]: token for token in tokens if token in KIND}
+        label = tuple(token for token in tokens if token not in KIND)
+        named = "name" in words or {*words} in ({"joint"}, {"motor"})
+        if joints & {*column.texts} or (column.texts and named and "".join(label or "0").isdigit()):
+            told[label] = column.texts[0]
+            if len(column.texts) > 1:
+                place.refuse(
+                    f"column {column.key}",
+                    ", ".join(column.texts[:3]),
+                    "a column for each joint, and rows of one source; rename what is no joint",
+                    text="names of joints change between rows",
+                )
         if "current" in words and {"position", "velocity"} & {*words}:
             words["measured"] = words.pop("current")  # the current position, of now
-        found.append(
-            _Column(
-                key=name if name and names.count(name) == 1 else k + 1,
-                words=words,
-                label=tuple(token for token in tokens if token not in _KIND),
-                unit=unit,
-                x=values[:, k],
-            )
+        other = maker == FRANKA and (
+            {"cmd", "theta"} & {*tokens} or column.name in [c.name for c in scanned[:k]]
         )
-    return found
+        if not (other or np.isnan(column.x).any()):
+            unit = stated and re.sub("[·_]", "", stated[stated.lastindex or 0].strip().lower())
+            found.append(_Column(**vars(column), words=words, label=label, unit=unit))
+    if not found:
+        place.refuse(text="has no columns of numbers", expected="a table")
+    return [replace(c, joint=told.get(c.label, "")) for c in found]
 
 
 def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
     """Columns of one per joint by quantity and source (and the motor's side); a text
     if they are ambiguous.
     """
-    kinds = ("position", "velocity", *_EFFORTS)
+    kinds = ("position", "velocity", *EFFORTS)
     members: dict[tuple[str, str], list[_Column]] = {}
     for c in columns:
         quantities = [kind for kind in kinds if kind in c.words]
@@ -237,25 +192,34 @@ def _one_per_joint(
     """A column for each joint in order, by number or by the names in `robot`; a text
     if they are ambiguous.
     """
+    if told := {c.joint: c for c in group if c.joint}:
+        joints = [joint.name for joint in robot.joints] if robot else [""]
+        if len(told) == len(group) and {*joints} <= {*told}:
+            return [told[joint] for joint in joints]
+        return f"the joints of robot.toml in their order? {_keys(group)} are {', '.join(told)}"
     labels = [tuple(x for x in c.label if x not in common) for c in group]
     by_label = dict(zip(labels, group, strict=True))
-    words = [_TOKEN.findall(joint.name.lower()) for joint in robot.joints] if robot else []
-    names = [tuple(x for x in name if x not in _KIND and x not in common) for name in words]
+    words = [TOKEN.findall(joint.name.lower()) for joint in robot.joints] if robot else []
+    names = [tuple(x for x in name if x not in KIND and x not in common) for name in words]
+    by_name = names and {*names} <= {*labels} and len({*names}) == len(names)
     numbered: list[tuple[str, ...]] = [x for x in by_label if len(x) == 1 and x[0].isdigit()]
-    chosen = sorted(numbered, key=lambda x: int(x[0]))
-    if names and {*names} <= {*labels} and len({*names}) == len(names):
-        chosen = names
-    elif not chosen and labels != [()]:
-        several = all(labels) and len(by_label) > 1
-        return f"which columns, in the order of the joints? {_keys(group)}" if several else ""
-    elif chosen and int(chosen[-1][0]) - int(chosen[0][0]) != len(chosen) - 1:
-        return f"numbers are missing: {_keys(group)}"
-    chosen = chosen or labels
-    if any(labels.count(label) > 1 for label in chosen):
-        return f"a number is there twice: {_keys(group)}"
-    if robot and len(chosen) != robot.n:
-        return f"{robot.n} joints in robot.toml, and {len(chosen)} columns: {_keys(group)}"
-    return [by_label[label] for label in chosen]
+    numbered.sort(key=lambda x: int(x[0]))
+    chosen: list[tuple[str, ...]] = (
+        names if by_name else numbered or [x for x in labels if labels == [()]]
+    )
+    span = int(numbered[-1][0]) - int(numbered[0][0]) + 1 if numbered else 0
+    keys, several = _keys(group), all(labels) and len(by_label) > 1
+    why = _first(
+        (not chosen, f"which columns, in the order of the joints? {keys}" if several else ""),
+        (not by_name and span != len(numbered), f"numbers are missing: {keys}"),
+        (any(labels.count(label) > 1 for label in chosen), f"a number is there twice: {keys}"),
+        (
+            robot and len(chosen) != robot.n,
+            f"{robot and robot.n} joints in robot.toml, and {len(chosen)} columns: {keys}",
+        ),
+        (True, ""),
+    )
+    return why or [by_label[label] for label in chosen]
 
 
 def _only(
@@ -280,6 +244,21 @@ def _keys(columns: Sequence[_Column]) -> str:
     return json.dumps([c.key for c in columns], ensure_ascii=False)
 
 
+def _ranges(table: Path, columns: Sequence[_Column], scanned: Sequence[TableColumn]) -> list[str]:
+    """The columns as comments, with their ranges or texts."""
+    x = read_columns(table, [c.key for c in columns], len(columns))
+    limits = zip(columns, x.min(axis=0), x.max(axis=0), strict=True)
+    ranges = {c.key: f"{low:.10g} to {high:.10g}" for c, low, high in limits}
+    told = [f"#   {c.key}: {ranges.get(c.key) or listed(c.texts)}" for c in scanned]
+    return ["# Columns, counted from 1:", *told]
+
+
+def _turn(table: Path, columns: Sequence[_Column]) -> float:
+    """The turn in rad or degrees by which angles of the columns jump; 0 if none does."""
+    x = read_columns(table, [c.key for c in columns], len(columns)) if columns else np.empty((1, 0))
+    return next((turn for turn in (TURN, 360.0) if turn_jumps(x, turn).any()), 0.0)
+
+
 def _listed(columns: Sequence[_Column], why: str) -> str:
     if not columns:
         return f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
@@ -287,83 +266,105 @@ def _listed(columns: Sequence[_Column], why: str) -> str:
     return f"columns = {_keys(columns)} # by the names: {', '.join(words)}"
 
 
+def _first(*rules: tuple[object, str]) -> str:
+    """The text of the first rule that holds."""
+    return next(text for holds, text in rules if holds)
+
+
 def _stated(columns: Sequence[_Column], otherwise: str) -> str:
     """The unit that the header states for all columns, or the line `otherwise`."""
-    units = {c.unit for c in columns}
-    if units <= {None}:
-        return otherwise
-    known = [_UNITS.get(unit or "") for unit in units]
-    if len(known) > 1 or known[0] is None:
-        return (
-            f'unit = "{FILL_IN}" # the header says {", ".join(sorted(str(unit) for unit in units))}'
-        )
-    return f'unit = "{known[0]}" # the header says so'
+    units = sorted({str(c.unit) for c in columns})
+    known = {UNITS.get(unit) for unit in units}
+    return _first(
+        ({*units} <= {"None"}, otherwise),
+        (
+            len(known) > 1 or None in known,
+            f'unit = "{FILL_IN}" # the header says {", ".join(units)}',
+        ),
+        (True, f'unit = "{next(iter(known), "")}" # the header says so'),
+    )
 
 
-def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
+def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, turn: float) -> str:
     types = [joint.position_unit for joint in robot.joints] if robot else ["rad"]
     largest = float(np.abs(_values(columns)).max(initial=0.0))
-    if maker:
-        line = f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"
-    elif not columns or "m" in types or '"joint"' not in _side(columns, robot, maker):
-        line = f'unit = "{FILL_IN}" # rad, deg, m, ...'
-    elif 2 * np.pi < largest <= MAX_TURN_DEG:
-        line = f'unit = "deg" # values to {largest:.4g} are beyond 2 pi'
-    else:
-        line = f'unit = "{FILL_IN}" # rad or deg? Values to {largest:.4g}'
+    at_joint = columns and "m" not in types and '"joint"' in _side(columns, robot, maker)
+    line = _first(
+        (maker, f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"),
+        (
+            turn and "m" not in types,
+            f'unit = "{"deg" if turn == 360 else "rad"}" # angles jump by {turn:.4g}',
+        ),
+        (not at_joint, f'unit = "{FILL_IN}" # rad, deg, m, ...'),
+        (
+            2 * np.pi < largest <= MAX_TURN_DEG,
+            f'unit = "deg" # values to {largest:.4g} are beyond 2 pi',
+        ),
+        (True, f'unit = "{FILL_IN}" # rad or deg? Values to {largest:.4g}'),
+    )
     return _stated(columns, line)
 
 
 def _side(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
     words = {word for c in columns for pair in c.words.items() for word in pair}
-    if "motor" in words:
-        return 'side = "motor" # by the names'
-    if maker or words & {"joint", *_AT_JOINT}:
-        return f'side = "joint" # {maker or "by the names"}'
-    if robot and np.array_equal(robot.R, np.eye(robot.n)):
-        return 'side = "joint" # robot.toml has no ratios'
-    return f'side = "{FILL_IN}" # motor or joint'
+    return _first(
+        ("motor" in words, 'side = "motor" # by the names'),
+        (maker or words & {"joint", *AT_JOINT}, f'side = "joint" # {maker or "by the names"}'),
+        (
+            robot and np.array_equal(robot.R, np.eye(robot.n)),
+            'side = "joint" # robot.toml has no ratios',
+        ),
+        (True, f'side = "{FILL_IN}" # motor or joint'),
+    )
 
 
 def _effort_lines(columns: Sequence[_Column], maker: str) -> list[str]:
     kinds = {kind for c in columns for kind in c.words}
-    if maker == _UR and "current" in kinds:
-        return ['unit = "A" # UR RTDE', 'side = "motor" # UR RTDE: of the joints\' motors']
-    if maker == _FRANKA and "torque" in kinds:
-        return ['unit = "N m" # libfranka', f'side = "joint" # libfranka: {TORQUE_SENSORS}']
-    unit = _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')
-    if re.match(r'unit = "(m?[AV]|%|per mille)"', unit) or "current" in kinds:
-        return [unit, 'side = "motor" # as all currents, voltages and percentages of a rating']
-    return [unit, f'side = "{FILL_IN}" # motor or joint']
+    ur, franka = maker == UR and "current" in kinds, maker == FRANKA and "torque" in kinds
+    stated = _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')
+    unit = _first(
+        (ur, 'unit = "A" # UR RTDE'), (franka, 'unit = "N m" # libfranka'), (True, stated)
+    )
+    of_motors = re.match(r'unit = "(m?[AV]|%|per mille|‰)"', unit) or "current" in kinds
+    side = _first(
+        (ur, 'side = "motor" # UR RTDE: of the joints\' motors'),
+        (franka, f'side = "joint" # libfranka: {TORQUE_SENSORS}'),
+        (of_motors, 'side = "motor" # as all currents, voltages and percentages of a rating'),
+        (True, f'side = "{FILL_IN}" # motor or joint'),
+    )
+    return [unit, side]
 
 
 def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | None]:
     """`[time]`, or a rate to be filled in; the times of the first rows in s."""
+    growing = [c for c in columns if len(c.x) > 1 and (np.diff(c.x) >= 0).all() and bursts(c.x)[0]]
     found = [
         c
-        for c in columns
-        if "time" in c.words
-        and not {*c.words} & {"position", "velocity", *_EFFORTS}
-        and (steps := np.diff(c.x)).size
-        and (steps >= 0).all()
-        and np.median(steps) > 0
+        for c in growing
+        if "time" in c.words and not {*c.words} & {"position", "velocity", *EFFORTS}
     ]
     found = [c for c in found if not c.label] or found
+    found = [c for c in found if c.words.get("") == "header"] or found
+    found = found or [
+        c
+        for c in growing
+        if not c.name  # a counter grows by 1
+        and (steps := np.diff(read_columns(table, [c.key], 1)[:, 0])).min() > 0
+        and (typical := np.median(steps)) != 1
+        and np.mean(np.abs(steps / typical - 1) < MAX_UNEVEN) > MIN_EVEN
+    ]
     found = found[:1] if all(np.array_equal(c.x, found[0].x) for c in found) else found
     if len(found) != 1:
         return [
             f'sample_rate_hz = "{FILL_IN}" # or [time]: '
             f"{_keys(found) if found else 'no column of times'}"
         ], None
-    column, period = found[0], float(np.median(np.diff(found[0].x)))
-    stated = [unit for unit in TIME_UNITS if unit == _UNITS.get(column.unit or "")]
+    column, period = found[0], bursts(found[0].x)[0]
+    stated = [unit for unit in TIME_UNITS if unit == UNITS.get(column.unit or "")]
     fits = stated or [
         u for u, s in TIME_UNITS.items() if MIN_RATE_HZ <= 1 / (period * s) <= MAX_RATE_HZ
     ]
-    lines = [
-        "[time]",
-        f"column = {json.dumps(column.key, ensure_ascii=False)} # grows by {period:.6g}",
-    ]
+    lines = ["[time]", f"column = {_keys(found)[1:-1]} # grows by {period:.6g}"]
     if len(fits) != 1:
         return [*lines, f'unit = "{FILL_IN}" # s, ms, us or ns'], None
     rate_hz = 1 / (period * TIME_UNITS[fits[0]])
@@ -372,10 +373,14 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
         f"Hz{', the header says so' * bool(stated)}"
     ]
     time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[fits[0]]
-    if (np.abs((steps := np.diff(time_s)) * rate_hz - 1) > 0.1).any():
+    steps, (step_s, between_s) = np.diff(time_s), bursts(time_s)
+    if (np.abs(steps * rate_hz - 1) > 0.1).any():
+        grid_hz = roundest_rate_hz(time_s[np.append(True, steps > 0)])
+        if between_s:  # within the drift that an import allows
+            grid_hz = roundest(1 / step_s, between_s / (time_s[-1] - time_s[0]) / 8)
         lines += [
-            f"resample_hz = {roundest_rate_hz(time_s[np.append(True, steps > 0)]):.12g} # the "
-            "steps are uneven"
+            f"resample_hz = {grid_hz:.12g} # "
+            + ("stamps come in bursts" if between_s else "the steps are uneven")
         ]
     return lines, column.x * TIME_UNITS[fits[0]]
 

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import Place
@@ -46,7 +47,11 @@ EFFORT_UNITS = {
     "N": ("N", 1.0),
     "%": ("%", 1.0),
     "per mille": ("%", 0.1),
+    "‰": ("%", 0.1),
 }
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
+TURN = 2 * np.pi
+MAX_WRAPPED = 1.001  # turns: range of angles that jump, with their rounding
 # Efforts that exist at one side only, and the reason.
 ONE_SIDE: Mapping[str, tuple[Side, str]] = {
     "known_torque": ("joint", "where it acts"),
@@ -69,6 +74,12 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     side: Annotated[Side | None, note("motor or joint (default: by the unit)")] = None
 
 
+class Angles(Quantity, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[position]` and `[reference]`: columns of angles or lengths."""
+
+    unwrap: Annotated[bool, note("angles jump by a turn, such as from 180 to -180 deg")] = False
+
+
 @dataclass(frozen=True, kw_only=True)
 class Source:
     """Tables, the robot they are of, and the place of the map, for errors."""
@@ -85,12 +96,38 @@ class Source:
             )
         return self.tables[number - 1]
 
-    def position(self, key: str, quantity: Quantity) -> Array:
+    def position(self, key: str, quantity: Angles) -> Array:
         """Joint positions (N, n) in rad or m."""
         units, values = self._read(key, quantity, POSITION_UNITS)
         side = position_side(self.robot, quantity.side, key, self.place)
         self._check_kinds(key, units, side)
+        values = self._without_jumps(key, quantity, units, values, side)
         return self.robot.joint_position(values) if side == "motor" else values
+
+    def _without_jumps(
+        self, key: str, quantity: Angles, units: Sequence[str], x: Array, side: Side
+    ) -> Array:
+        """Values x (N, n), if the map says so with angles without jumps by a turn, about 0.
+
+        Refuses jumps that the map does not state, that may be motion, or of a motor: its turns
+        before the first row are not known, and turn the joint unless the ratio is a whole number.
+        """
+        angles, of_motor = np.array(units) == "rad", np.linalg.inv(self.robot.R)
+        unwrapped = np.where(angles, np.unwrap(x, axis=0), x)
+        slow = np.abs(np.diff(unwrapped, axis=0))[:, angles].max(initial=0.0) < TURN / 4
+        known = slow and (side == "joint" or np.allclose(of_motor, np.rint(of_motor)))
+        jumps = (turn_jumps(x, TURN) & angles).any(axis=1)
+        if not known if quantity.unwrap else jumps.any():
+            self.place.refuse(
+                f"{key}.unwrap",
+                quantity.unwrap,
+                "true" if known else "angles over all turns, or of the joint at a higher rate",
+                text=f"angles jump by a turn before row {np.argmax(jumps) + 2}"
+                if jumps.any()
+                else "turns cannot be counted: of a motor with a ratio, or steps above 90 deg",
+            )
+        near_0 = unwrapped - TURN * np.rint(np.median(unwrapped, axis=0) / TURN)
+        return np.where(angles, near_0, x) if quantity.unwrap else x
 
     def velocity(self, key: str, quantity: Quantity) -> Array:
         """Joint speeds (N, n) in rad/s or m/s."""
@@ -154,6 +191,12 @@ class Source:
                     expected="an angle" if joint.type == "revolute" else "a length",
                     text=f"in {unit} for joint {i + 1} ({joint.name})",
                 )
+
+
+def turn_jumps(x: Array, turn: float) -> NDArray[np.bool_]:
+    """Steps (N - 1, n) of angles x (N, n) within a turn that are a turn, to a quarter of it."""
+    within = np.ptp(x, axis=0) <= MAX_WRAPPED * turn
+    return np.asarray((np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25) & within)
 
 
 def si_units(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..errors import Place
 from ..files import by_rows, taken
 
 MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
@@ -20,6 +21,10 @@ MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong
 MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
 # of the noise of a step, that a joint moves in a tick, so that ticks can be counted
 MIN_TICK_DEVIATIONS = 5.0
+# Stamps come in bursts: so many, of at most so many rows, with this share of steps below half the
+# mean.
+MIN_BURSTS, MAX_BURST_ROWS, MIN_SHORT_STEPS = 30, 100, 0.4
+MAX_BURST_DRIFT = 0.5  # of the time between bursts: rows that are missing are late by all of it
 _PASSES = 4  # a wrong stamp hides its neighbours
 MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 
@@ -53,6 +58,52 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
         "by their stamps; "
         f"{way_out}"
     )
+
+
+def bursts(stamp_s: Array) -> tuple[float, float]:
+    """The step of rows with stamps (N,), and the time between bursts, 0 if they do not come in
+    bursts; the step is then the median one, else the mean.
+    """
+    steps = np.diff(stamp_s)
+    longer = steps[steps > steps.mean()]
+    several = len(longer) >= max(MIN_BURSTS, len(steps) / MAX_BURST_ROWS) and steps.min() >= 0
+    if not several or np.mean(steps < 0.5 * steps.mean()) < MIN_SHORT_STEPS:
+        return float(np.median(steps)), 0.0
+    return (
+        float(np.polyfit(np.arange(len(stamp_s)), stamp_s - stamp_s[0], 1)[0]),
+        float(np.median(longer)),
+    )
+
+
+def even_times(
+    stamp_s: Array, q: Array, rate_hz: float, place: Place
+) -> tuple[Array, float | None]:
+    """Times (N,) at the stated rate, and the scatter of the stamps about them, if stamps come in
+    bursts while positions q (N, n) move evenly; else the stamps, and None.
+
+    Rows of a packet have the stamps of its arrival. Refuses a rate that is not that of the rows, as
+    where packets are missing.
+    """
+    step_s, between_s = bursts(stamp_s)
+    even_s = stamp_s[0] + np.arange(len(stamp_s)) / rate_hz
+    first = np.flatnonzero(np.diff(stamp_s) > step_s) + 1  # row of each burst
+
+    def share(x: Array) -> float:
+        """The part of the way from burst to burst that is made before the first row."""
+        whole, step = np.diff(x[first], axis=0), (x[first] - x[first - 1])[1:]
+        return float((whole * step).sum() / max((whole**2).sum(), 1e-300))
+
+    if not between_s or share(q) > 0.5 * (share(stamp_s) + share(even_s)):
+        return stamp_s, None
+    parts = np.array_split(stamp_s - even_s, max(2, int(np.ptp(stamp_s) / between_s / 10)))
+    if np.ptp([part.min() for part in parts]) > MAX_BURST_DRIFT * between_s:
+        place.refuse(
+            "time.resample_hz",
+            rate_hz,
+            f"{1 / step_s:.7g}, the mean rate of the rows, and no packets that are missing",
+            text="stamps come in bursts, and rows between them are too many or too few",
+        )
+    return even_s, float(np.std(stamp_s - even_s))
 
 
 def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:

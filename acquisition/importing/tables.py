@@ -18,8 +18,8 @@ from ..files import read_columns, write_columns
 from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .held import grid_of_new_rows
-from .quantities import Quantity, Source, TableNumber
-from .stamps import ticks_from_velocity
+from .quantities import TIME_UNITS, TURN, Angles, Quantity, Source, TableNumber
+from .stamps import even_times, ticks_from_velocity
 from .time_base import (
     GridValues,
     ImportSummary,
@@ -30,7 +30,6 @@ from .time_base import (
 )
 
 MAX_TICK_ERROR = 0.01  # relative difference from the tick of the stamps; more is a mistake
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 
 FROM_VELOCITY = "from velocity"  # instead of the column of a counter
 
@@ -59,9 +58,9 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     the times of the samples.
     """
 
-    position: Annotated[Quantity, note("columns of the positions")]
+    position: Annotated[Angles, note("columns of the positions")]
     effort: Annotated[Quantity, note("columns of currents, voltages, torques or forces")]
-    reference: Annotated[Quantity | None, note("columns of the position reference")] = None
+    reference: Annotated[Angles | None, note("columns of the position reference")] = None
     velocity: Annotated[Quantity | None, note("columns of measured speeds")] = None
     known_torque: Annotated[Quantity | None, note("columns of known torques on the joints")] = None
     feedforward: Annotated[
@@ -138,6 +137,10 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, 
     parts["effort"], provenance, effort_object = source.effort("effort", table_map.effort)
     if table_map.reference is not None:
         parts["reference"] = source.position("reference", table_map.reference)
+        if table_map.position.unwrap or table_map.reference.unwrap:
+            # to the same turn
+            off = np.median(parts["reference"], axis=0) - np.median(parts["position"], axis=0)
+            parts["reference"] -= TURN * np.rint(off / TURN)
     for name in OPTIONAL:
         quantity = getattr(table_map, name)
         if quantity is not None:
@@ -198,7 +201,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         grid,
         time_s,
         parts["position"],
-        "stamps" if time.ticks is None else "ticks",
+        "ticks" if time.ticks is not None else "stamps" if scatter_s is None else "even times",
         "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]",
     )
     assert grid.report is not None
@@ -229,7 +232,11 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
         stamp_s = column * TIME_UNITS[time.unit]
     if time.tick_s is None:
         assert stamp_s is not None
-        return stamp_s, None
+        return (
+            even_times(stamp_s, parts["position"], time.resample_hz, place)
+            if time.resample_hz
+            else (stamp_s, None)
+        )
     time_s = _ticks(source, time, parts, stamp_s) * time.tick_s
     return time_s, None if stamp_s is None else stamp_scatter_s(time_s, stamp_s, time.tick_s, place)
 

@@ -62,7 +62,7 @@ class TimeReport:
         if self.off:
             parts.append(f"{self.off} rows left out whose {self.clock} the motion contradicts")
         if self.stamps_off_s is not None:
-            parts.append(f"stamps sd {1e3 * self.stamps_off_s:.4g} ms about the ticks")
+            parts.append(f"stamps sd {1e3 * self.stamps_off_s:.4g} ms about the {self.clock}")
         if self.grid_hz is not None:
             parts.append(f"interpolated to {self.grid_hz:.9g} Hz")
         return ", ".join(parts)
@@ -256,11 +256,11 @@ def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
         * float(np.std(time_s - time_s[0] - start - period * rows))
         / float(time_s[-1] - time_s[0])
     )
-    return _roundest(1 / period, min(max(scatter, 1e-12), 1e-2))
+    return roundest(1 / period, min(max(scatter, 1e-12), 1e-2))
 
 
-def _roundest(rate_hz: float, scatter: float) -> float:
-    """The rate rounded to the fewest digits within the relative `scatter`."""
+def roundest(rate_hz: float, scatter: float) -> float:
+    """Return the rate rounded to the fewest digits within the relative `scatter`."""
     return next(
         r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= scatter
     )
@@ -331,7 +331,7 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
     return GridValues(
         parts=parts,
         start_s=float(time_s[0]),
-        rate_hz=_roundest(1 / period, scatter),
+        rate_hz=roundest(1 / period, scatter),
         report=time_report(time_s),
     )
 
@@ -358,8 +358,7 @@ class ImportSummary:
 def write_samples(
     header: Header, grid: GridValues, warnings: Sequence[str], place: str, out: Path
 ) -> ImportSummary:
-    """Check the samples of a grid and write them as the recording `out`, whole or not
-    at all, with `warnings`.
+    """Check a grid and write it as the recording `out`, whole or not at all, with `warnings`.
 
     Parts of the grid have the names of a sample's fields; `place` names the files in errors. Raises
     `BadInputError` for impossible stamps, positions or speeds.

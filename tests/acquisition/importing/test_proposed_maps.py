@@ -306,7 +306,9 @@ def test_uneven_times_are_interpolated_and_a_time_that_fits_two_units_is_open(tm
     assert tomllib.loads(propose_map(tmp_path / "x.csv", None))["time"]["unit"] == FILL_IN
 
 
-def test_lines_of_units_below_the_names_are_skipped_and_without_names_all_is_open(tmp_path):
+def test_lines_of_units_below_the_names_are_skipped_and_without_names_all_but_time_is_open(
+    tmp_path,
+):
     rows = "".join(f"{0.01 * k:.2f};{np.sin(k):.6f};1\n" for k in range(300))
     proposed = []
     for head in ("t;q;tau\ns;rad;Nm\nLREAL;LREAL;LREAL\n", "t;q;tau\n", ""):
@@ -316,4 +318,4 @@ def test_lines_of_units_below_the_names_are_skipped_and_without_names_all_is_ope
     named, unnamed = map(tomllib.loads, proposed[1:])
     assert named["position"]["columns"] == ["q"]
     assert [unnamed[table]["columns"] for table in (POSITION, EFFORT)] == [[FILL_IN]] * 2
-    assert unnamed["sample_rate_hz"] == FILL_IN
+    assert unnamed["time"] == {"column": 1, "unit": "s"}
