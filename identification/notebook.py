@@ -364,7 +364,7 @@ def simulate_recording(
         missing, or `out` exists.
     """
     described = _robot(robot)
-    refuse_clash((), Path(out))
+    refuse_clash((), of_kinds={"mcap": Path(out)})
     study.simulate_recording(
         described,
         Path(out),

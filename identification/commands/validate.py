@@ -47,7 +47,9 @@ def run(options: argparse.Namespace) -> int:
         expected = f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`"
         raise BadInputError("is no fit", place=str(options.fit), expected=expected)
     shared.refuse_outputs(
-        [options.fit, *options.recordings, options.robot], options.json, report=options.report
+        [options.fit, *options.recordings, options.robot],
+        json=options.json,
+        report=options.report,
     )
     with Progress("reading") as progress:
         from .. import methods

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 from msgspec import UNSET
 
+from acquisition.files import refuse_clash
+
 from ..arrays import Array
 from ..errors import BadInputError
 from ..methods import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
@@ -26,6 +28,7 @@ def export_fit(
     Raises `BadInputError`: the fit is not to be used and not allowed as
         `untrusted`; as of `model_of_fit`.
     """
+    refuse_clash((), of_kinds=outputs)
     reasons = distrust(stored, place)
     if reasons and not untrusted:
         expected = "a fit to be trusted, or --allow-untrusted"
