@@ -261,7 +261,11 @@ def fit(
         "sample_rate_hz": sample_rate_hz,
         "payload": payload or "",
     }
-    given = {name: x for name, x in arguments.items() if x is not None}
+    given = {
+        name: x
+        for name, x in arguments.items()
+        if x is not None or name in ("q", "effort", "sample_rate_hz")
+    }
     count, sources = len(given["q"]) if several else 1, list[Signals]()
     for name, x in given.items():
         given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
