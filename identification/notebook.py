@@ -261,7 +261,11 @@ def fit(
         "sample_rate_hz": sample_rate_hz,
         "payload": payload or "",
     }
-    given = {name: x for name, x in arguments.items() if x is not None}
+    given = {
+        name: x
+        for name, x in arguments.items()
+        if x is not None or name in ("q", "effort", "sample_rate_hz")
+    }
     count, sources = len(given["q"]) if several else 1, list[Signals]()
     for name, x in given.items():
         given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
@@ -364,7 +368,7 @@ def simulate_recording(
         missing, or `out` exists.
     """
     described = _robot(robot)
-    refuse_clash((), Path(out))
+    refuse_clash((), of_kinds={"mcap": Path(out)})
     study.simulate_recording(
         described,
         Path(out),

@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> None:
         from ..files import refuse_clash
         from ..importing import export_csv
 
-        refuse_clash([options.recording], options.output)
+        refuse_clash([options.recording], of_kinds={"csv": options.output})
         rows = export_csv(options.recording, options.output, warnings.append)
     for text in dict.fromkeys(warnings):
         print(one_line(f"warning: {text}"), file=sys.stderr)

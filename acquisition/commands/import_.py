@@ -82,7 +82,9 @@ def run(options: argparse.Namespace) -> None:
 
     options.output = options.output or options.tables[0].with_suffix(".mcap")
     refuse_clash(
-        [options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite
+        [options.robot, options.map, *options.tables],
+        overwrite=options.overwrite,
+        of_kinds={"mcap": options.output},
     )
     with Progress("importing"):
         from ..importing import (

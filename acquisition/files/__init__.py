@@ -1,6 +1,7 @@
-"""Files: atomic writing, tables, MAT files, meshes of a URDF, arrays on disk."""
+"""Files: their kinds, atomic writing, tables, MAT files, meshes of a URDF, arrays on disk."""
 
-from .atomic import atomic_write, is_recording, refuse_clash
+from .atomic import atomic_write, refuse_clash
+from .kinds import NAMES, is_recording, kind_of
 from .meshes import MESHES, find_mesh, read_meshes
 from .on_disk import (
     BLOCK_ROWS,

@@ -1,15 +1,14 @@
 """Atomic writing: an output file is written under a temporary name and
-renamed when it is complete.
+renamed when it is complete. It replaces only a file of its own kind.
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import Place
-
-MAGIC = b"\x89MCAP"  # first bytes of a recording
+from .kinds import NAMES, is_recording, kind_of
 
 
 @contextmanager
@@ -18,8 +17,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
     ends without an exception.
 
     On an exception the partial file is removed, and an earlier file at `path` is left as it was.
-    Raises `BadInputError` if `path` is a folder or a device, its folder is missing or not
-    writable, or the disk is full.
+    Raises `BadInputError` if `path` is a folder, a device or a file of another `kind_of` content,
+    its folder is missing or not writable, or the disk is full.
     """
     place = Place(str(path))
     if not path.name:
@@ -30,6 +29,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
             # Renaming onto /dev/null would replace the device.
             place.refuse(text="cannot be written", expected="a file, found a folder or a device")
         yield partial
+        _refuse_other_kind(path, kind_of(partial))
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         partial.replace(path)
@@ -46,16 +46,20 @@ def refuse_clash(
     *outputs: Path | None,
     overwrite: bool | None = None,
     option: str = "-o",
+    of_kinds: Mapping[str, Path | None] | None = None,
 ) -> None:
-    """Raise `BadInputError` if writing one of `outputs` would replace one of `inputs`, another
-    output, or a recording.
+    """Raise `BadInputError` if writing one of `outputs` or `of_kinds` would replace one of
+    `inputs`, another output, a recording, or a file of another kind than the output's.
 
     None stands for a file that was not asked for. Links to one file count as that file.
     `overwrite`: whether recordings may be replaced, by the option of that name; None if a command
-    does not have it. `option` names the output.
+    does not have it. `option` names the output. `of_kinds` are outputs by their kind, which is the
+    ending of the other `outputs`.
     """
     earlier: list[Path] = []
-    for output in (path for path in outputs if path is not None):
+    named = [(path.suffix.lower()[1:], path) for path in outputs if path is not None]
+    named += [(kind, path) for kind, path in (of_kinds or {}).items() if path is not None]
+    for kind, output in named:
         place = Place(str(output))
         for path in inputs:
             if path is not None and _same(output, path):
@@ -68,15 +72,15 @@ def refuse_clash(
         if not overwrite and output.is_file() and is_recording(output):
             expected = "another name" if overwrite is None else f"another {option}, or --overwrite"
             place.refuse(text="already exists and is a recording", expected=expected)
+        if kind and kind in NAMES:
+            _refuse_other_kind(output, kind)
 
 
-def is_recording(path: Path) -> bool:
-    """Whether a file is a recording, by its suffix or its first bytes."""
-    if path.suffix.lower() == ".mcap" or not path.is_file():
-        return path.suffix.lower() == ".mcap"
-    with suppress(OSError), path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
-    return False
+def _refuse_other_kind(path: Path, kind: str) -> None:
+    """Raise `BadInputError` if a file exists that is not empty and not of this kind."""
+    if path.is_file() and path.stat().st_size and (found := kind_of(path)) != kind:
+        text = f"already exists and is {NAMES[found]}, not {NAMES[kind]}"
+        Place(str(path)).refuse(text=text, expected="another name for the output")
 
 
 def _same(a: Path, b: Path) -> bool:

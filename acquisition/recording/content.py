@@ -25,7 +25,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from ..errors import BadInputError
-from ..files import GrowingBytes
+from ..files import NAMES, GrowingBytes, kind_of
 
 _MAGIC = b"\x89MCAP0\r\n"
 _IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
@@ -108,15 +108,15 @@ def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Conte
 
 def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
     if records.first != _MAGIC:
-        kind = Path(place).suffix.lower()
-        if kind in _IMPORTED:
+        ending, kind = Path(place).suffix.lower(), kind_of(Path(place)).replace("mcap", "")
+        if ending in _IMPORTED:
             raise BadInputError(
-                f"is a {kind[1:].upper()} file",
+                f"is a {ending[1:].upper()} file",
                 place=place,
                 expected=f"a recording: first `robot-acquire import {place} --robot ROBOT.toml`",
             )
         raise BadInputError(
-            "is not an MCAP file",
+            f"is {NAMES[kind]}" if kind else "is not an MCAP file",
             place=place,
             expected="a recording, as `robot-acquire record` or `import` writes it",
         )

@@ -202,11 +202,13 @@ def refuse_outputs(
     report: Path | None = None,
     picture: Path | None = None,
     overwrite: bool | None = None,
+    **of_kinds: Path | None,
 ) -> None:
-    """Before any work: refuse outputs that replace an input, another output or a recording, or lie
-    in a missing folder, and a `report` that is neither Markdown nor HTML.
+    """Before any work: refuse outputs that replace an input, another output, a recording or a file
+    of another kind (`refuse_clash`), or lie in a missing folder, and a `report` that is neither
+    Markdown nor HTML.
 
-    The folder of a `picture` is not checked, because the fit is printed even if the
+    The folder of a `picture`, a Rerun file, is not checked, because the fit is printed even if the
     picture cannot be written.
     """
     from acquisition.files import refuse_clash
@@ -215,8 +217,10 @@ def refuse_outputs(
         raise BadInputError(
             place=str(report), key="ending", value=report.suffix, expected=".md or .html"
         )
-    refuse_clash(inputs, *outputs, report, picture, overwrite=overwrite)
-    for output in (*outputs, report):
+    refuse_clash(
+        inputs, *outputs, report, overwrite=overwrite, of_kinds={"rrd": picture, **of_kinds}
+    )
+    for output in (*outputs, report, *of_kinds.values()):
         if output is not None and not output.absolute().parent.is_dir():
             raise BadInputError(
                 f"no folder {output.parent}", place=str(output), expected="an existing folder"

@@ -16,7 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the base parameters."""
-    refuse_outputs([options.robot], options.json)
+    refuse_outputs([options.robot], json=options.json)
     with Progress("base parameters"):
         from acquisition.robot import load_robot
 

@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
         write_json,
     )
 
-    refuse_outputs([options.a, options.b], options.json, report=options.report)
+    refuse_outputs([options.a, options.b], json=options.json, report=options.report)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     prior, first = options.b.suffix.lower() in (".urdf", ".toml"), read_fit(options.a)

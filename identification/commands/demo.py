@@ -72,7 +72,13 @@ def run(options: argparse.Namespace) -> None:
         from ..view import draw_fit, write_rrd
 
         place, out = description(options.robot), options.out
-        refuse_clash([], out / "session.mcap", overwrite=options.overwrite, option="--out")
+        refuse_clash(
+            [],
+            *(out / name for name in ("session.mcap", "truth.json", "ls.json", "iv.json")),
+            out / "demo.rrd",
+            overwrite=options.overwrite,
+            option="--out",
+        )
         robot = load_robot(place)
         make_folder(out)
         with atomic_write(out / "session.mcap") as recording:
@@ -118,7 +124,7 @@ def _identify_gains(options: argparse.Namespace) -> None:
         from ..study import description, gains_document, record_gain_pair
 
         place = description(options.robot)
-        refuse_clash([], *paths, overwrite=options.overwrite, option="--out")
+        refuse_clash([], *paths, out / "k.json", overwrite=options.overwrite, option="--out")
         make_folder(out)
         progress.say("simulated drives")
         true = record_gain_pair(load_robot(place), str(place), paths)

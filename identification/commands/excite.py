@@ -55,8 +55,8 @@ def run(options: argparse.Namespace) -> None:
     """Search the reference, write it, and print the expected intervals."""
     shared.refuse_outputs(
         [options.robot, options.fit, *options.after],
-        options.out,
-        options.rrd,
+        csv=options.out,
+        rrd=options.rrd,
         report=options.report,
     )
     with Progress("excitation") as progress:

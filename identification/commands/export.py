@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> None:
         raise BadInputError(
             "nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file"
         )
-    refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)
+    refuse_outputs([options.fit], urdf=options.urdf, mjcf=options.mjcf, toml=options.toml)
     with Progress("reading"):
         from ..export import export_fit
         from ..report import read_fit

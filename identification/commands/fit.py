@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
             "has no effect alone", key="--prior", value=str(options.prior), expected=expected
         )
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
-    shared.refuse_outputs(inputs, options.json, report=options.report, picture=options.rrd)
+    shared.refuse_outputs(inputs, json=options.json, report=options.report, picture=options.rrd)
     from acquisition.files import refuse_clash
 
     pictures = [options.rrd] if options.rrd else []

@@ -36,7 +36,9 @@ def run(options: argparse.Namespace) -> None:
         raise BadInputError(
             key="--write", value=True, expected="--robot with it, the description to write to"
         )
-    shared.refuse_outputs([*options.recordings, options.robot], options.json, report=options.report)
+    shared.refuse_outputs(
+        [*options.recordings, options.robot], json=options.json, report=options.report
+    )
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..design import friction_document, friction_file, select_friction, write_friction

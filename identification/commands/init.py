@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> None:
     from ..export import FILL_IN, USES, chain_of_letters, describe, describe_rows, read_chain
 
     out: Path | None = options.out
-    refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
+    refuse_outputs([path for path in (options.robot, options.bus) if path is not None], toml=out)
     if out is not None and out.exists() and not options.overwrite:
         expected = "a new name, or --overwrite"
         raise BadInputError("already exists", place=str(out), expected=expected)

@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Simulate, write the recording, and print a summary."""
-    refuse_outputs([options.robot], options.out, overwrite=options.overwrite)
+    refuse_outputs([options.robot], mcap=options.out, overwrite=options.overwrite)
     with Progress("simulating"):
         from acquisition.robot import load_robot, parse_payload
 

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
         study_truth,
     )
 
-    shared.refuse_outputs([options.robot], options.json, report=options.report)
+    shared.refuse_outputs([options.robot], json=options.json, report=options.report)
     robot = load_robot(options.robot)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)

@@ -47,7 +47,9 @@ def run(options: argparse.Namespace) -> int:
         expected = f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`"
         raise BadInputError("is no fit", place=str(options.fit), expected=expected)
     shared.refuse_outputs(
-        [options.fit, *options.recordings, options.robot], options.json, report=options.report
+        [options.fit, *options.recordings, options.robot],
+        json=options.json,
+        report=options.report,
     )
     with Progress("reading") as progress:
         from .. import methods
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
         if consistent is not None:
             _, of_set = methods.validate_all(recordings, consistent, place)
     of_settings = dict.fromkeys(text for one in validated for text in one.settings.warnings)
-    warnings = (*of_settings, *notes, *stored.warnings_of(place))
+    warnings = (*of_settings, *dict.fromkeys(notes), *stored.warnings_of(place))
     document = methods.validation_document(validated, name, errors, warnings, of_set)
     if options.json:
         write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))

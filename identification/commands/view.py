@@ -78,7 +78,7 @@ def _follow(options: argparse.Namespace) -> None:
 
     if len(options.recordings) > 1:
         raise BadInputError(key="--follow", value=len(options.recordings), expected="one recording")
-    refuse_outputs([*options.recordings, options.fit], options.out)
+    refuse_outputs([*options.recordings, options.fit], rrd=options.out)
     (path,) = options.recordings
     follow_recording(
         path,

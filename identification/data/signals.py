@@ -183,9 +183,19 @@ def signals_from_arrays(
     for name in columns:
         if name not in OPTIONAL:
             raise BadInputError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
-    if not 0 < sample_rate_hz < math.inf:
+    rate, doubt = np.asarray(sample_rate_hz), ""
+    if rate.size > 1 and rate.dtype.kind in "iufM":  # datetimes too
+        unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
+        step = float(np.median(np.diff(rate.ravel()) / unit))
+        doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
+    if rate.ndim or rate.dtype.kind not in "iuf" or not 0 < sample_rate_hz < math.inf:
         raise BadInputError(
-            place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0"
+            doubt,
+            place=NAME,
+            key="sample_rate_hz",
+            value=sample_rate_hz,
+            shown=f"{rate.size} values" if rate.size > 1 else "",
+            expected="the rate in Hz, a number above 0",
         )
     if sample_rate_hz < 1:
         problem = f"a period? the rate is {1 / sample_rate_hz:g} Hz"

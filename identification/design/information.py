@@ -19,7 +19,7 @@ from .. import model as dynamics
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import BadInputError
-from ..methods import stored_beta
+from ..methods import stored_beta, terms_without_fit
 from ..regression import Overrides, decimation_rule, make_problem, rows_of_recording
 from ..report import read_fit
 from .limits import Motion
@@ -98,7 +98,7 @@ def prior_information(
         beta=stored_beta(stored, base, str(fit)),
         beta_from=fit.name,
         noise_share=share,
-        warnings=tuple(stored.warnings_of(str(fit))),
+        warnings=(*terms_without_fit(stored, base, str(fit)), *stored.warnings_of(str(fit))),
     )
 
 

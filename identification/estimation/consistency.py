@@ -54,6 +54,20 @@ class PhysicalParameters:
     start: Array
     matrices: tuple[Array, ...] = ()
 
+    def within(self, K: Array) -> tuple[NDArray[np.intp], "PhysicalParameters"]:
+        """Columns (k,) of chi that K (b, p) or a link has, and the conditions on these: further
+        friction terms, which a fit has left out, are zero.
+        """
+        kept = np.union1d(np.flatnonzero(K.any(axis=0)), self.links)
+        # `take` keeps the order in memory, and so the last digits where all are kept.
+        return kept, PhysicalParameters(
+            links=np.searchsorted(kept, self.links),
+            prior=self.prior,
+            combinations=self.combinations.take(kept, axis=1),
+            start=self.start[kept],
+            matrices=tuple(matrix.take(kept, axis=2) for matrix in self.matrices),
+        )
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Consistent:
@@ -91,7 +105,8 @@ def consistent_parameters(
     combinations over it. Raises `NoFitError` where the optimum is not reached, as with an
     estimate that is not finite.
     """
-    root = _inverse_root(beta, covariance)
+    root, (kept, physical) = _inverse_root(beta, covariance), physical.within(K)
+    K, p = K.take(kept, axis=1), K.shape[1]
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
     chi, decrement, steps = _minimum(objective, physical.start)
     if not decrement <= MAX_DECREMENT:
@@ -112,7 +127,7 @@ def consistent_parameters(
     moved = K @ chi - beta
     sigma = np.sqrt(np.diag(covariance))
     return Consistent(
-        chi=chi,
+        chi=np.asarray(np.bincount(kept, chi, minlength=p), dtype=float),
         beta=K @ chi,
         chi_squared=float(np.sum((objective.root @ moved) ** 2)),
         deviations=np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0),
@@ -137,16 +152,18 @@ def parameter_certainty(
     relative variance is that over the prior's alone, from 0 to 1; 0 where there is no prior, as
     for offsets and friction.
     """
-    b, p = K.shape
+    whole, (kept, physical) = np.zeros((2, K.shape[1])), physical.within(K)
+    b, p = (K := K.take(kept, axis=1)).shape
     links = replace(physical, combinations=np.zeros((0, p)), matrices=())
     root = _inverse_root(found.beta, covariance)
-    J = _Objective(found.beta, root, K, links, gamma, 0.0).derivatives(found.chi)[1]
+    J = _Objective(found.beta, root, K, links, gamma, 0.0).derivatives(found.chi[kept])[1]
     both, expected = np.concatenate([np.eye(p), K]), J[b:].any(axis=0)
     variance, alone = _variances(J, both), _variances(J[b:, expected], both[:, expected])
     free = both[:, ~expected].any(axis=1)
     share = np.where(free, 0.0, np.minimum(variance / np.where(free, 1.0, alone), 1.0))
     sigma = np.sqrt(variance + np.r_[np.zeros(p), found.deviations**2 * np.diag(covariance)])
-    return (sigma[:p], share[:p]), (sigma[p:], share[p:])
+    whole[:, kept] = sigma[:p], share[:p]
+    return (whole[0], whole[1]), (sigma[p:], share[p:])
 
 
 def _variances(J: Array, rows: Array) -> Array:

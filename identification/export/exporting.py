@@ -15,10 +15,10 @@ import numpy as np
 from acquisition.errors import one_line
 from acquisition.files import atomic_write, format_numbers
 
-from ..errors import BadInputError
 from ..report import Cell, Document, Number, Section, Table, columns
 from .exported_model import STATES, ExportedModel, Losses, representable
 from .formats import mjcf_text, servo_loop, urdf_text
+from .tables import checked_toml
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # the default of URDF readers: a URDF has no gravity
 SOFT_FRICTION = (
@@ -169,16 +169,10 @@ def replace_parameters(
         before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
     table = ["", f"# {remark}", "[parameters]", *map(" = ".join, written.items())]
     made = "\n".join([*before, *table, *after]) + "\n"
-    try:
-        same = tomllib.loads(made) == now
-    except tomllib.TOMLDecodeError:
-        same = False
-    if not same:
-        problem, expected = (
-            "cannot be replaced line by line",
-            "one line per value under a line [parameters]",
-        )
-        raise BadInputError(
-            problem, place="the fit's robot.toml", key="[parameters]", expected=expected
-        )
-    return made
+    return checked_toml(
+        made,
+        now,
+        "the fit's robot.toml",
+        "[parameters]",
+        "one line per value under a line [parameters]",
+    )

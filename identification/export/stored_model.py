@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 from msgspec import UNSET
 
+from acquisition.files import refuse_clash
+
 from ..arrays import Array
 from ..errors import BadInputError
 from ..methods import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
-from ..model import InverseModel, base_parameters
+from ..model import SHAPES, InverseModel, base_parameters
 from ..regression import base_name
 from ..report import Document, FitFile, Section
 from .exported_model import ExportedModel, split_parameters
@@ -26,6 +28,7 @@ def export_fit(
     Raises `BadInputError`: the fit is not to be used and not allowed as
         `untrusted`; as of `model_of_fit`.
     """
+    refuse_clash((), of_kinds=outputs)
     reasons = distrust(stored, place)
     if reasons and not untrusted:
         expected = "a fit to be trusted, or --allow-untrusted"
@@ -75,7 +78,11 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
 
 
 def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, str]:
-    base = base_parameters(model)
+    left_out = {p.name: p.sigma for p in stored.left_out or ()}
+    given, base = {base_name(p.name) for p in stored.parameters}, base_parameters(model)
+    # Further friction terms may be left out altogether, which is not to estimate them as zero.
+    shapes = [c for c in base.columns if getattr(model.sources[c], "kind", "") in SHAPES]
+    base = base.without({model.names[c] for c in shapes} - given - left_out.keys())
     beta = stored_beta(stored, base, place)
     if stored.covariance is UNSET:
         problem = "the fit is not consistent, and cannot be made so without it"
@@ -83,7 +90,6 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         raise BadInputError(problem, place=place, key="covariance", value=None, expected=expected)
     names, values = stored.covariance.names, np.array(stored.covariance.values)
     shared = [base_name(name) for name in names]
-    left_out = {p.name: p.sigma for p in stored.left_out or ()}
     missing = [name for name in base.names if name not in shared and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
         value = ", ".join(missing[:5]) or None

@@ -40,14 +40,20 @@ def replace_in_tables(
             if not found:  # after the first key
                 table = re.sub(r"^\n[^\n]*", rf"\g<0>\n{key} = {shown}", table)
         made += header + table
+    made = made if written == values.keys() else ""
+    key = f"[[{kind}]]"
+    return checked_toml(made, now, place, key, f"a line {key} of each, then a line per key")
+
+
+def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, expected: str) -> str:
+    """An edited description, `made`, which must hold the values `now`; `key` is what was edited.
+
+    Raises `BadInputError` where its lines are not as `expected`.
+    """
     with suppress(tomllib.TOMLDecodeError):
-        if written == values.keys() and tomllib.loads(made) == now:
+        if tomllib.loads(made) == now:
             return made
-    problem, expected = (
-        "cannot be replaced line by line",
-        f"a line [[{kind}]] of each, then a line per key",
-    )
-    raise BadInputError(problem, place=place, key=f"[[{kind}]]", expected=expected)
+    raise BadInputError("cannot be replaced line by line", place=place, key=key, expected=expected)
 
 
 def with_gains(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
@@ -85,18 +91,20 @@ def with_law(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
     none, and a line on it.
     """
     text = stored.description.get("robot.toml", "")
-    described = tomllib.loads(text).get("controller", {})
+    described = (whole := tomllib.loads(text)).get("controller", {})
     if not text or stored.law is UNSET or stored.law.controller is None or "structure" in described:
         return stored, ()
     keys = {key: value for key, value in stored.law.controller.items() if key not in described}
     lines = "".join(f"\n{key} = {json.dumps(value)}" for key, value in keys.items())
-    header = r"(?m)^[ \t]*\[[ \t]*controller[ \t]*\].*$"
-    text = re.sub(header, rf"\g<0>{lines}", text) if described else f"{text}\n[controller]{lines}\n"
-    if tomllib.loads(text)["controller"] != described | keys:
-        problem, expected = "cannot be completed", "a line [controller], then a line per key"
-        raise BadInputError(
-            problem, place=f"the robot.toml in {place}", key="[controller]", expected=expected
-        )
+    header = r"(?m)^[ \t]*\[[ \t]*controller[ \t]*\].*$"  # also above nothing but remarks
+    made, found = re.subn(header, rf"\g<0>{lines}", text, count=1)
+    text = checked_toml(
+        made if found else f"{text}\n[controller]{lines}\n",
+        whole | {"controller": described | keys},
+        f"the robot.toml in {place}",
+        "[controller]",
+        "a line [controller], then a line per key",
+    )
     law = msgspec.structs.replace(stored, description={**stored.description, "robot.toml": text})
     return law, (f"control law of the recording: {stored.law.structure}",)
 

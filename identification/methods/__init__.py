@@ -36,6 +36,7 @@ from .parameters import (
     stored_robot,
     stored_settings,
     stored_torque,
+    terms_without_fit,
     true_parameters,
     validate_all,
     with_stored_gains,

@@ -11,7 +11,7 @@ import numpy as np
 from acquisition.robot import Robot, load_robot
 
 from ..arrays import Array
-from ..errors import BadInputError, NoFitError
+from ..errors import BadInputError
 from ..estimation import consistent_parameters, one_thread, parameter_certainty, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import recorded_power, torque_of_recording
@@ -48,9 +48,9 @@ def read_prior(path: Path, robot: Robot) -> Robot:
     if path.suffix.lower() == ".toml":
         return replace(load_robot(path), name=path.name)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise NoFitError(f"cannot be read: {error}", place=str(path)) from error
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
     return urdf_prior(robot, text, path.name)
 
 

@@ -345,7 +345,7 @@ def solve_least_squares(
     )
     estimate = full
     if essential:
-        estimate = equations.combined(rows.system, reduction.estimate)
+        estimate = equations.combined(rows.system.with_columns(reduction.kept), reduction.estimate)
         predicted = equations.predicted(estimate)
     return LeastSquares(
         estimate=estimate,

@@ -205,6 +205,15 @@ def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
     ]
 
 
+def terms_without_fit(stored: FitFile, base: BaseParameters, place: str) -> list[str]:
+    """A line on the parameters of `base` that a fit, `place`, neither has nor left out as not
+    essential, so that they count as zero.
+    """
+    known = {base_name(p.name) for p in (*stored.parameters, *(stored.left_out or ()))}
+    more = ", ".join(name for name in base.names if name not in known)
+    return [f"{place} has no {more} of the description: zero, as in the fit"] if more else []
+
+
 def consistent_fit(stored: FitFile, place: str) -> FitFile:
     """The same with the values of its consistent set; a file, `place`, without one is refused."""
     if not (given := {p.name: p.value for p in stored.standard_parameters or ()}):
@@ -269,9 +278,9 @@ def signals_as_fitted(
     gained = with_stored_gains(stored, signals.robot)
     effort = gained.joint_effort(signals.robot.motor_effort(signals.effort))
     signals = replace(signals, robot=gained, effort=effort)
-    other = other_meaning(stored, base_parameters(InverseModel(signals.robot)))
+    other = other_meaning(stored, base := base_parameters(InverseModel(signals.robot)))
     if not other:
-        return signals, []
+        return signals, terms_without_fit(stored, base, place)
     names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
     if chosen or not stored.description:
         text = f"perhaps not the same quantities as those of robot {signals.robot.name} here"

@@ -7,9 +7,11 @@ Fcp for dq > 0 and Fvn, Fcn for dq < 0. The terms of motors and friction are in 
 columns of load friction depend on parameters and are zero here.
 """
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +28,15 @@ LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of XX XY XZ YY YZ ZZ
 # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
 FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)
+# Elements of a URDF that its model is built from, and its numbers: path, attributes, how many.
+_NEEDED = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis")}
+_NUMBERS = (
+    ("axis", ("xyz",), 3),
+    *((path, ("xyz", "rpy"), 3) for path in ("origin", "inertial/origin", "collision/origin")),
+    ("inertial/mass", ("value",), 1),
+    ("inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+)
+_FINITE = r"\s+[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*"
 _BLOCK = 2048  # samples: the twists of six joints then fit in the cache
 
 
@@ -329,16 +340,17 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     wanted = [joint.name for joint in robot.joints]
     try:
         root = ET.fromstring(robot.urdf or "")
-        found = [
-            str(joint.get("name"))
-            for joint in root.findall("joint")
-            if joint.get("type") != "fixed"
-        ]
+        joints = root.findall("joint")
+        found = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
         for name in wanted:
             if name not in found:
                 expected = f"one of {listed(found)}"
                 raise BadInputError(place=place, key="movable joint", value=name, expected=expected)
-        for joint in root.findall("joint"):
+        _refuse_malformed_numbers(root, place)
+        for element in root:  # what the model does not need, such as pictures, cannot fail then
+            element[:] = [part for part in element if part.tag in _NEEDED.get(element.tag, ())]
+        root[:] = [element for element in root if element.tag in _NEEDED]
+        for joint in joints:
             if joint.get("name") in wanted:
                 _make_buildable(joint, place)
             else:
@@ -346,35 +358,41 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
         raise BadInputError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
-    order = list(model.names)[1:]
-    if order != wanted:
-        shown = ", ".join(wanted)
-        key = "order of joints"
+    if (order := list(model.names)[1:]) != wanted:
+        shown, expected = ", ".join(wanted), ", ".join(order)
         raise BadInputError(
-            place=place, key=key, value=wanted, shown=shown, expected=", ".join(order)
+            place=place, key="order of joints", value=wanted, shown=shown, expected=expected
         )
     for described, built in zip(robot.joints, list(model.joints)[1:], strict=True):
-        prismatic = built.shortname().startswith("JointModelP")
-        if prismatic != (described.type == "prismatic") or built.nq != 1:
-            where = f"{place}: joint {described.name!r}"
-            raise BadInputError(
-                place=where, key="type", value=built.shortname(), expected=described.type
-            )
+        kind, at = built.shortname(), f"{place}: joint {described.name!r}"
+        if kind.startswith("JointModelP") != (described.type == "prismatic") or built.nq != 1:
+            raise BadInputError(place=at, key="type", value=kind, expected=described.type)
     return model
+
+
+def _refuse_malformed_numbers(root: ET.Element, place: str) -> None:
+    """Refuse numbers at which the parser prints lines and leaves out, say, the whole inertial."""
+    for owner, (path, keys, count) in product(root, _NUMBERS):
+        needed = count == 1 and owner.find("inertial") is not None
+        for part, key in product(owner.findall(path) or [ET.Element(path)] * needed, keys):
+            if not re.fullmatch(_FINITE * count, " " + part.get(key, "" if needed else "0 0 0")):
+                raise BadInputError(
+                    place=f"{place}: {owner.tag} {owner.get('name')!r}",
+                    key=f"{path.replace('/', ' ')} {key}",
+                    value=part.get(key),
+                    expected="a finite number" if needed else "three finite numbers",
+                )
 
 
 def _make_buildable(joint: ET.Element, place: str) -> None:
     """Change a joint so that pinocchio builds it: with an axis and very wide limits."""
-    # exporters write 0 0 0 for it
     axis = joint.find("axis") if joint.get("type") != "floating" else None
-    if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
-        where = f"{place}: joint {joint.get('name')!r}"
-        raise BadInputError(place=where, key="axis", value="0 0 0", expected="a direction")
+    if axis is not None and not any(float(x) for x in axis.get("xyz", "1").split()):
+        place = f"{place}: joint {joint.get('name')!r}"  # exporters write it for a floating one
+        raise BadInputError(place=place, key="axis", value="0 0 0", expected="a direction")
     if joint.get("type") == "continuous":  # pinocchio uses two coordinates for it
         joint.set("type", "revolute")
     if joint.get("type") in ("revolute", "prismatic"):  # pinocchio needs limits
-        for limit in joint.findall("limit"):
-            joint.remove(limit)
         ET.SubElement(
             joint, "limit", {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"}
         )

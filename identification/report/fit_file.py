@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, UnsetType
 
+from acquisition.files import NAMES, kind_of
+
 from ..errors import BadInputError
 from .document import FORMAT, ResultFile
 from .parameters import (
@@ -299,8 +301,15 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
     except OSError as error:
         raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
     except msgspec.MsgspecError as error:
-        expected = "a fit as `robot-identify fit --json` writes it"
-        raise BadInputError(f"not a fit: {error}", place=str(path), expected=expected) from error
+        other = kind_of(Path(path)).replace("json", "")
+        text = (
+            f"is {NAMES[other]}"
+            if other
+            else f"not a fit: {error}".replace("JSON is malformed", "no JSON")
+        )
+        log = path if other == "mcap" else "LOG.mcap"
+        expected = f"a fit as `robot-identify fit {log} --json FIT.json` writes it"
+        raise BadInputError(text, place=str(path), expected=expected) from error
     if stored.format != FORMAT:
         expected = f"{FORMAT}, read by this version"
         raise BadInputError(place=str(path), key="format", value=stored.format, expected=expected)

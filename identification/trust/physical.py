@@ -19,7 +19,7 @@ from .. import estimation
 from ..arrays import Array
 from ..errors import NoFitError
 from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
-from ..regression import base_name, friction_states, recorded_power, row_states
+from ..regression import base_name, base_places, friction_states, recorded_power, row_states
 from ..report import Level
 from .fit_data import FitData, covariance_of_all, measured_motion
 from .lines import LEVELS, TrustLine
@@ -42,10 +42,10 @@ def physical_test(evidence: FitData) -> TrustLine:
     found, lowest = _findings(evidence, evidence.estimate.part(base), evidence.intervals.part(base))
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
-        weighted = estimation.weighted_least_squares(evidence.observed.system)
-        severe, _ = _findings(
-            evidence, weighted, estimation.intervals_of(evidence.observed.system, weighted)
-        )
+        system, base = evidence.observed.system, base_places(evidence.observed.system.names)
+        weighted = estimation.weighted_least_squares(system)
+        within = estimation.intervals_of(system, weighted).part(base)
+        severe, _ = _findings(evidence, weighted.part(base), within)
         found += [
             (level, f"by weighted least squares {text}")
             for level, text in severe

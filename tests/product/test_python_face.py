@@ -106,6 +106,9 @@ def test_arrays_are_copied_and_tell_recordings_apart(signals):
     np.testing.assert_allclose(one.t_s, np.arange(len(q)) / 1000.0)
 
 
+RATE = "the rate in Hz, a number above 0"
+
+
 @pytest.mark.parametrize(
     ("change", "place", "key", "value", "expected"),
     [
@@ -119,7 +122,11 @@ def test_arrays_are_copied_and_tell_recordings_apart(signals):
             [np.inf, np.inf],
             "finite numbers",
         ),
-        ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
+        ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, RATE),
+        ({"sample_rate_hz": "100"}, "arrays", "sample_rate_hz", "100", RATE),
+        ({"sample_rate_hz": [100.0]}, "arrays", "sample_rate_hz", [100.0], RATE),
+        ({"sample_rate_hz": None}, "arrays", "sample_rate_hz", None, RATE),
+        ({"sample_rate_hz": float("nan")}, "arrays", "sample_rate_hz", ANY, RATE),
         ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
         ({"velocity": np.zeros((49, 2))}, "arrays", "velocity.shape", (49, 2), "(50, 2), as q has"),
         (
@@ -153,6 +160,38 @@ def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
         identification.fit(**{**given, **change})
     error = caught.value
     assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
+
+
+STAMPS = 0.25 + np.arange(50) / 125.0
+
+
+@pytest.mark.parametrize(
+    ("stamps", "doubt"),
+    [
+        (STAMPS, "125 Hz"),
+        (STAMPS.tolist(), "125 Hz"),
+        (STAMPS[:, None], "125 Hz"),
+        (STAMPS + 2.0 * (np.arange(50) > 30), "125 Hz"),  # with a gap
+        ((8e6 * np.arange(50)).astype("datetime64[ns]"), "125 Hz"),
+        (np.zeros(50), ""),
+        (STAMPS[::-1], ""),
+        ([STAMPS, STAMPS], "125 Hz"),  # of two recordings
+    ],
+)
+def test_time_stamps_in_place_of_their_rate_are_told_with_it(stamps, doubt):
+    q: object = np.zeros((50, 2))
+    if len(stamps) == 2:
+        q = [q, q]
+    with pytest.raises(identification.BadInputError) as caught:
+        identification.fit(q, q, stamps, SCARA)
+    text = f"time stamps? their rate is {doubt} if they are in s: " if doubt else ""
+    assert str(caught.value) == f"arrays: sample_rate_hz = 50 values: {text}expected {RATE}"
+
+
+def test_positions_that_are_missing_are_told():
+    with pytest.raises(identification.BadInputError) as caught:
+        identification.fit(None, np.zeros((50, 2)), 125.0, SCARA)
+    assert (caught.value.key, caught.value.value) == ("q.shape", ())
 
 
 def test_a_velocity_is_compared_with_the_derivative(signals):

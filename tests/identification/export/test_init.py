@@ -192,9 +192,13 @@ def test_what_is_there_is_not_replaced_and_the_urdf_is_found_from_the_output(her
     assert said == "bus.toml: drives = 2: expected 3 [[bus.drive]], one for each joint of the URDF"
     assert not (here / "robot.toml").exists()
     (here / "robot.toml").write_text("mine")
+    said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml", "--overwrite")
+    assert said.startswith("robot.toml: already exists and is a file of another kind, not a robot")
+    mine = '[[joint]]\nname = "mine"\n'
+    (here / "robot.toml").write_text(mine)
     said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
     assert said == "robot.toml: already exists: expected a new name, or --overwrite"
-    assert (here / "robot.toml").read_text() == "mine"
+    assert (here / "robot.toml").read_text() == mine
     for out in (["--bus", "bus.toml", "-o", "bus.toml"], ["-o", "arm.urdf"]):
         assert "is an input too" in refused(capsys, "init", "arm.urdf", *out)
     (here / "cell").mkdir()

@@ -15,11 +15,17 @@ from planned_pairs import planned, planned_pair
 import identification.methods.idim as idim
 from acquisition.robot import Payload, load_robot
 from identification.commands import main
-from identification.data import Recordings
+from identification.data import Recordings, load_signals
 from identification.errors import BadInputError
 from identification.methods import identify, identify_ls
 from identification.methods.equations import equations_of, read_equations
-from identification.model import InverseModel, described_parameters, payload_parameters
+from identification.model import (
+    LINK,
+    InverseModel,
+    base_parameters,
+    described_parameters,
+    payload_parameters,
+)
 from identification.model.physical import link_columns
 from identification.regression import Overrides, predicted_torque, rows_of_recording
 from identification.simulation import Simulation
@@ -128,6 +134,26 @@ def run_fit(folder, names, *options):
 
 
 STATED = "2@0.05,0.02,0"
+
+
+@pytest.mark.parametrize("names", ["free_true loaded_true", "loaded_true"])
+@pytest.mark.parametrize(
+    "options",
+    ["--essential", "--essential --method ols", "--method ols", "--essential --consistent"],
+)
+def test_the_essential_parameters_of_loaded_recordings_are_true(folder, tmp_path, names, options):
+    """With a payload that is stated; alone, its inertia, which is not, is the arm's."""
+    out = tmp_path / "fit.json"
+    assert run_fit(folder, names, *options.split(), "--json", str(out)) == 0
+    found = {p["name"]: p for p in json.loads(out.read_text())["parameters"]}
+    signals = load_signals(folder / "loaded_true.mcap")
+    base = base_parameters(model := InverseModel(signals.robot))
+    unknown = payload_parameters(model, signals.payload)[: LINK.index("MX")] * (" " not in names)
+    carried = base.K[:, link_columns(model)[-1][: len(unknown)]] @ unknown
+    true = dict(zip(base.names, described_parameters(model, base) + carried, strict=True))
+    assert 3 <= len(found) <= len(true)
+    for name, p in found.items():
+        assert abs(p["value"] - true[name]) < 1.5 * (p["high"] - p["low"])
 
 
 @pytest.mark.parametrize(
