@@ -4,6 +4,7 @@ decodes; exports recordings.
 
 from .bags import BagOptions, import_bag, is_bag
 from .conversions import import_log, import_recording, is_log
+from .held import grid_of_new_rows
 from .proposed_map import TORQUE_SENSORS, propose_map
 from .tables import export_csv, import_tables, lines_to_fill_in
 from .time_base import ImportSummary

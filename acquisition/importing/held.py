@@ -39,8 +39,10 @@ def grid_of_new_rows(
     fast = np.flatnonzero(travel > np.median(travel)) + AHEAD
     new = np.asarray(steps.any(axis=1))
     share = float(new[fast].mean()) if len(fast) else 1.0
+    if share > MAX_NEW:
+        return None
     quanta = steps[fast[new[fast]]] / smallest_difference(q)
-    if share > MAX_NEW or not np.median(quanta.max(axis=1)) >= MIN_QUANTA:
+    if not np.median(quanta.max(axis=1)) >= MIN_QUANTA:
         return None
     rows = np.flatnonzero(np.r_[True, new])
     since = time_s[rows] - time_s[0]

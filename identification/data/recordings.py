@@ -27,7 +27,7 @@ from acquisition.robot import (
 
 from ..arrays import Array
 from ..errors import BadInputError
-from .signals import SignalEvent, Signals
+from .signals import OF_FILES, SignalEvent, Signals
 from .work import Work
 
 ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
@@ -110,7 +110,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
         for event in recording.events
     )
-    return Signals(
+    signals = Signals(
         t_s=grid * 1e-9,
         q=columns.pop("position"),
         q_ref=columns.pop("reference", None),
@@ -134,6 +134,8 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         motion_hz=None,
         **columns,
     )
+    OF_FILES[id(signals.q)] = signals
+    return signals
 
 
 def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:

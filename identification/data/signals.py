@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from typing import Any, TypedDict, Unpack
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.errors import Place
 from acquisition.files import allocate, release_pages
 from acquisition.recording import OPTIONAL, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
@@ -19,6 +21,7 @@ from ..arrays import Array
 from ..errors import BadInputError
 
 NAME = "arrays"  # in place of a recording's name
+MAX_OFF_RATE = 0.05  # from the rate of the recording that arrays are of; less is a correction
 COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row for each sample
 
 
@@ -159,6 +162,10 @@ class Signals:
         )
 
 
+# Recordings by their positions, which another rate would move faster or slower.
+OF_FILES = WeakValueDictionary[int, Signals]()
+
+
 class OptionalColumns(TypedDict, total=False):
     """Optional arrays (N, n), by their names in a recording."""
 
@@ -178,11 +185,15 @@ def signals_from_arrays(
     """Signals from arrays (N, n), which are copied; arguments and errors as
     of `identification.fit`.
 
-    `events` has a warning if a velocity differs by over 10 % from the derivative of q.
+    Of a log that is faster than its robot only the new rows are taken, with a warning in `events`;
+    another is there if a velocity differs by over 10 % from the derivative of q.
     """
+    from acquisition.importing import grid_of_new_rows
+
     for name in columns:
         if name not in OPTIONAL:
             raise BadInputError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
+    of_file = OF_FILES.get(id(q))
     rate, doubt = np.asarray(sample_rate_hz), ""
     if rate.size > 1 and rate.dtype.kind in "iufM":  # datetimes too
         unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
@@ -201,6 +212,11 @@ def signals_from_arrays(
         problem = f"a period? the rate is {1 / sample_rate_hz:g} Hz"
         raise BadInputError(
             problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more"
+        )
+    if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
+        problem, expected = f"q is of {of_file.recording}", f"its {of_file.sample_rate_hz:.9g} Hz"
+        raise BadInputError(
+            problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected=expected
         )
     arrays: dict[str, Any] = {
         "q": _copy("q", q, robot.n),
@@ -221,6 +237,11 @@ def signals_from_arrays(
         sha256=digest.hexdigest(),
         **arrays,
     )
+    held = grid_of_new_rows(signals.t_s, {**arrays, "position": signals.q}, None, Place(NAME))
+    if held is not None:
+        fewer: dict[str, Any] = {name: held.parts[name] for name in arrays}
+        t_s = np.arange(len(fewer["q"])) / held.rate_hz
+        signals = replace(signals, t_s=t_s, sample_rate_hz=held.rate_hz, **fewer)
     rows = {"stamp_ns": 1e9 * signals.t_s, "position": signals.q, "effort": signals.effort}
     measured, text = measured_rows(rows, robot)
     doubts = (
@@ -233,7 +254,8 @@ def signals_from_arrays(
         measured=measured if text else None,
         unmeasured=text,
         events=tuple(
-            SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=doubt) for doubt in doubts
+            SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=doubt)
+            for doubt in (*(held.warnings if held is not None else ()), *doubts)
         ),
     )
 

@@ -10,7 +10,9 @@ from pinocchio_arm import arm_of
 from urdfs import six_joints
 
 import identification
+from acquisition.errors import BadInputError
 from acquisition.recording import Header, RecordingWriter, sample_dtype
+from acquisition.robot import Controller
 from identification.data import Recordings, load_signals, signals_from_arrays
 from identification.methods import Iteration, identify, identify_iv, identify_ls, validate_all
 from identification.options import Overrides
@@ -184,3 +186,25 @@ def test_weights_are_zero_wherever_a_sample_was_not_measured(robot, measured):
         w = sample_weights(problem).between(0, N)
         assert not w[:, GAPS].any()
         assert (w[:, 3200:4700] > 0).any()
+
+
+@pytest.mark.parametrize("stands", [2, 3, 5])
+def test_arrays_of_a_log_faster_than_its_robot_are_thinned(arm, robot, measured, stands):
+    """Without a stated bandwidth, too, which is then found from the rows that are new."""
+    unstated = replace(robot, controller=Controller())
+    held = [x[ROW // stands * stands] for x in measured]
+    signals = signals_from_arrays(*held, RATE_HZ, unstated)
+    assert signals.sample_rate_hz == pytest.approx(RATE_HZ / stands)
+    assert worst_percent(arm, identify_ls(signals, Overrides())) < 0.2
+    (told,) = signals.events
+    assert f"each row stands {stands} times" in told.text
+
+
+def test_positions_of_a_recording_are_refused_at_another_rate(robot, measured, tmp_path):
+    """A correction of a clock, or a copy, is not."""
+    log = load_signals(recording_with_gaps(tmp_path / "a.mcap", robot, measured, ROW < 2000))
+    refused = r"sample_rate_hz = 1000: q is of a\.mcap: expected its 500 Hz"
+    with pytest.raises(BadInputError, match=refused):
+        signals_from_arrays(log.q, log.effort, 1000, robot)
+    for q, rate_hz in ((log.q, 499.0), (log.q.copy(), 1000)):
+        assert signals_from_arrays(q, log.effort, rate_hz, robot).sample_rate_hz == rate_hz
