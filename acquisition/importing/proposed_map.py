@@ -306,7 +306,8 @@ def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str) 
     if maker:
         line = f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"
     elif not columns or "m" in types or '"joint"' not in _side(columns, robot, maker):
-        line = f'unit = "{FILL_IN}" # rad, deg, m, ...'
+        each = f"; one for each: {json.dumps(types)}" if len(set(types)) > 1 else ""
+        line = f'unit = "{FILL_IN}" # rad, deg, m, ...{each}'
     elif 2 * np.pi < largest <= MAX_TURN_DEG:
         line = f'unit = "deg" # values to {largest:.4g} are beyond 2 pi'
     else:
