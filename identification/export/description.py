@@ -23,7 +23,7 @@ _EFFORT_SHARE, _RISE_S = 0.02, 0.2
 # of the example's drives: per turn or m; rated over maximum effort
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5
 # of the example's SYNC: seven drives fill a bus at 2 ms, and the period is in steps of 0.5 ms
-_SYNC_PER_DRIVE_MS, _SHORTEST_SYNC_MS = 0.55 / 2, 2.0
+_SYNC_PER_DRIVE_MS, _SHORTEST_SYNC_MS = 0.275, 2.0
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
 
 
