@@ -288,6 +288,7 @@ def _stated(columns: Sequence[_Column], otherwise: str) -> str:
 def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, turn: float) -> str:
     types = [joint.position_unit for joint in robot.joints] if robot else ["rad"]
     largest = float(np.abs(_values(columns)).max(initial=0.0))
+    each = f"; one for each: {json.dumps(types)}" if len(set(types)) > 1 else ""
     at_joint = columns and "m" not in types and '"joint"' in _side(columns, robot, maker)
     line = _first(
         (maker, f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"),
@@ -295,7 +296,7 @@ def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, 
             turn and "m" not in types,
             f'unit = "{"deg" if turn == 360 else "rad"}" # angles jump by {turn:.4g}',
         ),
-        (not at_joint, f'unit = "{FILL_IN}" # rad, deg, m, ...'),
+        (not at_joint, f'unit = "{FILL_IN}" # rad, deg, m, ...{each}'),
         (
             2 * np.pi < largest <= MAX_TURN_DEG,
             f'unit = "deg" # values to {largest:.4g} are beyond 2 pi',

@@ -182,13 +182,15 @@ class Source:
         return units, np.asarray(values * factors)
 
     def _check_kinds(self, key: str, units: Sequence[str], side: Side) -> None:
+        kinds = [joint.position_unit for joint in self.robot.joints]
+        each = f", one unit for each joint, as {kinds}" if len(set(kinds)) > 1 else ""
         for i, (joint, unit) in enumerate(zip(self.robot.joints, units, strict=True)):
             # A motor that turns may drive any joint; a motor that slides drives
             # a joint that slides.
             if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
                 self.place.refuse(
                     f"{key}.unit",
-                    expected="an angle" if joint.type == "revolute" else "a length",
+                    expected=f"{'an angle' if joint.type == 'revolute' else 'a length'}{each}",
                     text=f"in {unit} for joint {i + 1} ({joint.name})",
                 )
 

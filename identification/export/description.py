@@ -26,6 +26,8 @@ _EFFORT_SHARE, _RISE_S = 0.02, 0.2
 # of the example's drives: per turn or m; rated over maximum effort
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5
 _OF_GAINS = "A", "V", "%"  # efforts that a drive gain makes N m or N
+# of the example's SYNC: seven drives fill a bus at 2 ms, and the period is in steps of 0.5 ms
+_SYNC_PER_DRIVE_MS, _SHORTEST_SYNC_MS = 0.275, 2.0
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
 
 
@@ -275,11 +277,12 @@ def _example_terms(joint: UrdfJoint, number: int) -> Iterator[str]:
 
 def _drives(chain: Chain) -> Iterator[str]:
     """The example drives, without the marks of its lines."""
+    period_ms = max(_SHORTEST_SYNC_MS, math.ceil(2 * _SYNC_PER_DRIVE_MS * len(chain.joints)) / 2)
     yield from (
         "[bus]",
         'interface = "virtual" # or "socketcan"',
         'channel = "made_up"',
-        "sync_period_s = 0.002",
+        f"sync_period_s = {_number(period_ms / 1000)}",
     )
     for j, joint in enumerate(chain.joints):
         yield from (

@@ -129,7 +129,8 @@ class Unknowns:
                 phi, _, _ = arm.payload.nearest_body(
                     x[own], None if C is None else C[np.ix_(own, own)]
                 )
-                carried = arm.payload.whole @ phi
+                # the arm has what is not known of a payload of which nothing is estimated
+                carried = arm.payload.whole @ phi if len(own) else arm.known
             found.append((x[at] + carried, None if C is None else C[np.ix_(at, at)], carried))
         return found
 

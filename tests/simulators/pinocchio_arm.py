@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 Array = np.ndarray
+Torque = Callable[[Array, Array, Array], Array]  # (N, n) along q, dq, ddq
 BANDWIDTH_HZ, DAMPING, STEPS = 8.0, 1.4, 3  # of the loops; steps of Runge-Kutta in a period
 NOISE_RAD, NOISE_OF_TORQUE = 1e-5, 0.01
 UNSEEN = 77  # seed of the motion at which errors are counted
@@ -31,6 +32,7 @@ class Arm:
     Fv: Array
     Fc: Array
     Ia: Array
+    mu: Array | float = 0.0  # load friction, share of the torque of the links
 
     def motion(self, seed: int, seconds: float, rate_hz: float) -> tuple[Array, Array, Array]:
         """Position, speed and acceleration (N, n): sines up to 0.8 Hz within the limits."""
@@ -56,8 +58,10 @@ class Arm:
     def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
         """(N, n) of the joints."""
         data = self.model.createData()
-        links = [pin.rnea(self.model, data, *row) for row in zip(q, dq, ddq, strict=True)]
-        return np.array(links) + self.Fv * dq + self.Fc * np.sign(dq) + self.Ia * ddq
+        rows = [pin.rnea(self.model, data, *row) for row in zip(q, dq, ddq, strict=True)]
+        links = np.array(rows)
+        dry = self.Fc + self.mu * np.abs(links)
+        return links + self.Fv * dq + dry * np.sign(dq) + self.Ia * ddq
 
     def measured(self, seed: int, seconds: float, rate_hz: float) -> tuple[Array, Array]:
         """Position and torque (N, n) along a motion, both with noise."""
@@ -77,9 +81,12 @@ class Arm:
         damp, h = DAMPING * stiff / w, 1 / rate_hz / STEPS
 
         def speeds(x: Array, torque: Array) -> Array:
-            q, dq = x
-            free = torque - self.Fv * dq - self.Fc * np.tanh(dq / (0.001 * self.speed))
-            return np.array([dq, pin.aba(model, data, q, dq, free)])
+            (q, dq), load = x, np.zeros(model.nv)
+            for _ in range(4 if np.any(self.mu) else 1):  # the load is that of the acceleration
+                dry = (self.Fc + self.mu * np.abs(load)) * np.tanh(dq / (0.003 * self.speed))
+                a = pin.aba(model, data, q, dq, torque - self.Fv * dq - dry)
+                load = pin.rnea(self.model, data, q, dq, a)
+            return np.array([dq, a])
 
         x, q, torque = np.array([q_ref[0], dq_ref[0]]), np.empty_like(q_ref), np.empty_like(q_ref)
         before = np.zeros(model.nv)
@@ -96,7 +103,7 @@ class Arm:
         noise = NOISE_OF_TORQUE * torque.std(axis=0) * rng.normal(size=torque.shape)
         return q, torque + noise, q_ref
 
-    def errors_percent(self, torque: Callable[[Array, Array, Array], Array]) -> Array:
+    def errors_percent(self, torque: Torque) -> Array:
         """(n,) relative error of a torque along a motion that no recording has."""
         path = self.motion(UNSEEN, 6.0, 100.0)
         true = self.torque(*path)
@@ -131,7 +138,7 @@ def arm_of(urdf: str, joints: Sequence[str]) -> Arm:
     )  # fmt: skip
 
 
-def mujoco_torque(path: str) -> Callable[[Array, Array, Array], Array]:
+def mujoco_torque(path: str) -> Torque:
     """Inverse dynamics (N, n) of a model file by MuJoCo; its dry friction by the formula."""
     model = mujoco.MjModel.from_xml_path(path)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

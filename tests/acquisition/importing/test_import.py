@@ -295,6 +295,19 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
     )
 
 
+def test_one_unit_for_a_joint_that_turns_and_one_that_slides(tmp_path, two, table):
+    """What is expected says how two units are written; as it says, the map is read."""
+    described = ROBOT.replace('"revolute"', '"prismatic"', 1).replace("zero_deg = 90\n", "")
+    robot = robot_from_files({"robot.toml": described.encode()}, "slide and turn")
+    joint_side = MAP.replace('"deg"\nside = "motor"', '"deg"\nside = "joint"')
+    assert refusal(tmp_path, robot, joint_side, table)[3] == (
+        "a length, one unit for each joint, as ['m', 'rad']"
+    )
+    stated = joint_side.replace('"deg"', "['m', 'rad']")
+    samples = read_recording(run(tmp_path, robot, stated, table).out).samples
+    assert samples["position"] == pytest.approx(Q)
+
+
 def test_mat_mistakes(tmp_path, two):
     path, good = tmp_path / "a.mat", {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
     for extra, expected in (

@@ -15,7 +15,13 @@ from command_runs import run
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
 from acquisition.errors import RobotIdimError
-from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
+from acquisition.robot import (
+    check_limits,
+    lines_to_fill_in,
+    load_robot,
+    refuse_load,
+    resolve,
+)
 from acquisition.simulated import driven_plant
 from identification import fit, read_robot
 from identification.export import read_chain, robot_of_chain
@@ -230,6 +236,22 @@ def test_the_example_of_the_drives_is_one(here, capsys):
     assert driven_plant(robot, bus).warning is None
     middle = np.array([np.mean(j.si("position")) for j in robot.joints])
     check_limits(np.tile(middle, (3, 1)), robot, 0.002, "nowhere")
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 11, 15])
+def test_the_frames_of_the_examples_drives_fit_between_two_syncs(tmp_path, capsys, n):
+    """As a session that sends asks for it, which names the shortest period to two digits; 2 ms
+    where that is enough.
+    """
+    parts = [link("l0"), *(link(f"l{k}") for k in range(1, n + 1))]
+    parts += [joint(f"j{k}", "revolute", f"l{k - 1}", f"l{k}", LIMIT) for k in range(1, n + 1)]
+    (tmp_path / "long.urdf").write_text(f'<robot name="long">{"".join(parts)}</robot>')
+    out = tmp_path / "robot.toml"
+    assert run(capsys, "init", tmp_path / "long.urdf", "-o", out)[0] == 0
+    out.write_text(out.read_text().replace("\n#: ", "\n"))
+    bus = resolve(load_robot(out), str(out))
+    refuse_load(bus, "robot.toml")
+    assert bus.file.sync_period_s == 0.002 or bus.load > 0.8
 
 
 def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):

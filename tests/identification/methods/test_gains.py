@@ -27,7 +27,13 @@ from identification.model import (
     payload_parameters,
 )
 from identification.model.physical import link_columns
-from identification.regression import Overrides, predicted_torque, rows_of_recording
+from identification.regression import (
+    Overrides,
+    make_problem,
+    make_unknowns,
+    predicted_torque,
+    rows_of_recording,
+)
 from identification.simulation import Simulation
 from identification.study import write_signals
 
@@ -435,3 +441,20 @@ def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, monkey
             BadInputError, match="too long to identify gains without a simulated robot"
         ):
             fit_with_gains(*signals)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [Payload(2.0, (0.05, 0.02, 0.1)), Payload(2.0), Payload(None), Payload(3.0, (0.0, 0.1, 0.0))],
+    ids=str,
+)
+def test_the_simulated_robot_is_that_of_the_rows_where_nothing_of_a_payload_is_estimated(payload):
+    """Without a recording of the bare arm its parameters include what is not stated, and a ball
+    beside them would count it twice.
+    """
+    signals = replace(planned(replace(WHITE, robot="tx40"), None, 0), payload=payload)
+    unknowns = make_unknowns([make_problem(signals, Overrides())])
+    x = np.random.default_rng(0).normal(size=len(unknowns.names))
+    ((simulated, _, carried),) = unknowns.simulated(x, np.eye(len(x)))
+    np.testing.assert_allclose(simulated, unknowns.beta(x, 0), atol=1e-12)
+    np.testing.assert_allclose(carried, unknowns.beta(0 * x, 0), atol=1e-12)
