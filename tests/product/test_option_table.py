@@ -54,9 +54,9 @@ class Row:
     of: str = "arm"  # whose parameters a trusted fit finds; empty: part of a payload is theirs
 
 
-def row(command: str, shows: str, status: int = 0, *, marks=(), **more):
+def row(command: str, shows: str, status: int = 0, **more):
     made = Row(command=command, shows=shows, status=status, **more)
-    return pytest.param(made, id=command, marks=marks)
+    return pytest.param(made, id=command)
 
 
 # Fits that other rows read, and the commands that write them.
