@@ -145,9 +145,8 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         ImportError,
         NotImplementedError,
     ) as error:
-        problem = str(error) or type(error).__name__
         raise BusFaultError(
-            f"cannot be opened: {problem}",
+            f"cannot be opened: {str(error) or type(error).__name__}",
             place=place,
             expected=(
                 "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"

@@ -107,18 +107,19 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
         bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > MAX_STAMP_NS)
         if bad.any():
             row = int(np.argmax(bad))
-            where = Place(f"{place}: row {first + row + 1}")
-            where.refuse("stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}")
+            Place(f"{place}: row {first + row + 1}").refuse(
+                "stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}"
+            )
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
             finite = np.isfinite(rows[field])
             if not finite.all():
                 row, joint = np.argwhere(~finite)[0]
-                where, value = (
-                    Place(f"{place}: row {first + row + 1}"),
+                Place(f"{place}: row {first + row + 1}").refuse(
+                    f"{field} of joint {joint + 1}",
                     float(rows[field][row, joint]),
+                    "a finite number",
                 )
-                where.refuse(f"{field} of joint {joint + 1}", value, "a finite number")
         first += len(rows)
 
 
@@ -129,9 +130,9 @@ def check_frames(frames: Block, place: str) -> None:
         bad = (rows["length"] > 8) | (rows["time_ns"] < 0)
         if bad.any():
             row = int(np.argmax(bad))
-            problem = f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}"
             Place(f"{place}: row {first + row + 1}").refuse(
-                text=problem, expected="8 bytes at most and a time from 0"
+                text=f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}",
+                expected="8 bytes at most and a time from 0",
             )
         first += len(rows)
 

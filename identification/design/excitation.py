@@ -246,14 +246,13 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
         name = limits.names[most].removeprefix("effort of ")
-        problem = (
+        raise BadInputError(
             f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the "
-            "ranges"
+            "ranges",
+            place=place,
+            expected=f"at most {100 * limits.share:g} % of the effort limit of "
+            f"{effort.limits[worst]:.4g}",
         )
-        expected = (
-            f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}"
-        )
-        raise BadInputError(problem, place=place, expected=expected)
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple[str, ...]:

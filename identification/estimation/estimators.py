@@ -227,8 +227,12 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
     if Z is None:
         condition = float(singular[0] / singular[-1])
     elif not condition < 1 / RANK_TOLERANCE:
-        text, shown = "instruments and regressor have too little in common", f"{condition:.2g}"
-        raise NoFitError(text, key="cond(ZᵀW)", value=condition, shown=shown)
+        raise NoFitError(
+            "instruments and regressor have too little in common",
+            key="cond(ZᵀW)",
+            value=condition,
+            shown=f"{condition:.2g}",
+        )
     return Estimate(
         names=system.names,
         beta=beta,

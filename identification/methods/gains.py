@@ -85,12 +85,12 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
             )
             estimate = equations.combined(rows.system, estimate)
         except NoFitError as error:
-            text = (
+            raise BadInputError(
                 f"drive gains and the arm cannot be separated ({error.args[0]}): the payload "
-                "does not show in the recordings"
-            )
-            expected = "a payload on one recording, and its mass as stated"
-            raise BadInputError(text, key="gains", expected=expected) from error
+                "does not show in the recordings",
+                key="gains",
+                expected="a payload on one recording, and its mass as stated",
+            ) from error
         before, x = x, estimate.values_of(names)
         if (np.abs(x - before)[gains] <= MAX_CHANGE * np.abs(x[gains])).all():
             return equations, x, True
@@ -129,9 +129,11 @@ def refuse_without_scale(equations: Equations, columns: NDArray[np.intp]) -> Non
             )
         raise BadInputError(text, key="payload", expected="KG@X,Y,Z")
     places = ", ".join(problem.signals.recording for problem in equations.problems)
-    text = "no recording differs in payload"
     raise BadInputError(
-        text, place=places, key="gains", expected="one recording without and one with a payload"
+        "no recording differs in payload",
+        place=places,
+        key="gains",
+        expected="one recording without and one with a payload",
     )
 
 

@@ -52,9 +52,10 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """
     partners = _partners(a, b)
     if not partners:
-        expected = "two fits of one robot, or of like robots"
         raise BadInputError(
-            "no parameter in common", place=f"{a.label} and {b.label}", expected=expected
+            "no parameter in common",
+            place=f"{a.label} and {b.label}",
+            expected="two fits of one robot, or of like robots",
         )
     rows = []
     for name, x in a.parameters.items():
@@ -63,8 +64,12 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             continue
         y = b.parameters[partners[name]]
         if x.unit != y.unit:
-            expected = f"{x.unit}, as in {a.label}"
-            raise BadInputError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
+            raise BadInputError(
+                place=b.label,
+                key=f"{name}.unit",
+                value=y.unit,
+                expected=f"{x.unit}, as in {a.label}",
+            )
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
         rows.append(
             Difference(
@@ -218,7 +223,9 @@ def _frames(description: dict[str, str], place: str) -> str | list[object]:
     try:
         return [joint["dh"] for joint in tomllib.loads(description["robot.toml"])["joint"]]
     except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
-        expected = "the robot.toml that was fitted"
         raise BadInputError(
-            place=place, key="description", value=str(error), expected=expected
+            place=place,
+            key="description",
+            value=str(error),
+            expected="the robot.toml that was fitted",
         ) from error

@@ -333,9 +333,11 @@ def described_robot(
     from acquisition.simulated import SUBSTEPS, middle_of_range
 
     if payload is not None and not robot.gain_known:
-        expected = "drive gains of the motors: in A or V a mass has no weight"
         raise BadInputError(
-            place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected
+            place=f"robot {robot.name}",
+            key="payload",
+            value=str(payload),
+            expected="drive gains of the motors: in A or V a mass has no weight",
         )
     inverse = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(inverse)
