@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoAnswerError, RefusedError, SdoAbortedError
-from ..protocol import ANSWER, DISABLED, State, error_words
+from ..protocol import ANSWER, DISABLED, State, error_words, signed
 from ..recording import ERROR
 from ..robot import Bus, Drive, DriveFile, Robot, axis_of, parse_homed
 from .frames import other_node, sign_of_master
@@ -89,10 +89,10 @@ def joint_positions(robot: Robot, master: Master) -> Array:
 
     Raises `RefusedError` where a drive does not answer.
     """
-    counts = []
-    for drive in master.bus.drives:
-        raw = master.read(drive.node, drive.position.index, drive.position.sub)
-        counts.append(raw - (1 << drive.position.bits) if raw >> (drive.position.bits - 1) else raw)
+    counts = [
+        signed(master.read(drive.node, *drive.position.key), drive.position.bits)
+        for drive in master.bus.drives
+    ]
     return joints_of(robot, master.bus, counts)
 
 
