@@ -160,8 +160,7 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         refuse_unconfirmed(bus, place)
         for name in ("send", "send_periodic"):
             setattr(bus, name, refuse_to_send)
-    sock = socket_of(bus)
-    if sock is not None:
+    if (sock := socket_of(bus)) is not None:
         request_queue_size(sock)
     return bus
 

@@ -135,8 +135,7 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
             inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                at = Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s")
-                at.refuse(
+                Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s").refuse(
                     f"target of node {drive.node} ({drive.name})",
                     float(counts[k]),
                     f"{low} to {high}",

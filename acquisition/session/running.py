@@ -274,8 +274,7 @@ def _listen(
                 elapsed_s = time.monotonic() - started_s
                 if task.duration_s is not None and elapsed_s >= task.duration_s:
                     break
-                status = log.poll(clock.now_ns())
-                if status is not None:
+                if (status := log.poll(clock.now_ns())) is not None:
                     operator.show(
                         status, None if task.duration_s is None else task.duration_s - elapsed_s
                     )
