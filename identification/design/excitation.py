@@ -230,10 +230,13 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
         count = math.floor(max_hz * settings.period_s + 1e-9)
         ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
         ways += f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
-        problem = f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth"
-        problem += f" of {bandwidth_hz:g} Hz"
         raise BadInputError(
-            problem, place=place, key="harmonics", value=settings.harmonics, expected=ways
+            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of "
+            f"{bandwidth_hz:g} Hz",
+            place=place,
+            key="harmonics",
+            value=settings.harmonics,
+            expected=ways,
         )
 
 

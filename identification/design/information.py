@@ -157,9 +157,11 @@ def torque_noise(
 
 def rows_per_s(robot: Robot) -> float:
     """Rows per second of a fit, by the decimation rule."""
-    rate_hz = robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
-    if robot.bus is not None:
-        rate_hz = 1 / robot.bus.sync_period_s
+    rate_hz = (
+        1 / robot.bus.sync_period_s
+        if robot.bus is not None
+        else robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
+    )
     return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
@@ -173,8 +175,7 @@ def earlier_information(
     for signals in recordings:
         problem = make_problem(signals, Overrides())
         own = problem.base.without(dynamics.load_parameters(problem.base))
-        known = (own.names, own.units, own.expressions)
-        if known != (base.names, base.units, base.expressions):
+        if (own.names, own.units, own.expressions) != (base.names, base.units, base.expressions):
             raise BadInputError(
                 place=signals.recording,
                 key="robot",

@@ -37,19 +37,20 @@ def with_terms(robot: Robot, terms: TermSet) -> Robot:
     """The robot with a set's terms beside the usual ones; friction by direction becomes common
     friction and an offset.
     """
-    joints = []
-    for joint, more in zip(robot.joints, terms, strict=True):
-        usual = [term for term in BASELINE if joint.one_sided or term in joint.terms]
-        joints.append(
-            msgspec.structs.replace(
-                joint,
-                friction=(*usual, *(term for term in CANDIDATES if term in more)),
-                viscous=None,
-                coulomb=None,
-                offset=None,
-            )
+    joints = tuple(
+        msgspec.structs.replace(
+            joint,
+            friction=(
+                *(term for term in BASELINE if joint.one_sided or term in joint.terms),
+                *(term for term in CANDIDATES if term in more),
+            ),
+            viscous=None,
+            coulomb=None,
+            offset=None,
         )
-    return replace(robot, joints=tuple(joints))
+        for joint, more in zip(robot.joints, terms, strict=True)
+    )
+    return replace(robot, joints=joints)
 
 
 def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:

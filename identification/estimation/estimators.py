@@ -189,10 +189,9 @@ def essential_parameters(
                 break
             tested = outcome
         kept = fewer
-    reduced = _estimated(system.with_columns(kept), full.weights)
     F, p, F_effective, p_effective = tested
     return Reduction(
-        estimate=reduced,
+        estimate=_estimated(system.with_columns(kept), full.weights),
         kept=kept,
         F=F,
         p_value=p,

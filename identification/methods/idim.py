@@ -231,9 +231,10 @@ def _solve_by_instruments(
     if start is not None:  # the whole may leave out terms that its beginning has
         at = [start[0].index(name) for name in names]
         x, C, robot = start[1][at], start[2][np.ix_(at, at)], None
-    fitted = np.arange(len(names))
-    if essential:
-        fitted = np.union1d(ls.essential.kept, np.delete(fitted, base_places(names)))
+    every = np.arange(len(names))
+    fitted = (
+        np.union1d(ls.essential.kept, np.delete(every, base_places(names))) if essential else every
+    )
     lab = closed_loops(equations, prior, gain_update=iteration.gain_update)
 
     def step(rows: Rows, Z: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY

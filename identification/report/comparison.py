@@ -210,10 +210,10 @@ def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
     which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
     if kinds[0] != kinds[1]:
         which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
-    compared = (
-        "link parameters (XX to M) are comparable only where a link has the same frame in both"
-    )
-    return [f"the link frames differ: {which}; {compared}"]
+    return [
+        f"the link frames differ: {which}; link parameters (XX to M) are comparable only where a "
+        "link has the same frame in both"
+    ]
 
 
 def _frames(description: dict[str, str], place: str) -> str | list[object]:

@@ -350,8 +350,7 @@ def described_robot(
     )
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     M = model.inertia(poses)
-    reason = dynamics.why_not_positive(M)
-    if reason is not None:
+    if (reason := dynamics.why_not_positive(M)) is not None:
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     plant = RigidBodyPlant(
