@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoAnswerError, RefusedError, SdoAbortedError
-from ..protocol import ANSWER, DISABLED, State, error_words
+from ..protocol import ANSWER, DISABLED, State, error_words, signed
 from ..recording import ERROR
 from ..robot import Bus, Drive, DriveFile, Robot, axis_of, parse_homed
 from .frames import other_node, sign_of_master
@@ -33,23 +33,23 @@ def listen_for_others(master: Master) -> RefusedError | None:
             master.dispatch(frame)
         sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
         if sign is not None:
-            expected = (
-                "none; `robot-acquire record --passive` records without sending. Nothing was sent"
-            )
             return RefusedError(
-                f"{sign}: another master is active", what="sending", place="bus", expected=expected
+                f"{sign}: another master is active",
+                what="sending",
+                place="bus",
+                expected="none; `robot-acquire record --passive` records without sending. "
+                "Nothing was sent",
             )
         if node is not None:
-            text = (
-                f"heartbeat of node {node}: a device that robot.toml does not describe, or a "
-                "wrong node id"
-            )
-            expected = (
-                f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing was sent"
-            )
-            known = master.bus.file.other_nodes
             device = RefusedError(
-                text, what="sending", place="bus", key="other_nodes", value=known, expected=expected
+                f"heartbeat of node {node}: a device that robot.toml does not describe, or a "
+                "wrong node id",
+                what="sending",
+                place="bus",
+                key="other_nodes",
+                value=master.bus.file.other_nodes,
+                expected=f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing "
+                "was sent",
             )
     return device
 
@@ -89,10 +89,10 @@ def joint_positions(robot: Robot, master: Master) -> Array:
 
     Raises `RefusedError` where a drive does not answer.
     """
-    counts = []
-    for drive in master.bus.drives:
-        raw = master.read(drive.node, drive.position.index, drive.position.sub)
-        counts.append(raw - (1 << drive.position.bits) if raw >> (drive.position.bits - 1) else raw)
+    counts = [
+        signed(master.read(drive.node, *drive.position.key), drive.position.bits)
+        for drive in master.bus.drives
+    ]
     return joints_of(robot, master.bus, counts)
 
 
@@ -137,14 +137,13 @@ def confirm_motion(
     """
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
         if is_homed(master, drive, file) is False:
-            where, expected = f"node {drive.node} ({drive.name})", "a homed drive before motion"
             raise RefusedError(
                 "not set",
                 what="motion",
-                place=where,
+                place=f"node {drive.node} ({drive.name})",
                 key="homed",
                 value=file.homed,
-                expected=expected,
+                expected="a homed drive before motion",
             )
     words = position_words(robot, joint_positions(robot, master))
     in_fault = [drive for drive in master.bus.drives if master.state(drive) is State.FAULT]
@@ -155,9 +154,11 @@ def confirm_motion(
     if confirm(words, [] if reset_faults else faults):
         return words + faults
     if faults and not reset_faults:
-        expected = "yes to their reset, or --reset-faults. Nothing was moved"
         raise RefusedError(
-            f"not confirmed: {'; '.join(faults)}", what="motion", place="drives", expected=expected
+            f"not confirmed: {'; '.join(faults)}",
+            what="motion",
+            place="drives",
+            expected="yes to their reset, or --reset-faults. Nothing was moved",
         )
     raise RefusedError(
         f"joint angles not confirmed ({', '.join(words)}): nothing was moved", what="motion"

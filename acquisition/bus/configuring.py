@@ -276,7 +276,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
             (cia.VELOCITY_UNIT, 0),
         )
     )
-    low, high = ((raw ^ 1 << 31) - (1 << 31) for raw in (low, high))  # I32
+    low, high = cia.signed(low, 32), cia.signed(high, 32)
     least, most = drive.position_range or (0.0, 0.0)
     # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
     span = most - least if low < high and not home else 0.0

@@ -1,7 +1,7 @@
 """CAN frames, blocks of frames, and the service of a frame in words (CiA 301's connection set)."""
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ class Frame(NamedTuple):
 Tap = Callable[[Frame], None]
 
 
-def block_of(frames: list[Frame]) -> Block:
+def block_of(frames: Iterable[Frame]) -> Block:
     """Rows of `FRAME`."""
     rows = (ROW.pack(f.time_ns, f.can_id, len(f.data), f.flags, f.data) for f in frames)
     return np.frombuffer(bytearray().join(rows), FRAME)

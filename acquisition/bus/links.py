@@ -145,9 +145,8 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         ImportError,
         NotImplementedError,
     ) as error:
-        problem = str(error) or type(error).__name__
         raise BusFaultError(
-            f"cannot be opened: {problem}",
+            f"cannot be opened: {str(error) or type(error).__name__}",
             place=place,
             expected=(
                 "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
@@ -161,8 +160,7 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         refuse_unconfirmed(bus, place)
         for name in ("send", "send_periodic"):
             setattr(bus, name, refuse_to_send)
-    sock = socket_of(bus)
-    if sock is not None:
+    if (sock := socket_of(bus)) is not None:
         request_queue_size(sock)
     return bus
 

@@ -67,8 +67,9 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
     the log cannot be read or is damaged, or no recording holds a time, an identifier or the data.
     """
     if path.suffix.lower() not in SUFFIXES:
-        expected = ".log (candump), .asc, .blf or .trc"
-        Place(str(path)).refuse(text=f"suffix {path.suffix!r}", expected=expected)
+        Place(str(path)).refuse(
+            text=f"suffix {path.suffix!r}", expected=".log (candump), .asc, .blf or .trc"
+        )
     left_out, stored = Counter[str](), defaultdict[str, GrowingBytes](GrowingBytes)
     waiting = defaultdict[str, bytearray](bytearray)
     reader = _read_candump if path.suffix.lower() == ".log" else _read_others
@@ -167,8 +168,10 @@ def _lines(path: Path, left_out: Counter[str]) -> Iterator[str]:
     with path.open(encoding="latin-1") as file:
         for line in file:
             if version := _OTHER_VERSION.match(line):
-                text = f"version {version[1]} of PCAN's format"
-                Place(str(path)).refuse(text=text, expected="1.0, 1.1, 1.3, 2.0 or 2.1")
+                Place(str(path)).refuse(
+                    text=f"version {version[1]} of PCAN's format",
+                    expected="1.0, 1.1, 1.3, 2.0 or 2.1",
+                )
             relative = relative or _RELATIVE.match(line) is not None
             if relative and (stamp := _STAMP.match(line)):
                 time_s += float(stamp[1])

@@ -128,8 +128,7 @@ class Master:
             watch.unstarted += not watch.started
             watch.booted |= frame.data[0] == 0
         elif node in self.by_node and function == cia.EMERGENCY and len(frame.data) >= 2:
-            code = int.from_bytes(frame.data[:2], "little")
-            if code:  # 0: the error is cleared
+            if code := int.from_bytes(frame.data[:2], "little"):  # 0: the error is cleared
                 self.by_node[node].emergency = code
         else:
             self.unanswered[node] += function == cia.REQUEST
@@ -147,8 +146,7 @@ class Master:
 
     def _note_sign(self, frame: Frame) -> None:
         # Our own frames never come here: a link leaves out those that its interface returns.
-        sign = sign_of_master(frame, self.bus)
-        if sign is not None:
+        if (sign := sign_of_master(frame, self.bus)) is not None:
             self.signs[sign] = frame.can_id in self._commands and not frame.flags & REMOTE_REQUEST
 
     def _process_data(self, frame: Frame) -> None:
@@ -157,8 +155,7 @@ class Master:
             return  # a PDO that is too short is ignored
         values, drive = pdo.unpack(frame.data), watch.drive
         watch.statusword = values.get((drive.status.index, drive.status.sub), watch.statusword)
-        counts = values.get((drive.position.index, drive.position.sub))
-        if counts is not None:
+        if (counts := values.get((drive.position.index, drive.position.sub))) is not None:
             watch.counts = counts
             watch.answers += 1
 
@@ -261,8 +258,7 @@ class Master:
             until_ns += _SLICE_NS
             while (frame := self.link.receive(until_ns)) is not None:
                 self.dispatch(frame)
-                answer = self.answered(node, request)
-                if answer is not None:
+                if (answer := self.answered(node, request)) is not None:
                     return answer
         raise NoAnswerError(
             f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?",

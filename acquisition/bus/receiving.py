@@ -84,9 +84,7 @@ class Receiver:
         items = [self._items.popleft() for _ in range(len(self._items))]
         if not items:
             return np.zeros(0, FRAME)
-        if self._raw is not None:
-            return _block_of_raw(items)
-        return block_of([frame_of(m) for m in items])
+        return _block_of_raw(items) if self._raw is not None else block_of(map(frame_of, items))
 
 
 def _block_of_raw(items: list[Any]) -> Block:

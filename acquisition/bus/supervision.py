@@ -196,10 +196,13 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
         )
     speed, min_ramp = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
     rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
-    text = f"{ramp / scale:.4g} {unit}/s²{rest}"
-    if ramp >= min_ramp - 1:  # drives state whole counts
-        return text, ""
-    return text, f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit"
+    enough = ramp >= min_ramp - 1  # drives state whole counts
+    return (
+        f"{ramp / scale:.4g} {unit}/s²{rest}",
+        ""
+        if enough
+        else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit",
+    )
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:
@@ -271,9 +274,7 @@ def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
         read_if_there(master, drive, index + axis_of(drive)),
         f"{name} {index + axis_of(drive):04X}",
     )
-    return name, NOT_THERE if raw is None else _in_words(
-        index, raw - 0x10000 if raw >= 0x8000 else raw
-    )
+    return name, NOT_THERE if raw is None else _in_words(index, cia.signed(raw, 16))
 
 
 def _in_words(index: int, value: int) -> str:

@@ -79,8 +79,10 @@ class Uploads:
 
     def _checked(self, frame: Frame) -> Frame:
         if frame.flags & ERROR:
-            words = cia.error_frame_words(frame.can_id, frame.data)
-            self._refusal = f"error frame: {words} (is the bitrate right, is the bus terminated?)"
+            self._refusal = (
+                f"error frame: {cia.error_frame_words(frame.can_id, frame.data)} (is the bitrate "
+                "right, is the bus terminated?)"
+            )
         elif sign := sign_of_master(frame, self.bus):
             self._refusal = f"{sign}: another master is active"
         self._refuse()

@@ -27,13 +27,21 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
     for name in names:
         file = find_mesh(name, folder)
         if file is None:
-            expected = f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}"
-            at.refuse("urdf: mesh", name, expected, text="does not exist")
+            at.refuse(
+                "urdf: mesh",
+                name,
+                f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}",
+                text="does not exist",
+            )
         try:
             size += file.stat().st_size
             if size > MAX_MESH_BYTES:
-                expected = f"at most {MAX_MESH_BYTES} bytes, or no urdf_meshes"
-                at.refuse("urdf: mesh", name, expected, text=f"{size} bytes of meshes so far")
+                at.refuse(
+                    "urdf: mesh",
+                    name,
+                    f"at most {MAX_MESH_BYTES} bytes, or no urdf_meshes",
+                    text=f"{size} bytes of meshes so far",
+                )
             meshes[name] = file.read_bytes()
         except OSError as error:
             at.refuse("urdf: mesh", name, text=f"cannot be read: {error.strerror}")

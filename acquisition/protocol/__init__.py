@@ -53,6 +53,7 @@ from .objects import (
     quick_stop_ramp,
     range_of,
     saturated,
+    signed,
     size_of,
 )
 from .states import (

@@ -249,6 +249,11 @@ def range_of(kind: str) -> tuple[int, int]:
     return low, low + 2 ** BITS[kind] - 1
 
 
+def signed(raw: int, bits: int) -> int:
+    """The number of `bits` bits, read without sign, as a two's complement."""
+    return raw - (1 << bits) if raw >> (bits - 1) else raw
+
+
 def saturated(value: Array, kind: str) -> Ints:
     """Nearest integers that the type `kind` can hold."""
     return np.rint(np.clip(value, *range_of(kind))).astype(np.int64)

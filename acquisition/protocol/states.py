@@ -202,10 +202,11 @@ def error_frame_words(can_id: int, data: bytes) -> str:
         + ([f"in {_LOCATIONS[data[3]]}"] if data[3] in _LOCATIONS else []),
         0x010: wires,
     }
-    parts = []
-    for bit, words in _CLASSES.items():
-        if can_id & bit:
-            parts.append(f"{words}: {', '.join(details[bit])}" if details.get(bit) else words)
+    parts = [
+        f"{words}: {', '.join(details[bit])}" if details.get(bit) else words
+        for bit, words in _CLASSES.items()
+        if can_id & bit
+    ]
     if can_id & _COUNTERS:
         parts.append(f"{data[6]} transmit errors and {data[7]} receive errors counted")
     return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"

@@ -120,15 +120,18 @@ def pdos_of(
         entries = []
         for at, word in words_of(values, mapping + number - 1):
             if isinstance(word, str):
-                way_out = f"all {count} entries, or the PDOs in robot.toml (mapping = 'table')"
-                Place(place).refuse(text=f"{direction} {number}: {at} {word}", expected=way_out)
+                Place(place).refuse(
+                    text=f"{direction} {number}: {at} {word}",
+                    expected=f"all {count} entries, or the PDOs in robot.toml (mapping = 'table')",
+                )
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
             if BITS.get(kind) != word & 0xFF:
-                problem = (
-                    f"{direction} {number}: {at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
+                Place(place).refuse(
+                    text=f"{direction} {number}: {at} maps {key[0]:04X}:{key[1]} of "
+                    f"{word & 0xFF} bits",
+                    expected="whole bytes of its own type",
                 )
-                Place(place).refuse(text=problem, expected="whole bytes of its own type")
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
     return tuple(found)

@@ -287,13 +287,12 @@ def decode(
 
 def _carriers(bus: Bus) -> dict[Pdo, str]:
     """PDOs that hold positions and efforts, each with its name for messages."""
-    names = {}
-    for drive in bus.drives:
-        for entry in (drive.position, drive.effort.entry):
-            pdo = drive.carrier(entry, "tpdo")
-            if pdo is not None:
-                names[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
-    return names
+    return {
+        pdo: f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
+        for drive in bus.drives
+        for entry in (drive.position, drive.effort.entry)
+        if (pdo := drive.carrier(entry, "tpdo")) is not None
+    }
 
 
 def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints) -> Iterator[str]:
@@ -378,8 +377,7 @@ def _warnings(
         )
     if lost:
         texts.append(f"{lost} SYNC were answered but not recorded")
-    missing = int(answered[-1] - answered[0] + 1 - len(answered))
-    if missing:
+    if missing := int(answered[-1] - answered[0] + 1 - len(answered)):
         texts.append(
             f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps"
         )
@@ -389,7 +387,6 @@ def _warnings(
             f"{at_ends} of {len(clock.stamps)} SYNC at the beginning and the end give no rows"
         )
     for count in counts:
-        losses = [f"{getattr(count, word)} {word}" for word in LOSSES if getattr(count, word)]
-        if losses:
+        if losses := [f"{getattr(count, word)} {word}" for word in LOSSES if getattr(count, word)]:
             texts.append(f"{count.name}: {', '.join(losses)} of {count.received}")
     return texts

@@ -101,39 +101,36 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
     """Refuse stamps that do not grow from `after_ns`, and values that are not
     finite; errors name `place`.
     """
-    first = 0
-    for rows in in_parts(samples):
+    for k, rows in enumerate(in_parts(samples)):
         stamps = rows["stamp_ns"]
         bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > MAX_STAMP_NS)
         if bad.any():
             row = int(np.argmax(bad))
-            where = Place(f"{place}: row {first + row + 1}")
-            where.refuse("stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}")
+            Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
+                "stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}"
+            )
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
             finite = np.isfinite(rows[field])
             if not finite.all():
                 row, joint = np.argwhere(~finite)[0]
-                where, value = (
-                    Place(f"{place}: row {first + row + 1}"),
+                Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
+                    f"{field} of joint {joint + 1}",
                     float(rows[field][row, joint]),
+                    "a finite number",
                 )
-                where.refuse(f"{field} of joint {joint + 1}", value, "a finite number")
-        first += len(rows)
 
 
 def check_frames(frames: Block, place: str) -> None:
     """Refuse frames longer than 8 bytes and times before 0; errors name `place`."""
-    first = 0
-    for rows in in_parts(frames):
+    for k, rows in enumerate(in_parts(frames)):
         bad = (rows["length"] > 8) | (rows["time_ns"] < 0)
         if bad.any():
             row = int(np.argmax(bad))
-            problem = f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}"
-            Place(f"{place}: row {first + row + 1}").refuse(
-                text=problem, expected="8 bytes at most and a time from 0"
+            Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
+                text=f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}",
+                expected="8 bytes at most and a time from 0",
             )
-        first += len(rows)
 
 
 class Traffic:
@@ -144,11 +141,9 @@ class Traffic:
 
     def __init__(self, frames: Block) -> None:
         self.frames, self.ids = frames, kept(np.empty(len(frames), np.uint16))
-        first = 0
-        for part in in_parts(frames):
+        for k, part in enumerate(in_parts(frames)):
             plain = (part["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
-            self.ids[first : first + len(part)] = np.where(plain, part["can_id"], _NO_ID)
-            first += len(part)
+            self.ids[k * _AT_ONCE :][: len(part)] = np.where(plain, part["can_id"], _NO_ID)
 
     def of(self, pdo: Pdo) -> tuple[Rows, int]:
         """Rows of the frames that hold the whole PDO, and the number of those

@@ -135,10 +135,11 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
             inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                at = Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s")
-                key = f"target of node {drive.node} ({drive.name})"
-                at.refuse(
-                    key, float(counts[k]), f"{low} to {high}", shown=f"{counts[k]:.10g} counts"
+                Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s").refuse(
+                    f"target of node {drive.node} ({drive.name})",
+                    float(counts[k]),
+                    f"{low} to {high}",
+                    shown=f"{counts[k]:.10g} counts",
                 )
 
 
@@ -194,14 +195,22 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
     )
     metre, turn = file.counts_per_m, file.counts_per_turn
     if metre is not None and (unit == "N m" or (unit != "N" and not slides)):
-        why = (
-            f"motor {motor.name!r} "
-            f"{'gives a torque' if unit == 'N m' else 'moves no prismatic joint'}"
+        at.refuse(
+            "counts_per_m",
+            metre,
+            "counts_per_turn",
+            text=f"motor {motor.name!r} "
+            f"{'gives a torque' if unit == 'N m' else 'moves no prismatic joint'}",
+            shown=f"{metre:g}",
         )
-        at.refuse("counts_per_m", metre, "counts_per_turn", text=why, shown=f"{metre:g}")
     if turn is not None and unit == "N":
-        why = f"motor {motor.name!r} gives a force"
-        at.refuse("counts_per_turn", turn, "counts_per_m", text=why, shown=f"{turn:g}")
+        at.refuse(
+            "counts_per_turn",
+            turn,
+            "counts_per_m",
+            text=f"motor {motor.name!r} gives a force",
+            shown=f"{turn:g}",
+        )
 
 
 def axis_of(drive: Drive) -> int:

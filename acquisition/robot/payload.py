@@ -79,10 +79,9 @@ def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
         stated = {"center_half_width_m": float(half_width)} if within else {}
         return msgspec.convert(msgspec.structs.asdict(robot.payload) | given | stated, Payload)
     except ValueError as error:  # of msgspec too
-        expected = (
-            "KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each number "
-            "within 5 m"
-        )
         raise BadInputError(
-            key=key, value=text, expected=f"{expected}; +-0.005 after it"
+            key=key,
+            value=text,
+            expected="KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each "
+            "number within 5 m; +-0.005 after it",
         ) from error

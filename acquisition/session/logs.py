@@ -7,7 +7,7 @@ recorder opens the bus itself.
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
@@ -156,14 +156,8 @@ class ProcessLog:
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._hand_over()
         status = None
-        try:
-            while self._connection.poll():
-                kind, content = self._connection.recv()
-                if kind == "failed":
-                    raise BusFaultError(content)
-                status = content if kind == "status" else status
-        except (EOFError, OSError) as error:
-            raise BusFaultError(_ENDED) from error
+        for kind, content in self._messages(until_s=0.0):
+            status = content if kind == "status" else status
         if status is not None:
             self._heard_s = time.monotonic()
         silent_s = time.monotonic() - self._heard_s
@@ -205,17 +199,21 @@ class ProcessLog:
             raise BusFaultError(_ENDED) from error
 
     def _expect(self, wanted: str, timeout_s: float) -> Any:
-        until_s = time.monotonic() + timeout_s
+        for kind, content in self._messages(until_s=time.monotonic() + timeout_s):
+            if kind == wanted:
+                return content
+        raise BusFaultError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)
+
+    def _messages(self, until_s: float) -> Iterator[tuple[str, Any]]:
+        """What the process sends, by kind, until a monotonic time."""
         try:
             while self._connection.poll(max(0.0, until_s - time.monotonic())):
                 kind, content = self._connection.recv()
                 if kind == "failed":
                     raise BusFaultError(content)
-                if kind == wanted:
-                    return content
+                yield kind, content
         except (EOFError, OSError) as error:
             raise BusFaultError(_ENDED) from error
-        raise BusFaultError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)
 
 
 SessionLog = InlineLog | ProcessLog

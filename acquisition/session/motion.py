@@ -191,9 +191,8 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
     while drives are enabled.
     """
     q, file = motion.measured[-1], master.bus.file
-    dq = None
-    if len(motion.measured) > SPEED_SYNCS:
-        dq = (q - motion.measured[-1 - SPEED_SYNCS]) / (SPEED_SYNCS * file.sync_period_s)
+    before = motion.measured[-1 - SPEED_SYNCS] if len(motion.measured) > SPEED_SYNCS else None
+    dq = None if before is None else (q - before) / (SPEED_SYNCS * file.sync_period_s)
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         if not low <= q[i] <= high:

@@ -130,8 +130,7 @@ class Watchdog:
         try:
             unconfirmed = stop_drives(self._bus)
         except Exception as error:  # whatever it is: the drives that may be enabled are named
-            text = f"the recorder's process could not stop the drives: {error}"
-            self._event("fault", text)
+            self._event("fault", f"the recorder's process could not stop the drives: {error}")
         if unconfirmed:
             with suppress(OSError, ValueError):  # a closed terminal
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")
@@ -193,18 +192,15 @@ def run(
             done = _record(connection, recorder, receiver, ours, watchdog)
         finally:
             recorder.close()
-        if done is not None:
-            connection.send(("done", done))
+        connection.send(("done", done))
     except (RobotIdimError, OSError) as error:
         problem = (
             error.args[0]
             if isinstance(error, RobotIdimError)
             else f"{path}: cannot be written: {error.strerror}"
         )
-        try:
+        with suppress(OSError):
             connection.send(("failed", problem))
-        except OSError:
-            return
     finally:
         if bus is not None:
             bus.shutdown()
@@ -227,7 +223,7 @@ def _record(
     receiver: Receiver | None,
     ours: Ints,
     watchdog: Watchdog | None,
-) -> RecordedSummary | None:
+) -> RecordedSummary:
     """Record until the session requests the end, or has died and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
     if thread is not None:
@@ -286,10 +282,8 @@ def _record(
             clock.now_ns(), kernel_drops(receiver.sock) if receiver is not None else 0
         )
         if status is not None:
-            try:
+            with suppress(OSError):  # the next `poll` finds the session dead
                 connection.send(("status", status))
-            except OSError:
-                continue  # the next `poll` finds the session dead
     return recorder.finish(stop_ns)
 
 

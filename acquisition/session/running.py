@@ -91,8 +91,12 @@ def record(
     """
     refuse_taken(out)
     if robot.bus is None:
-        expected = "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`"
-        raise BadInputError(place=place, key="bus", value=None, expected=expected)
+        raise BadInputError(
+            place=place,
+            key="bus",
+            value=None,
+            expected="its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`",
+        )
     if options.passive and (options.track is not None or options.dry_run):
         raise RefusedError(
             "sends nothing",
@@ -101,12 +105,15 @@ def record(
             expected="no --track and no --dry-run",
         )
     if robot.bus.mapped_by_traffic and not options.passive:
-        expected = "'table' or 'dictionary' in an active session"
-        raise BadInputError(place=place, key="mapping", value="traffic", expected=expected)
+        raise BadInputError(
+            place=place,
+            key="mapping",
+            value="traffic",
+            expected="'table' or 'dictionary' in an active session",
+        )
     payload = None if options.payload is None else parse_payload(options.payload, robot)
     task = _task_of(robot, robot.bus.sync_period_s, options, operator)
-    # before anything is opened
-    bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)
+    bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)  # before anything opens
     if bus is None or options.passive:
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
@@ -190,11 +197,14 @@ def _simulated(
 ) -> Iterator[tuple[LockStepLink, InlineLog]]:
     """Link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus, payload)
-    described = describe_loops(robot, mechanism.loops)
-    log = InlineLog(
-        Recorder(out, described, source="dry run on simulated drives", place=place, payload=payload)
+    recorder = Recorder(
+        out,
+        describe_loops(robot, mechanism.loops),
+        source="dry run on simulated drives",
+        place=place,
+        payload=payload,
     )
-    with closing(log):
+    with closing(InlineLog(recorder)) as log:
         link = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
             log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")
@@ -214,8 +224,9 @@ def _on_bus(
         open_link(bus.file, passive=False, tap=None if shared else lambda frame: log.tap(frame))
     ) as link:
         role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
-        log = ProcessLog(out, robot, place, role, link.now_ns() - time.monotonic_ns(), payload)
-        with closing(log):
+        with closing(
+            ProcessLog(out, robot, place, role, link.now_ns() - time.monotonic_ns(), payload)
+        ) as log:
             yield link, log
 
 
@@ -251,13 +262,12 @@ def _listen(
 ) -> tuple[Outcome, RecordedSummary]:
     """Record the frames of the bus. Only the recorder's process opens it, and cannot send."""
     assert robot.bus is not None
-    stop, clock, words = operator.stop, WallClock(), listening_words(robot.bus)
-    if words:
+    stop, clock = operator.stop, WallClock()
+    if words := listening_words(robot.bus):
         operator.note(words)
-    log = ProcessLog(
-        out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload
-    )
-    with closing(log):
+    with closing(
+        ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload)
+    ) as log:
         started_s, cut_short = time.monotonic(), False
         log.event(clock.now_ns(), "phase", "record")
         try:
@@ -265,8 +275,7 @@ def _listen(
                 elapsed_s = time.monotonic() - started_s
                 if task.duration_s is not None and elapsed_s >= task.duration_s:
                     break
-                status = log.poll(clock.now_ns())
-                if status is not None:
+                if (status := log.poll(clock.now_ns())) is not None:
                     operator.show(
                         status, None if task.duration_s is None else task.duration_s - elapsed_s
                     )
@@ -280,8 +289,7 @@ def _listen(
         reason = stop.reason or "finished"
         with suppress(RobotIdimError):
             log.event(clock.now_ns(), "end", reason)
-        outcome = Outcome(reason=reason, fault=False, cut_short=cut_short)
-        return outcome, log.finish(clock.now_ns())
+        return Outcome(reason=reason, fault=False, cut_short=cut_short), log.finish(clock.now_ns())
 
 
 @contextmanager
@@ -334,9 +342,7 @@ def replay(
     recording = read_recording(path)
     frames = from_drives(recording, str(path))
     assert recording.robot.bus is not None  # else there were no drives
-    since_s = (frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed
-    due_s = np.maximum.accumulate(since_s)
-    link = open_link(file, passive=False)
+    due_s = np.maximum.accumulate((frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed)
     count, sync_can_id = 0, recording.robot.bus.sync_can_id
 
     def listen_until(until_s: float) -> None:
@@ -345,19 +351,17 @@ def replay(
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))
             if frame is not None and not frame.flags & ERROR:
-                place, sent = (
-                    f"{file.interface} {file.channel}",
-                    f"{count} frames were" if count else "nothing was",
-                )
-                problem, expected = (
+                sent = f"{count} frames were" if count else "nothing was"
+                raise RefusedError(
                     f"{service_of(frame, sync_can_id)} received",
-                    f"an idle bus; {sent} sent",
+                    what="sending",
+                    place=f"{file.interface} {file.channel}",
+                    expected=f"an idle bus; {sent} sent",
                 )
-                raise RefusedError(problem, what="sending", place=place, expected=expected)
             if left_s <= 0:
                 return
 
-    try:
+    with closing(open_link(file, passive=False)) as link:
         listen_until(time.monotonic() + max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s))
         start_s = time.monotonic()
         for row, at_s in zip(frames, due_s.tolist(), strict=True):
@@ -366,8 +370,6 @@ def replay(
                 break
             link.send(int(row["can_id"]), row["data"].tobytes()[: row["length"]])
             count += 1
-    finally:
-        link.close()
     return count
 
 

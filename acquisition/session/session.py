@@ -264,8 +264,7 @@ class _Session:
             self._log.poll(now_ns)
         error = node_fault(self._master, now_ns) or self._other_master(in_motion)
         if error is None and motion is not None:
-            q = self._positions()
-            if q is not None:
+            if (q := self._positions()) is not None:
                 motion.start = q if motion.start is None else motion.start
                 motion.measured = [*motion.measured[-10:], q]
                 # A drive takes a period to reach a target: its position now belongs to the

@@ -96,8 +96,7 @@ class SimulatedNode:
     def apply(self) -> None:
         """Apply the RPDOs received since the last SYNC, the controlword included."""
         for pdo in self.rpdos:
-            data = self.waiting.pop(pdo.number, None)
-            if data is not None:
+            if (data := self.waiting.pop(pdo.number, None)) is not None:
                 for key, value in pdo.unpack(data).items():
                     self._set(key, value)
 

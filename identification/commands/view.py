@@ -36,9 +36,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the Rerun file or the page, and print how to open it."""
     if options.out and len(options.recordings) > 1:
-        text = f"one file for {len(options.recordings)} recordings"
         raise BadInputError(
-            text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each"
+            f"one file for {len(options.recordings)} recordings",
+            key="--out",
+            value=str(options.out),
+            expected="no --out: LOG.rrd each",
         )
     is_page = options.out is not None and options.out.suffix == ".html"
     if options.follow and is_page:

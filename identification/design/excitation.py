@@ -230,10 +230,13 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
         count = math.floor(max_hz * settings.period_s + 1e-9)
         ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
         ways += f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
-        problem = f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth"
-        problem += f" of {bandwidth_hz:g} Hz"
         raise BadInputError(
-            problem, place=place, key="harmonics", value=settings.harmonics, expected=ways
+            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of "
+            f"{bandwidth_hz:g} Hz",
+            place=place,
+            key="harmonics",
+            value=settings.harmonics,
+            expected=ways,
         )
 
 
@@ -246,14 +249,13 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
         name = limits.names[most].removeprefix("effort of ")
-        problem = (
+        raise BadInputError(
             f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the "
-            "ranges"
+            "ranges",
+            place=place,
+            expected=f"at most {100 * limits.share:g} % of the effort limit of "
+            f"{effort.limits[worst]:.4g}",
         )
-        expected = (
-            f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}"
-        )
-        raise BadInputError(problem, place=place, expected=expected)
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple[str, ...]:

@@ -67,9 +67,10 @@ def prior_information(
 ) -> PriorInformation:
     """Information from files and options: a fit's parameters, else those of the description."""
     if noise is not None and len(noise) not in (1, robot.n):
-        expected = f"one number, or one for each of {robot.n} joints"
         raise BadInputError(
-            key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected
+            key="--noise",
+            value=",".join(f"{x:g}" for x in noise),
+            expected=f"one number, or one for each of {robot.n} joints",
         )
     model = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(model)
@@ -113,10 +114,12 @@ def loads_of(
     """
     payload = knowledge.payload
     if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
-        problem = "its torque is unknown without parameters and drive gains"
-        expected = "--fit or [parameters], and drive_gain"
         raise BadInputError(
-            problem, place=place, key="--payload", value=payload.text, expected=expected
+            "its torque is unknown without parameters and drive gains",
+            place=place,
+            key="--payload",
+            value=payload.text,
+            expected="--fit or [parameters], and drive_gain",
         )
     if knowledge.beta is None:
         return ()
@@ -154,9 +157,11 @@ def torque_noise(
 
 def rows_per_s(robot: Robot) -> float:
     """Rows per second of a fit, by the decimation rule."""
-    rate_hz = robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
-    if robot.bus is not None:
-        rate_hz = 1 / robot.bus.sync_period_s
+    rate_hz = (
+        1 / robot.bus.sync_period_s
+        if robot.bus is not None
+        else robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
+    )
     return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
@@ -170,11 +175,12 @@ def earlier_information(
     for signals in recordings:
         problem = make_problem(signals, Overrides())
         own = problem.base.without(dynamics.load_parameters(problem.base))
-        known = (own.names, own.units, own.expressions)
-        if known != (base.names, base.units, base.expressions):
-            expected = "a recording of the described robot, with the same base parameters"
+        if (own.names, own.units, own.expressions) != (base.names, base.units, base.expressions):
             raise BadInputError(
-                place=signals.recording, key="robot", value=signals.robot.name, expected=expected
+                place=signals.recording,
+                key="robot",
+                value=signals.robot.name,
+                expected="a recording of the described robot, with the same base parameters",
             )
         W, _ = rows_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
         M += W.T @ W
@@ -291,7 +297,7 @@ def _inverse(M: Array) -> Array:
     try:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
     except (np.linalg.LinAlgError, ValueError) as error:
-        expected = "wider limits, or fewer friction terms"
         raise BadInputError(
-            "no reference within the limits excites all parameters", expected=expected
+            "no reference within the limits excites all parameters",
+            expected="wider limits, or fewer friction terms",
         ) from error

@@ -211,9 +211,10 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
         limits.names, limits.units, coulomb, limits.limits, strict=True
     ):
         if friction >= share * limit:
-            expected = f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}"
             raise BadInputError(
-                f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected
+                f"{name}: Coulomb friction of {friction:.4g} {unit}",
+                place=place,
+                expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
             )
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     maximum = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])

@@ -96,8 +96,11 @@ def best_of_searches(
         rank = bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))
         found.append((rank, x, sigma))
     if not found:
-        expected = "wider limits, another --seed or --harmonics"
-        raise NoFitError(f"no reference keeps the limits: {worst}", place=place, expected=expected)
+        raise NoFitError(
+            f"no reference keeps the limits: {worst}",
+            place=place,
+            expected="wider limits, another --seed or --harmonics",
+        )
     return min(found, key=lambda one: one[0])[1:]
 
 

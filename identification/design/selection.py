@@ -37,19 +37,20 @@ def with_terms(robot: Robot, terms: TermSet) -> Robot:
     """The robot with a set's terms beside the usual ones; friction by direction becomes common
     friction and an offset.
     """
-    joints = []
-    for joint, more in zip(robot.joints, terms, strict=True):
-        usual = [term for term in BASELINE if joint.one_sided or term in joint.terms]
-        joints.append(
-            msgspec.structs.replace(
-                joint,
-                friction=(*usual, *(term for term in CANDIDATES if term in more)),
-                viscous=None,
-                coulomb=None,
-                offset=None,
-            )
+    joints = tuple(
+        msgspec.structs.replace(
+            joint,
+            friction=(
+                *(term for term in BASELINE if joint.one_sided or term in joint.terms),
+                *(term for term in CANDIDATES if term in more),
+            ),
+            viscous=None,
+            coulomb=None,
+            offset=None,
         )
-    return replace(robot, joints=tuple(joints))
+        for joint, more in zip(robot.joints, terms, strict=True)
+    )
+    return replace(robot, joints=joints)
 
 
 def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
@@ -242,8 +243,11 @@ class Trials:
         self.whole, self._own = whole, [arm.own for arm in whole.unknowns.arms]
         self.names = [problem.signals.recording for problem in whole.problems]
         if whole.reduced:
-            expected = "a part of it, or a larger decimation"
-            raise BadInputError("too long", place=", ".join(self.names), expected=expected)
+            raise BadInputError(
+                "too long",
+                place=", ".join(self.names),
+                expected="a part of it, or a larger decimation",
+            )
         self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
         if not self.by_recording:
             edges = [
@@ -272,11 +276,13 @@ class Trials:
             if lost
         }
         if (left := len(self.names) - len(self.unpredicted)) < MIN_PARTS:
-            text = "; ".join(self.unpredicted.values())
-            expected = (
-                f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints"
+            raise BadInputError(
+                "; ".join(self.unpredicted.values()),
+                key="parts held out",
+                value=left,
+                expected=f"at least {MIN_PARTS}: recordings, or fifths of one, that each move "
+                "all joints",
             )
-            raise BadInputError(text, key="parts held out", value=left, expected=expected)
 
     def of(self, terms: TermSet) -> Trial:
         """The trial of a set, without terms that are unidentifiable and load

@@ -189,10 +189,9 @@ def essential_parameters(
                 break
             tested = outcome
         kept = fewer
-    reduced = _estimated(system.with_columns(kept), full.weights)
     F, p, F_effective, p_effective = tested
     return Reduction(
-        estimate=reduced,
+        estimate=_estimated(system.with_columns(kept), full.weights),
         kept=kept,
         F=F,
         p_value=p,
@@ -227,8 +226,12 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
     if Z is None:
         condition = float(singular[0] / singular[-1])
     elif not condition < 1 / RANK_TOLERANCE:
-        text, shown = "instruments and regressor have too little in common", f"{condition:.2g}"
-        raise NoFitError(text, key="cond(ZᵀW)", value=condition, shown=shown)
+        raise NoFitError(
+            "instruments and regressor have too little in common",
+            key="cond(ZᵀW)",
+            value=condition,
+            shown=f"{condition:.2g}",
+        )
     return Estimate(
         names=system.names,
         beta=beta,

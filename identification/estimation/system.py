@@ -256,9 +256,11 @@ def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
     """
     unexcited, collinear, singular = _undetermined(W, names)
     if unexcited:
-        shown = ", ".join(unexcited)
         raise NoFitError(
-            "no torque depends on them", key="parameters not excited", value=unexcited, shown=shown
+            "no torque depends on them",
+            key="parameters not excited",
+            value=unexcited,
+            shown=", ".join(unexcited),
         )
     if collinear:
         rank = int((singular >= RANK_TOLERANCE * singular[0]).sum())

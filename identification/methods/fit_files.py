@@ -110,8 +110,10 @@ def _gains(g: Gains) -> list[report.DriveGain]:
 
 def _law(law: Law, robot: Robot) -> report.LawFile:
     stated = msgspec.structs.asdict(law.controller(Controller())) if law.reason is None else {}
-    half = zip(law.gains.tolist(), law.gains_half.tolist(), strict=True)
-    gains = [list(zip(*pair, strict=True)) for pair in half]
+    gains = [
+        list(zip(*pair, strict=True))
+        for pair in zip(law.gains.tolist(), law.gains_half.tolist(), strict=True)
+    ]
     return report.LawFile(
         structure=law.structure,
         reason=law.reason,
@@ -143,9 +145,11 @@ def _payload(one: EstimatedPayload, fit: Fit) -> report.PayloadOfFit:
         p.known for r in fit.recordings if (p := r.arm.payload) and p.payload == one.payload
     )
     added = dict(zip(fit.base.names, found.tolist(), strict=True))
-    stated = one.payload.text
     return report.PayloadOfFit(
-        recording=one.recording, stated=stated, parameters=parameters, base_parameters=added
+        recording=one.recording,
+        stated=one.payload.text,
+        parameters=parameters,
+        base_parameters=added,
     )
 
 

@@ -123,8 +123,11 @@ def _verdict_section(fit: Fit) -> Section:
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
     stated = [line for line in lines if reason or line != status]  # the title has the status
-    short = Section(lines=(*stated, *more), warnings=fit.warnings[:MAX_SHORT_WARNINGS])
-    return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings, short=short)
+    return Section(
+        lines=(*lines, _essential_line(fit)),
+        warnings=fit.warnings,
+        short=Section(lines=(*stated, *more), warnings=fit.warnings[:MAX_SHORT_WARNINGS]),
+    )
 
 
 def _trust_section(fit: Fit) -> Section:
@@ -143,8 +146,11 @@ def _trust_section(fit: Fit) -> Section:
         ("not possible", tests["not made"]),
     ):
         passed += f"; {len(names)} {what}: {', '.join(names)}" if names else ""
-    short = Section(lines=(*lines[:found], f"{passed} (--all)"))
-    return Section(title=f"verdict: {fit.trust.verdict}", lines=lines, short=short)
+    return Section(
+        title=f"verdict: {fit.trust.verdict}",
+        lines=lines,
+        short=Section(lines=(*lines[:found], f"{passed} (--all)")),
+    )
 
 
 def _essential_line(fit: Fit) -> str:
@@ -329,21 +335,18 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
 def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
     """Tests of the instruments, and why a pass could not be simulated."""
     t = iv.tests
-    lines = [
-        f"pass {k}: instruments {p.z.kind}: {p.z.reason}"
-        for k, p in enumerate(iv.passes, 1)
-        if p.z.reason
-    ]
-    strength = (
+    return (
+        *(
+            f"pass {k}: instruments {p.z.kind}: {p.z.reason}"
+            for k, p in enumerate(iv.passes, 1)
+            if p.z.reason
+        ),
         f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F "
-        f"{t.first_stage_F:.3g}"
-    )
-    used = (
+        f"{t.first_stage_F:.3g}",
+        f"least squares differs by {iv.contrast:.2g} half-widths, at {iv.contrast_at}",
         f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller "
-        f"{iv.controller}"
+        f"{iv.controller}",
     )
-    contrast = f"least squares differs by {iv.contrast:.2g} half-widths, at {iv.contrast_at}"
-    return (*lines, strength, contrast, used)
 
 
 def _expressions(fit: Fit) -> list[Section]:

@@ -85,12 +85,12 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
             )
             estimate = equations.combined(rows.system, estimate)
         except NoFitError as error:
-            text = (
+            raise BadInputError(
                 f"drive gains and the arm cannot be separated ({error.args[0]}): the payload "
-                "does not show in the recordings"
-            )
-            expected = "a payload on one recording, and its mass as stated"
-            raise BadInputError(text, key="gains", expected=expected) from error
+                "does not show in the recordings",
+                key="gains",
+                expected="a payload on one recording, and its mass as stated",
+            ) from error
         before, x = x, estimate.values_of(names)
         if (np.abs(x - before)[gains] <= MAX_CHANGE * np.abs(x[gains])).all():
             return equations, x, True
@@ -121,17 +121,20 @@ def refuse_without_scale(equations: Equations, columns: NDArray[np.intp]) -> Non
     payloads = {one.payload for one in of.payloads}
     several = len(payloads) + any(one.payload is None for one in of.arms) > 1
     if several and any(payload.center_of_mass_m is None for payload in payloads):
-        text = "the mass alone does not determine the scale: give its centre of mass"
-        if any(payload.mass_kg is None for payload in payloads):
-            text = (
-                "an unknown mass does not determine the scale: weigh it, or fit with drive "
-                "gains that are known"
-            )
-        raise BadInputError(text, key="payload", expected="KG@X,Y,Z")
+        raise BadInputError(
+            "an unknown mass does not determine the scale: weigh it, or fit with drive gains "
+            "that are known"
+            if any(payload.mass_kg is None for payload in payloads)
+            else "the mass alone does not determine the scale: give its centre of mass",
+            key="payload",
+            expected="KG@X,Y,Z",
+        )
     places = ", ".join(problem.signals.recording for problem in equations.problems)
-    text = "no recording differs in payload"
     raise BadInputError(
-        text, place=places, key="gains", expected="one recording without and one with a payload"
+        "no recording differs in payload",
+        place=places,
+        key="gains",
+        expected="one recording without and one with a payload",
     )
 
 
@@ -221,7 +224,6 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
         pairs = zip(equations.problems, of.arms, strict=True)
         name = next(problem.signals.recording for problem, arm in pairs if arm.payload is one)
         half = found.reach * sigma
-        near = not one.names or bool(half.any())
         payloads.append(
             EstimatedPayload(
                 recording=name,
@@ -229,7 +231,7 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
                 values=values,
                 half=half,
                 from_prior=prior,
-                near=near,
+                near=not one.names or bool(half.any()),
             )
         )
     if motors:

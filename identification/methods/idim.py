@@ -81,8 +81,12 @@ def identify(
         equations = read_equations(signals, replace(asked, method=chosen), say)
     equations = correct_known_lags(equations)
     if equations.overrides.gains and chosen != "iv" and method is not None:
-        text = "least squares is biased towards drive gains of 0"
-        raise BadInputError(text, key="method", value=chosen, expected="iv with --gains")
+        raise BadInputError(
+            "least squares is biased towards drive gains of 0",
+            key="method",
+            value=chosen,
+            expected="iv with --gains",
+        )
     equations = with_best_ramps(equations, instruments=chosen == "iv" or bool(overrides.gains))
     if chosen == "iv" or equations.overrides.gains:
         try:
@@ -93,9 +97,11 @@ def identify(
             raise
     else:
         if iteration is not None:
-            expected = f"iv ({reason})"
             raise BadInputError(
-                "only instrumental variables iterate", key="method", value=chosen, expected=expected
+                "only instrumental variables iterate",
+                key="method",
+                value=chosen,
+                expected=f"iv ({reason})",
             )
         fit = _by_least_squares(equations, chosen, essential=essential)
     return replace(fit, method_reason=reason)
@@ -168,9 +174,11 @@ def _by_instruments(
         begun, x, settled = solve_with_gains(begun)
         if not settled or _default_method(begun)[0] != "iv" or not (factors_of(begun, x) > 0).all():
             if equations.reduced:  # the fit would be that of the beginning alone
-                text = "the recordings are too long to identify gains without a simulated robot"
-                expected = "a recorded reference, a larger decimation or shorter recordings"
-                raise BadInputError(text, key="gains", expected=expected)
+                raise BadInputError(
+                    "the recordings are too long to identify gains without a simulated robot",
+                    key="gains",
+                    expected="a recorded reference, a larger decimation or shorter recordings",
+                )
             return _by_measured_motion(begun, x, settled=settled, essential=essential)
         begun = begun.with_gains(factors_of(begun, x)).with_motors(())
         iteration = replace(iteration, start="ls") if iteration.values is None else iteration
@@ -223,9 +231,10 @@ def _solve_by_instruments(
     if start is not None:  # the whole may leave out terms that its beginning has
         at = [start[0].index(name) for name in names]
         x, C, robot = start[1][at], start[2][np.ix_(at, at)], None
-    fitted = np.arange(len(names))
-    if essential:
-        fitted = np.union1d(ls.essential.kept, np.delete(fitted, base_places(names)))
+    every = np.arange(len(names))
+    fitted = (
+        np.union1d(ls.essential.kept, np.delete(every, base_places(names))) if essential else every
+    )
     lab = closed_loops(equations, prior, gain_update=iteration.gain_update)
 
     def step(rows: Rows, Z: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY

@@ -194,8 +194,11 @@ def status_of(
     if last.failure is not None:
         return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
-        text = "the simulated motion does not resemble the measured one"
-        return "diverged", f"{text}: first-stage F = {tests.first_stage_F:.2g}"
+        return (
+            "diverged",
+            "the simulated motion does not resemble the measured one: first-stage "
+            f"F = {tests.first_stage_F:.2g}",
+        )
     if best.stands_alone:
         return "converged", f"instruments: reference; {best.z.reason}"
     if last.is_last:
@@ -224,8 +227,11 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     status, why = status_of(
         equations, passes, best, tests_of(equations.along(best.z).system, best.estimate)
     )
-    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
-    return None if status == "converged" else text
+    return (
+        None
+        if status == "converged"
+        else f"by a simulated robot, whose control law is not described, {status}: {why}"
+    )
 
 
 def _unconfirmed(equations: Equations, best: Pass) -> str | None:

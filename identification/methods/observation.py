@@ -39,9 +39,8 @@ ADVICE = "use --method iv (needs a recorded reference)"
 @one_thread
 def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Observed:
     """`observation_of` as a task."""
-    if isinstance(source, RecordingFile):
-        source = source.load()
-    return observation_of(regression.make_problem(source, overrides), most)
+    signals = source.load() if isinstance(source, RecordingFile) else source
+    return observation_of(regression.make_problem(signals, overrides), most)
 
 
 def observation_of(problem: Problem, most: float | None, say: Say = lambda text: None) -> Observed:
@@ -145,9 +144,12 @@ def position_noise_line(
     value = float(widths[worst])
     text = f"moves {names[worst]} by {value:.2g} half-widths ({percents[worst]:.2g} %)"
     if matters.any():
-        text = f"{text} or more: {ADVICE}"
         return TrustLine(
-            NAME, "caution", text, value, finding="least squares biased by position noise"
+            NAME,
+            "caution",
+            f"{text} or more: {ADVICE}",
+            value,
+            finding="least squares biased by position noise",
         )
     return TrustLine(NAME, "ok", text, value)
 
@@ -159,9 +161,7 @@ def _reason_against(problem: Problem) -> str | None:
         return "without a low-pass noise and motion cannot be separated"
     if settings.cutoff_hz > MAX_CUTOFF * signals.sample_rate_hz:
         return f"too little of the noise is above the cut-off of {settings.cutoff_hz:g} Hz"
-    if signals.off_grid > ON_GRID:
-        return "interpolated samples have less noise"
-    return None
+    return "interpolated samples have less noise" if signals.off_grid > ON_GRID else None
 
 
 def _noise_like(problem: Problem) -> Array:

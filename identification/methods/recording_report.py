@@ -140,9 +140,11 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
     lines.append(f"common to all: {cutoff}, {fs / settings.decimation:g} rows a second")
     lines += [line for one in recordings for line in recording_lines(one.problem.signals)]
     numbers = ("Hz", "from, s", "to, s", *ERROR_COLUMNS, "held out")
-    table = Table(columns=columns("recording", numbers=numbers), rows=tuple(rows))
     return Section(
-        title="recordings: relative torque error, %", table=table, lines=tuple(lines), short=short
+        title="recordings: relative torque error, %",
+        table=Table(columns=columns("recording", numbers=numbers), rows=tuple(rows)),
+        lines=tuple(lines),
+        short=short,
     )
 
 

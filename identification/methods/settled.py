@@ -201,8 +201,10 @@ def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
         ):
             best = ramp
     if best is None:
-        able = (ramp for ramp in OTHERS if _half_widths(span.with_ramps(ramp), instruments=False))
-        best = next(able, LONG)
+        best = next(
+            (ramp for ramp in OTHERS if _half_widths(span.with_ramps(ramp), instruments=False)),
+            LONG,
+        )
     return tried[best] if span is equations and best in tried else equations.with_ramps(best)
 
 

@@ -26,8 +26,7 @@ def lag_groups(equations: Equations) -> list[list[int]]:
     groups: dict[object, list[int]] = {}
     for k, problem in enumerate(equations.problems):
         signals, known = problem.signals, problem.settings.known_lag
-        key = (*signals.lag_group, known.sd_s == 0.0 and known.value_s)
-        groups.setdefault(key, []).append(k)
+        groups.setdefault((*signals.lag_group, known.sd_s == 0.0 and known.value_s), []).append(k)
     return list(groups.values())
 
 
@@ -113,9 +112,11 @@ def lags_of(equations: Equations, rows: Rows, estimate: Estimate) -> tuple[Lag, 
     moves, found = moves_of(rows.system, by_group(rates, groups), estimate), []
     for lag, group, move in zip(equations.lags, groups, moves.T, strict=True):
         replayed = next((x for k in group if (x := equations.replays[k][1]) is not None), None)
-        delay = None
-        if replayed is not None and lag.found is not None:
-            delay = (replayed.value_s - lag.found[0], lag.reach * lag.found[1])
+        delay = (
+            (replayed.value_s - lag.found[0], lag.reach * lag.found[1])
+            if replayed is not None and lag.found is not None
+            else None
+        )
         names = tuple(equations.problems[k].signals.recording for k in group)
         found.append(replace(lag, delay_s=delay, moved=lag.sd_s * np.abs(move), recordings=names))
     return tuple(found)

@@ -171,9 +171,10 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER
         if x.shape[-1] <= padding:
-            samples = x.shape[-1]
             raise NoFitError(
-                key=f"samples to decimate by {r}", value=samples, expected=f"more than {padding}"
+                key=f"samples to decimate by {r}",
+                value=x.shape[-1],
+                expected=f"more than {padding}",
             )
         first = (x.shape[-1] - 1) % r
         x = (

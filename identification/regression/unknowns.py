@@ -211,9 +211,12 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
     )
     columns = [c for c, s in enumerate(model.sources) if getattr(s, "kind", None) == KINDS[kind]]
     if not columns:
-        expected = "offset = true of a joint" if kind == "Off" else "joints with this friction"
         raise BadInputError(
-            "no joint has it", place=place, key="identification.own", value=kind, expected=expected
+            "no joint has it",
+            place=place,
+            key="identification.own",
+            value=kind,
+            expected="offset = true of a joint" if kind == "Off" else "joints with this friction",
         )
     for c in columns:
         alone = [

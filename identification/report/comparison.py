@@ -52,9 +52,10 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """
     partners = _partners(a, b)
     if not partners:
-        expected = "two fits of one robot, or of like robots"
         raise BadInputError(
-            "no parameter in common", place=f"{a.label} and {b.label}", expected=expected
+            "no parameter in common",
+            place=f"{a.label} and {b.label}",
+            expected="two fits of one robot, or of like robots",
         )
     rows = []
     for name, x in a.parameters.items():
@@ -63,8 +64,12 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             continue
         y = b.parameters[partners[name]]
         if x.unit != y.unit:
-            expected = f"{x.unit}, as in {a.label}"
-            raise BadInputError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
+            raise BadInputError(
+                place=b.label,
+                key=f"{name}.unit",
+                value=y.unit,
+                expected=f"{x.unit}, as in {a.label}",
+            )
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
         rows.append(
             Difference(
@@ -205,10 +210,10 @@ def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
     which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
     if kinds[0] != kinds[1]:
         which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
-    compared = (
-        "link parameters (XX to M) are comparable only where a link has the same frame in both"
-    )
-    return [f"the link frames differ: {which}; {compared}"]
+    return [
+        f"the link frames differ: {which}; link parameters (XX to M) are comparable only where a "
+        "link has the same frame in both"
+    ]
 
 
 def _frames(description: dict[str, str], place: str) -> str | list[object]:
@@ -218,7 +223,9 @@ def _frames(description: dict[str, str], place: str) -> str | list[object]:
     try:
         return [joint["dh"] for joint in tomllib.loads(description["robot.toml"])["joint"]]
     except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
-        expected = "the robot.toml that was fitted"
         raise BadInputError(
-            place=place, key="description", value=str(error), expected=expected
+            place=place,
+            key="description",
+            value=str(error),
+            expected="the robot.toml that was fitted",
         ) from error

@@ -311,9 +311,16 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
         expected = f"a fit as `robot-identify fit {log} --json FIT.json` writes it"
         raise BadInputError(text, place=str(path), expected=expected) from error
     if stored.format != FORMAT:
-        expected = f"{FORMAT}, read by this version"
-        raise BadInputError(place=str(path), key="format", value=stored.format, expected=expected)
+        raise BadInputError(
+            place=str(path),
+            key="format",
+            value=stored.format,
+            expected=f"{FORMAT}, read by this version",
+        )
     if not all(math.isfinite(p.value) and p.sigma >= 0 and p.half >= 0 for p in stored.parameters):
-        expected = "finite values, sigmas of at least 0, low not above high"
-        raise BadInputError(place=str(path), key="parameters", expected=expected)
+        raise BadInputError(
+            place=str(path),
+            key="parameters",
+            expected="finite values, sigmas of at least 0, low not above high",
+        )
     return stored

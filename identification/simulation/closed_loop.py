@@ -333,9 +333,11 @@ def described_robot(
     from acquisition.simulated import SUBSTEPS, middle_of_range
 
     if payload is not None and not robot.gain_known:
-        expected = "drive gains of the motors: in A or V a mass has no weight"
         raise BadInputError(
-            place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected
+            place=f"robot {robot.name}",
+            key="payload",
+            value=str(payload),
+            expected="drive gains of the motors: in A or V a mass has no weight",
         )
     inverse = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(inverse)
@@ -348,8 +350,7 @@ def described_robot(
     )
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     M = model.inertia(poses)
-    reason = dynamics.why_not_positive(M)
-    if reason is not None:
+    if (reason := dynamics.why_not_positive(M)) is not None:
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     plant = RigidBodyPlant(

@@ -143,12 +143,12 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
     if not stated:
         return None
     if missing := [key for key in needed if key not in stated]:
-        where = f"robot {robot.name}"
-        expected = (
-            f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz is simulated)"
-        )
         raise BadInputError(
-            place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected
+            place=f"robot {robot.name}",
+            key=f"controller: {', '.join(missing)}",
+            value=None,
+            expected=f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz "
+            "is simulated)",
         )
     structure, gains = stated["structure"], described_gains(c)
     assert gains is not None

@@ -145,9 +145,13 @@ class Experiment:
             what = f"{self.instants} instants in the {used / fs:.3g} s of {recording}"
             expected = f"at least {MIN_INSTANTS} instants"
         if what:
-            place, key = f"robot {self.problem.signals.robot.name}", "controller.sample_rate_hz"
             raise BadInputError(
-                what, place=place, key=key, value=rate_hz, shown=f"{rate_hz:g}", expected=expected
+                what,
+                place=f"robot {self.problem.signals.robot.name}",
+                key="controller.sample_rate_hz",
+                value=rate_hz,
+                shown=f"{rate_hz:g}",
+                expected=expected,
             )
 
     def _scan_recording(self) -> None:

@@ -239,11 +239,12 @@ class ClosedLoops:
         """Instruments of all recordings about x, as `simulate_instruments`; `robot` is
         simulated in place of x.
         """
-        rate, tasks = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH, []
+        rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
         asked = self.unknowns.simulated(x if robot is None else robot, covariance)
-        for k, (one, (beta, C, carried)) in enumerate(zip(self.simulations, asked, strict=True)):
-            more = further[k] if further else None
-            tasks.append((one, rate, self.unknowns.beta(x, k), beta, C, carried, more))
+        tasks = [
+            (one, rate, self.unknowns.beta(x, k), *own, further[k] if further else None)
+            for k, (one, own) in enumerate(zip(self.simulations, asked, strict=True))
+        ]
         return self._stacked(list(self.work.run(Simulation.instruments, tasks)), x)
 
     def along_reference(self, x: Array, further: Sequence[Term] = ()) -> Instruments:

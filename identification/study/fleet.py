@@ -191,18 +191,17 @@ def fleet_document(rows: Sequence[FleetRow]) -> Document:
     """The printed table: a line per fit with what has changed since the one before; the
     reasons of what failed.
     """
-    lines = []
-    for row in rows:
-        lines.append(
-            (
-                (f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-"),
-                row.file,
-                row.status,
-                row.verdict or "-",
-                Number(row.moving_error_percent, ".3g"),
-                textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...") or "-",
-            )
+    lines = tuple(
+        (
+            f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-",
+            row.file,
+            row.status,
+            row.verdict or "-",
+            Number(row.moving_error_percent, ".3g"),
+            textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...") or "-",
         )
+        for row in rows
+    )
     head = columns(
         "start, UTC", "recording", "status", "verdict", numbers=("moving error %",)
     ) + columns("changed")
@@ -210,7 +209,7 @@ def fleet_document(rows: Sequence[FleetRow]) -> Document:
         title=f"recordings: {len(rows)}, fitted: {sum(bool(row.parameters) for row in rows)}",
         sections=(
             Section(
-                table=Table(columns=head, rows=tuple(lines)),
+                table=Table(columns=head, rows=lines),
                 warnings=tuple(
                     f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason
                 ),

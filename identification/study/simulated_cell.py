@@ -112,8 +112,10 @@ def random_reference(
     """
     samples = duration_s * sample_rate_hz
     if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
-        found = f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples"
-        raise BadInputError(f"{found}; expected {MIN_SAMPLES} to {MAX_SAMPLES}")
+        raise BadInputError(
+            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected "
+            f"{MIN_SAMPLES} to {MAX_SAMPLES}"
+        )
     reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
     return by_rows(
         lambda rows: reference.at(rows / sample_rate_hz)[0], np.arange(round(samples) + 1)
@@ -146,12 +148,9 @@ def closed_loop(
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
-        found, expected = (
-            f"{1 / loop.period_s:g}",
-            f"{sample_rate_hz:g}, the rate of the simulated recording",
-        )
         raise BadInputError(
-            f"robot {robot.name}: controller.sample_rate_hz = {found}: expected {expected}"
+            f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected "
+            f"{sample_rate_hz:g}, the rate of the simulated recording"
         )
     fastest = np.max(
         [

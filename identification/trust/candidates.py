@@ -210,62 +210,102 @@ class Candidates:
                 and not joint.one_sided
                 and "asymmetric" not in terms
             ):
-                advice = _to_describe(
-                    joint, "asymmetric", 'friction = "asymmetric", which includes an offset'
-                )
                 Fc, Fv = (0.01 * value.get(f"{name}{j + 1}", 0.0) for name in ("Fc", "Fv"))
-                term = MissingTerm(kind=ASYMMETRIC, where=where, unit="% of it", advice=advice)
-                yield term, each[j], Fc + Fv * np.abs(v)
-            if "offset" not in terms:
-                advice = _to_describe(joint, "offset", "offset = true")
                 yield (
-                    MissingTerm(kind=OFFSET, where=where, unit=effort, advice=advice),
+                    MissingTerm(
+                        kind=ASYMMETRIC,
+                        where=where,
+                        unit="% of it",
+                        advice=_to_describe(
+                            joint, "asymmetric", 'friction = "asymmetric", which includes an offset'
+                        ),
+                    ),
+                    each[j],
+                    Fc + Fv * np.abs(v),
+                )
+            if "offset" not in terms:
+                yield (
+                    MissingTerm(
+                        kind=OFFSET,
+                        where=where,
+                        unit=effort,
+                        advice=_to_describe(joint, "offset", "offset = true"),
+                    ),
                     each[j],
                     np.ones_like(v),
                 )
-            advice = "warm the robot up, or record a shorter motion"
-            term = MissingTerm(
-                kind=DRIFT, where=where, unit=f"{effort} over the recording", advice=advice
-            )
             yield (
-                term,
+                MissingTerm(
+                    kind=DRIFT,
+                    where=where,
+                    unit=f"{effort} over the recording",
+                    advice="warm the robot up, or record a shorter motion",
+                ),
                 each[j],
                 (x.t_s * fs - settings.start) / (settings.stop - 1 - settings.start),
             )
-            advice = "record its torque (of a spring, a hose or a weight) as known_torque"
-            unit, least = (
-                f"{effort}/{joint.position_unit}",
-                MIN_TAKEN_PERCENT if weighs else MIN_SPRING_TAKEN_PERCENT,
+            yield (
+                MissingTerm(
+                    kind=SPRING,
+                    where=where,
+                    unit=f"{effort}/{joint.position_unit}",
+                    advice="record its torque (of a spring, a hose or a weight) as known_torque",
+                    least_percent=MIN_TAKEN_PERCENT if weighs else MIN_SPRING_TAKEN_PERCENT,
+                ),
+                each[j],
+                x.q[:, j],
             )
-            term = MissingTerm(
-                kind=SPRING, where=where, unit=unit, advice=advice, least_percent=least
-            )
-            yield term, each[j], x.q[:, j]
             if "stribeck" not in terms:
-                advice = "leave out slow samples by a larger low_speed_percent of [identification]"
                 v_s = STRIBECK_SPEED_RATIO * max(self.peak[j], 1e-300)
-                term = MissingTerm(kind=STRIBECK, where=where, unit=effort, advice=advice)
-                yield term, each[j], np.sign(v) * np.exp(-((v / v_s) ** 2))
-            unit, per = ("deg", np.pi / 180) if joint.type == "revolute" else ("mm", 1e-3)
-            advice = "check the zero of its position (home offset 607Ch, zero_deg or zero_m)"
-            term = MissingTerm(kind=ZERO, where=where, unit=unit, advice=advice)
-            yield term, np.ones(n), per * by_position[:, :, j]
-            if not joint.rotor_inertia:
-                advice = "rotor_inertia = true"
-                term = MissingTerm(
-                    kind=ROTOR, where=where, unit=inertia_unit(robot, j), advice=advice
+                yield (
+                    MissingTerm(
+                        kind=STRIBECK,
+                        where=where,
+                        unit=effort,
+                        advice="leave out slow samples by a larger low_speed_percent of "
+                        "[identification]",
+                    ),
+                    each[j],
+                    np.sign(v) * np.exp(-((v / v_s) ** 2)),
                 )
-                yield term, each[j], x.ddq[:, j]
+            unit, per = ("deg", np.pi / 180) if joint.type == "revolute" else ("mm", 1e-3)
+            yield (
+                MissingTerm(
+                    kind=ZERO,
+                    where=where,
+                    unit=unit,
+                    advice="check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
+                ),
+                np.ones(n),
+                per * by_position[:, :, j],
+            )
+            if not joint.rotor_inertia:
+                yield (
+                    MissingTerm(
+                        kind=ROTOR,
+                        where=where,
+                        unit=inertia_unit(robot, j),
+                        advice="rotor_inertia = true",
+                    ),
+                    each[j],
+                    x.ddq[:, j],
+                )
             if "load" not in joint.terms:
-                term = MissingTerm(kind=LOAD, where=where, unit="", advice=SELECT_TERMS)
-                yield term, each[j], load[:, j] * np.sign(v)
+                yield (
+                    MissingTerm(kind=LOAD, where=where, unit="", advice=SELECT_TERMS),
+                    each[j],
+                    load[:, j] * np.sign(v),
+                )
         # Torque per rad of rotation of gravity about an axis of the base, by the estimated links.
         for axis, about in zip(np.eye(3), "xyz", strict=True):
             if (turned := np.cross(axis, np.array(robot.gravity))).any():
-                advice = "level the base, or set gravity_m_s2"
-                term = MissingTerm(kind=TILT, where=f"about {about}", unit="rad", advice=advice)
                 yield (
-                    term,
+                    MissingTerm(
+                        kind=TILT,
+                        where=f"about {about}",
+                        unit="rad",
+                        advice="level the base, or set gravity_m_s2",
+                    ),
                     np.ones(n),
                     smooth(lambda q, *_, g=turned: links.gravity(q, g), x, stride),
                 )
@@ -277,33 +317,48 @@ class Candidates:
                     f"{joints[j].name}"
                 )
                 unit, v = f"{efforts[j]} ({joints[j].position_unit}/s)^-½", x.dq @ along
-                term = MissingTerm(kind=ROOT, where=where, unit=unit, advice=SELECT_TERMS)
-                yield term, along, np.sign(v) * np.sqrt(np.abs(v))
-        advice = "stamp positions and efforts by one clock"
-        term = MissingTerm(
-            kind=CLOCKS, where="between positions and efforts", unit="%", advice=advice
-        )
-        middle_s = (settings.start + settings.stop - 1) / (2 * fs)
-        yield term, np.ones(n), -0.01 * (x.t_s - middle_s)[:, None] * self._rate(x, drives)
-        if n > 1 and self.simulated:
-            advice = "check how its effort is filtered and stamped"
-            for j in range(n):
-                term = MissingTerm(
-                    kind=LAG, where=f"of joint {joints[j].name}", unit="ms", advice=advice
+                yield (
+                    MissingTerm(kind=ROOT, where=where, unit=unit, advice=SELECT_TERMS),
+                    along,
+                    np.sign(v) * np.sqrt(np.abs(v)),
                 )
-                yield term, -1e-3 * each[j], self._rate(x, drives)
+        middle_s = (settings.start + settings.stop - 1) / (2 * fs)
+        yield (
+            MissingTerm(
+                kind=CLOCKS,
+                where="between positions and efforts",
+                unit="%",
+                advice="stamp positions and efforts by one clock",
+            ),
+            np.ones(n),
+            -0.01 * (x.t_s - middle_s)[:, None] * self._rate(x, drives),
+        )
+        if n > 1 and self.simulated:
+            for j in range(n):
+                yield (
+                    MissingTerm(
+                        kind=LAG,
+                        where=f"of joint {joints[j].name}",
+                        unit="ms",
+                        advice="check how its effort is filtered and stamped",
+                    ),
+                    -1e-3 * each[j],
+                    self._rate(x, drives),
+                )
         if n > 1 and robot.gain_known and not self.gains:
             # The predicted torque of a drive: the coefficient is its gain relative
             # to the others, less 1.
-            advice = "check its drive_gain and ratio against those of the other joints"
             for j in range(n):
-                term = MissingTerm(
-                    kind="relative gain",
-                    where=f"of joint {joints[j].name}",
-                    unit="%",
-                    advice=advice,
+                yield (
+                    MissingTerm(
+                        kind="relative gain",
+                        where=f"of joint {joints[j].name}",
+                        unit="%",
+                        advice="check its drive_gain and ratio against those of the other joints",
+                    ),
+                    0.01 * each[j],
+                    drives,
                 )
-                yield term, 0.01 * each[j], drives
 
 
 def _of_links(links: DirectModel, q: Array, dq: Array, ddq: Array) -> Array:

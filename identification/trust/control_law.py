@@ -142,8 +142,8 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
 
 def _gains(law: Law, j: int) -> str:
     """The gains of a motor with their half-widths, and those described."""
-    each = []
-    for i in np.flatnonzero(law.used):
-        text = f"{LETTERS[i]} {law.gains[i, j]:.5g} ± {law.gains_half[i, j]:.2g}"
-        each.append(text if law.described is None else f"{text} of {law.described[i, j]:.5g}")
-    return ", ".join(each)
+    return ", ".join(
+        f"{LETTERS[i]} {law.gains[i, j]:.5g} ± {law.gains_half[i, j]:.2g}"
+        + ("" if law.described is None else f" of {law.described[i, j]:.5g}")
+        for i in np.flatnonzero(law.used)
+    )

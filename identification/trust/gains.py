@@ -50,31 +50,37 @@ def gains_test(evidence: FitData) -> TrustLine | None:
         )
 
     if (K < 0).all() and half.min() <= MAX_USABLE_PERCENT:
-        text = (
+        return line(
+            "do not use",
             "all drive gains are negative: the recordings are exchanged, the payload belongs "
-            "to another"
+            "to another",
+            "recordings exchanged",
         )
-        return line("do not use", text, "recordings exchanged")
     wrong = [
         n for n, k, h in zip(labels, K, half, strict=True) if k < 0 and h <= MAX_USABLE_PERCENT
     ]
     if wrong and (half[K <= 0] <= MAX_USABLE_PERCENT).all():
         finding = f"wrong sign of {' and '.join(wrong)}"
-        text = (
+        return line(
+            "do not use",
             f"{finding}: its drive gain is negative, others are positive: check the sign of "
-            "its effort and of its position"
+            "its effort and of its position",
+            finding,
         )
-        return line("do not use", text, finding)
     if (K <= 0).any() or half.min() > MAX_USABLE_PERCENT:
         why = ", ".join(unsure) or "one is negative"
-        text = f"no drive gain is usable ({why}): check which recording has the payload"
-        return line("do not use", text, "drive gains not determined")
-    if len(unsure) == len(motors):
-        text = (
-            f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a "
-            "heavier payload"
+        return line(
+            "do not use",
+            f"no drive gain is usable ({why}): check which recording has the payload",
+            "drive gains not determined",
         )
-        return line("caution", text, "drive gains not determined")
+    if len(unsure) == len(motors):
+        return line(
+            "caution",
+            f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a "
+            "heavier payload",
+            "drive gains not determined",
+        )
     if (
         common := _common_factor(
             (K / described)[(half < MAX_HALF_PERCENT) & np.isfinite(described)]

@@ -208,12 +208,10 @@ def _solve(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
     """Parameters (b,) from weighted rows [Z W Y], or the names of undetermined ones."""
     b = len(names)
     Z, W, Y = R[:, :b], R[:, b:-1], R[:, -1]
-    undetermined = undetermined_parameters(Z, names)
-    if undetermined:
+    if undetermined := undetermined_parameters(Z, names):
         return None, undetermined
     Q = np.linalg.qr(Z / np.linalg.norm(Z, axis=0))[0]
     A, d = Q.T @ W, np.linalg.norm(W, axis=0)
-    undetermined = undetermined_parameters(A, names)
-    if undetermined:
+    if undetermined := undetermined_parameters(A, names):
         return None, undetermined
     return np.linalg.solve(A / d, Q.T @ Y) / d, []

@@ -155,9 +155,11 @@ def _line(evidence: FitData, lag: Lag) -> TrustLine:
                 "torque_lag_s out"
             )
     elif lag.found is None:
-        known = f"{lag.value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms by {lag.prior.source}"
-        if lag.prior.source == "nothing":
-            known = f"not known, {lag.value_s * 1e3:g} ± {lag.sd_s * 1e3:g} ms"
+        known = (
+            f"not known, {lag.value_s * 1e3:g} ± {lag.sd_s * 1e3:g} ms"
+            if lag.prior.source == "nothing"
+            else f"{lag.value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms by {lag.prior.source}"
+        )
         text = f"{known}: {cost}, included in the intervals"
         if moved[worst] > 1:
             level, text = "caution", f"{text}: state effort_timing, or record the reference"

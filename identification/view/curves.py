@@ -291,21 +291,23 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
                 )
             )
         for quantity, unit, x, limits in shown:
-            curves = [Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j]))]
-            for key, limit in zip(("low", "high"), limits or (), strict=False):
-                curves.append(
+            curves = (
+                Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j])),
+                *(
                     Curve(
                         key=key,
                         color=VERMILLION,
                         line=(t_s[[0, -1]], np.full(2, limit)),
                         width=0.75,
                     )
-                )
+                    for key, limit in zip(("low", "high"), limits or (), strict=False)
+                ),
+            )
             plots.setdefault(quantity, []).append(
                 Plot(
                     path=(quantity, joint.name),
                     title=f"{quantity} {joint.name} [{unit}]",
-                    curves=tuple(curves),
+                    curves=curves,
                     legend=False,
                 )
             )

@@ -69,6 +69,20 @@ def test_identifiers_of_the_predefined_connection_set(direction, expected):
     assert [protocol.usual_can_id(direction, number, 5) for number in (1, 2, 3, 4, 5)] == expected
 
 
+@pytest.mark.parametrize(
+    ("raw", "bits", "number"),
+    [
+        (0xFA, 8, -6),
+        (0x7FFF, 16, 32767),
+        (0x8000, 16, -32768),
+        (0xFFFF, 32, 65535),
+        (0xFFFFFFFF, 32, -1),
+    ],
+)
+def test_signed_integers_are_twos_complements(raw, bits, number):
+    assert protocol.signed(raw, bits) == number
+
+
 TPDO = protocol.Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))
 RPDO = protocol.Pdo(
     number=3, can_id=0x405, entries=(ObjectEntry(index=0x6040, sub=0, type="U16"), INTERPOLATION)
