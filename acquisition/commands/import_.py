@@ -160,11 +160,10 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
         *(f"with {name.replace('_', ' ')}" for name in found.optional),
     ]
     print(one_line(", ".join(parts)))
-    rows = overview(read_recording(found.out))["rows"]
     for name, text in (
         ("topic", found.topic),
         ("times", found.times),
-        ("rows", rows),
+        ("rows", overview(read_recording(found.out))["rows"]),
         ("reference", found.reference),
     ):
         if text:

@@ -44,14 +44,15 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
     t_s, q = 1e-9 * (rows["stamp_ns"] - rows["stamp_ns"][0]), rows["position"]
     lost, filled = _lost_efforts(q, rows["effort"], robot), _filled_rows(q, rows["effort"])
     gaps = np.flatnonzero(in_gaps(t_s, 0.5 * (t_s[1:] + t_s[:-1])))
-    missing = np.rint(np.diff(t_s)[gaps] / np.median(np.diff(t_s))) - 1
+    periods = np.rint(np.diff(t_s)[gaps] / np.median(np.diff(t_s)))
     before, over = (q[k + 1] - q[k] for k in (np.maximum(gaps - 1, 0), gaps))
-    steps = np.linalg.norm(over - before, axis=1) < MAX_OFF * np.linalg.norm(before, axis=1)
     counts = {
         "have lost efforts": lost.sum(),
         "are interpolated": (filled & ~lost).sum(),
-        f"are missing in {len(gaps)} gap(s)": missing.sum(),
-        "of these gaps are steps of the clock, as positions go on": steps.sum(),
+        f"are missing in {len(gaps)} gap(s)": (periods - 1).sum(),
+        "of these gaps are steps of the clock, as positions go on": np.sum(
+            np.linalg.norm(over - before, axis=1) < MAX_OFF * np.linalg.norm(before, axis=1)
+        ),
     }
     runs = [*_runs(lost | filled), *([k, k + 1] for k in gaps.tolist())]
     text = ", ".join(f"{count:.0f} {why}" for why, count in counts.items() if count)
@@ -63,7 +64,8 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
 
 def _lost_efforts(q: Array, effort: Array, robot: Robot) -> Bools:
     """Rows (N,) whose efforts (N, n), at the joints as the positions q (N, n), were lost."""
-    motor, lost = by_rows(robot.motor_effort, effort), np.zeros(len(q), dtype=bool)
+    to_motors, lost = np.linalg.inv(robot.R), np.zeros(len(q), dtype=bool)
+    motor = by_rows(lambda x: x @ to_motors, effort)  # but for gains
     peak = np.maximum(by_rows(np.abs, motor).max(axis=0), 1e-300)
     changes = by_rows(
         lambda x: np.where(

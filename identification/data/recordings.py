@@ -78,10 +78,10 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         raise BadInputError(recording.no_samples, place=str(path), expected=expected)
     stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
+    rows, text = measured_rows(samples, recording.robot)
     first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
     columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
-    rows, text = measured_rows(samples, was)
     since = stamps - first_ns
     measured = (np.interp(grid, since, rows) == 1) & ~in_gaps(since, grid)
     law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()

@@ -22,8 +22,8 @@ def torque_errors(
     tau: Array,
     predicted: Array,
     speed: Array,
+    measured: NDArray[np.bool_],
     names: tuple[str, ...],
-    measured: NDArray[np.bool_] | None = None,
 ) -> tuple[TorqueResidual, ...]:
     """Torque errors of each of the joints `names` and, last and under the name `all`,
     of all joints together.
@@ -32,7 +32,7 @@ def torque_errors(
     known); by the joint speeds (rows, n), rad/s or m/s, rows move or stand. Rows that were not
     `measured` (rows,) are left out.
     """
-    if measured is not None and not measured.all():
+    if not measured.all():
         tau, predicted, speed = (x[measured] for x in (tau, predicted, speed))
     moving, rho = are_moving(speed), tau - predicted
     each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]

@@ -123,7 +123,7 @@ def fit_of(
             arm=equations.unknowns.arms[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(
-                measured.tau[own], of_model[own], measured.speed[own], names, there[k]
+                measured.tau[own], of_model[own], measured.speed[own], there[k], names
             ),
             held_out=evidence.held_out[k]
             if len(equations.problems) > 1 and not evidence.gains
@@ -143,7 +143,7 @@ def fit_of(
         tau=rows.tau,
         tau_predicted=predicted,
         speed=rows.speed,
-        errors=torque_errors(measured.tau, of_model, measured.speed, names, np.concatenate(there)),
+        errors=torque_errors(measured.tau, of_model, measured.speed, np.concatenate(there), names),
         warnings=warnings,
         trust=trust_in(evidence),
         data=evidence,

@@ -79,16 +79,21 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
     carried = [one.arm.payload for one in fit.recordings]
     each = [
-        torque_of_recording(
-            one.problem, found.beta if payload is None else found.beta + payload.known
+        (
+            *torque_of_recording(
+                one.problem, found.beta if payload is None else found.beta + payload.known
+            ),
+            one.problem.measured_rows(),
         )
         for one, payload in zip(fit.recordings, carried, strict=True)
     ]
-    tau, predicted, speed = (np.concatenate(x) for x in zip(*each, strict=True))
+    tau, predicted, speed, measured = (np.concatenate(x) for x in zip(*each, strict=True))
     names = tuple(joint.name for joint in problem.signals.robot.joints)
-    measured = np.concatenate([one.problem.measured_rows() for one in fit.recordings])
-    errors = torque_errors(tau, predicted, speed, names, measured)
-    return replace(fit, consistent_set=found, consistent_errors=errors)
+    return replace(
+        fit,
+        consistent_set=found,
+        consistent_errors=torque_errors(tau, predicted, speed, measured, names),
+    )
 
 
 @one_thread

@@ -306,13 +306,12 @@ def validate_all(
     """
     check_one_robot([signals for signals, _ in recordings])
     names = tuple(j.name for j in recordings[0][0].robot.joints)
-    each, parts, measured = [], [], []
+    each, parts = [], []
     for signals, overrides in recordings:
         problem = make_problem(signals, overrides)
         beta = stored_beta(stored, problem.base, place) + payload_beta(stored, problem)
-        parts.append(torque_of_recording(problem, beta))
-        measured.append(problem.measured_rows())
-        errors = torque_errors(*parts[-1], names, measured[-1])
+        parts.append((*torque_of_recording(problem, beta), problem.measured_rows()))
+        errors = torque_errors(*parts[-1], names)
         each.append(Validated(signals, problem.settings, errors, *parts[-1][:2]))
-    tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return tuple(each), torque_errors(tau, predicted, speed, names, np.concatenate(measured))
+    tau, predicted, speed, measured = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return tuple(each), torque_errors(tau, predicted, speed, measured, names)
