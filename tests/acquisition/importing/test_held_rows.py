@@ -2,13 +2,22 @@
 their source; coarse encoders and robots that stand are left alone.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from acquisition.commands import main
 from acquisition.errors import Place
 from acquisition.importing.held import grid_of_new_rows
+from acquisition.recording import read_recording
 
 SECONDS = 12.0
+JOINTS = "".join(
+    f'[[joint]]\nname = "j{k}"\ntype = "revolute"\ndh = {{ alpha_deg = 0, d_m = 0.1, theta_deg = 0, r_m = 0 }}\n'
+    f'[[motor]]\nname = "m{k}"\neffort_unit = "N m"\n'
+    for k in range(3)
+)
 
 
 def motion(t_s):
@@ -28,6 +37,38 @@ def logged(source_s, log_hz, new=("position", "effort")):
 
 def even(rate_hz):
     return np.arange(round(SECONDS * rate_hz)) / rate_hz
+
+
+MAP = """{time}
+[position]
+columns = [1, 2, 3]
+unit = "rad"
+side = "joint"
+[effort]
+columns = [4, 5, 6]
+unit = "N m"
+side = "joint"
+"""
+TIMES = {
+    "a column of times": '[time]\ncolumn = 7\nunit = "s"',
+    "times and a rate above the source's": '[time]\ncolumn = 7\nunit = "s"\nresample_hz = 500',
+    "a rate": "sample_rate_hz = 500",
+}
+
+
+@pytest.mark.parametrize("times", TIMES)
+def test_a_table_is_imported_at_the_rate_of_its_source(tmp_path, capsys, times):
+    t_s, parts = logged(even(125), 500)
+    np.savetxt(tmp_path / "log.csv", np.c_[parts["position"], parts["effort"], t_s], delimiter=",")
+    (tmp_path / "map.toml").write_text(MAP.format(time=TIMES[times]))
+    (tmp_path / "robot.toml").write_text(f'name = "arm"\n[controller]\n{JOINTS}')
+    names = {name: str(tmp_path / name) for name in ("log.csv", "map.toml", "robot.toml", "a.mcap")}
+    log, table_map, robot, out = names.values()
+    assert main(["import", log, "--map", table_map, "--robot", robot, "-o", out]) == 0
+    recording = read_recording(Path(out))
+    assert recording.sample_rate_hz == 125
+    np.testing.assert_allclose(recording.samples["position"], parts["position"][::4], atol=1e-8)
+    assert "new at 125 Hz" in capsys.readouterr().out
 
 
 RATES = [(125, 200), (125, 500), (100, 500), (167, 500), (250, 1000), (400, 500)]

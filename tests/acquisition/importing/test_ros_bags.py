@@ -116,6 +116,16 @@ def test_joints_go_by_name_and_times_by_header(tmp_path):
     ]
 
 
+def test_states_that_are_published_three_times_are_taken_once(tmp_path, capsys):
+    stamps = (FIRST_NS + 10_000_000 * k for k in range(N))
+    states = (message(k // 3 * 3, stamp_ns=ns) for k, ns in enumerate(stamps))
+    recording = imported(bag(tmp_path / "a", states), tmp_path / "out.mcap")
+    assert recording.sample_rate_hz == pytest.approx(RATE_HZ / 3)
+    for name, true in (("position", Q), ("velocity", DQ), ("effort", EFFORT)):
+        np.testing.assert_allclose(recording.samples[name], true[::3], atol=1e-9)
+    assert "each row stands 3 times" in capsys.readouterr().out
+
+
 def test_times_are_header_stamps_from_0_on_or_receptions_where_there_are_none(tmp_path, capsys):
     path = bag(tmp_path / "a", (message(k, stamp_ns=0) for k in range(N)))
     assert imported(path, tmp_path / "a.mcap").samples["stamp_ns"][0] == FIRST_NS + 3_000_000
