@@ -107,8 +107,11 @@ class Problem:
         return ~nearby(~self.signals.measured, reach)
 
     def measured_rows(self) -> NDArray[np.bool_]:
-        """Which decimated rows (rows,) have only measured samples within two rows."""
-        return self.measured_samples(2 * self.settings.decimation)[self.settings.instants]
+        """Which decimated rows (rows,) have only measured samples within the rows in which the
+        filter rings by more than a thousandth; all rows, if that leaves none.
+        """
+        found = self.measured_samples(8 * self.settings.decimation)[self.settings.instants]
+        return found | ~found.any()
 
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model, which were measured, and `source`."""

@@ -14,7 +14,8 @@ from acquisition.recording import read_recording
 
 SECONDS = 12.0
 JOINTS = "".join(
-    f'[[joint]]\nname = "j{k}"\ntype = "revolute"\ndh = {{ alpha_deg = 0, d_m = 0.1, theta_deg = 0, r_m = 0 }}\n'
+    f'[[joint]]\nname = "j{k}"\ntype = "revolute"\n'
+    "dh = { alpha_deg = 0, d_m = 0.1, theta_deg = 0, r_m = 0 }\n"
     f'[[motor]]\nname = "m{k}"\neffort_unit = "N m"\n'
     for k in range(3)
 )

@@ -145,6 +145,17 @@ def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
         assert message in refused(capsys, "fit", path)
 
 
+def test_a_session_that_ended_in_a_fault_is_fitted(capsys, tmp_path):
+    """Answers were lost before it, and the last rows have gaps: the line `rows` names them."""
+    samples = np.array(read_recording(SESSION).samples)
+    rows = np.delete(samples, np.r_[4000:4012, 12650:12660, 12670:12690])
+    write_samples(tmp_path / "log.mcap", robot_named("scara"), rows)
+    status, out, _ = run(capsys, "fit", tmp_path / "log.mcap", "--method", "iv", "--all")
+    assert status == 0
+    assert "42 are missing in 3 gap(s)" in " ".join(out.split())
+    assert "verdict: trust" in out
+
+
 def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
     text = (REPLAY / "emps" / "robot.toml").read_text()
     text = text.replace("drive_gain = 35.15065188\n", "").replace(
