@@ -58,7 +58,10 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
     text = ", ".join(f"{count:.0f} {why}" for why, count in counts.items() if count)
     if text:
         lasts_s, first = max((t_s[min(b, len(q) - 1)] - t_s[a], a) for a, b in runs)
-        text += f"; of {len(q)} rows; the longest stretch: {lasts_s:.3g} s from {t_s[first]:.4g} s"
+        text += (
+            f", of {len(q)} rows: they weigh nothing; the longest stretch lasts {lasts_s:.3g} s, "
+            f"from {t_s[first]:.4g} s"
+        )
     return ~(lost | filled), text
 
 

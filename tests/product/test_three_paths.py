@@ -29,7 +29,7 @@ ARMS = {"ur5_robot": (), "panda": (), "tiago": TORSO}
 # Short sessions: joints, how far each may go, rad or m, and the period of the reference, s.
 SESSIONS = {
     "ur5_robot": ((), "0.6", 3),
-    "panda": ((), "1.2", 4),
+    "panda": (tuple(f"panda_joint{k}" for k in range(1, 5)), "1.2", 4),
     "tiago": (TORSO[:5], "0.15,2,2,2,2", 4),
 }
 RATE_HZ, MOST_PERCENT, MOST_OF_DRIVES = 250.0, 0.3, 1.0
