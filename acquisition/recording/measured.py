@@ -22,6 +22,9 @@ CHANCE = 1e-6  # that efforts of a recording repeat by chance for as long
 EQUAL, CUBIC, MIN_FILLED = 1e-13, 1e-12, 10  # and differences in sequence
 # times that, in most of so many rows to each side of a stretch
 MIN_NOISE, MOST, BESIDE = 1e3, 0.9, 20
+# of first differences of an effort, typical second ones of noise; of its size, that of one that is
+# not about to cross zero; rows that show both
+MIN_ROUGH, MIN_SIZE, MIN_QUANTA, MOST_ROWS = 0.3, 0.1, 3.0, 100_000
 # of the typical step, times the length of a stretch, in which a robot that moves travels more; of
 # the step before it, by which one over a step of the clock differs less
 MIN_TRAVEL, MAX_OFF = 0.05, 0.5
@@ -70,10 +73,20 @@ def _lost_efforts(q: Array, effort: Array, robot: Robot) -> Bools:
     to_motors, lost = np.linalg.inv(robot.R), np.zeros(len(q), dtype=bool)
     motor = by_rows(lambda x: x @ to_motors, effort)  # but for gains
     peak = np.maximum(by_rows(np.abs, motor).max(axis=0), 1e-300)
+    # Without noise efforts are constant, too, where speeds are, and coarse ones cross zero slowly:
+    # only those that jump to 0 were lost.
+    size, once, twice = (np.abs(np.diff(motor[:MOST_ROWS], k, axis=0)) for k in (0, 1, 2))
+    noisy = np.median(twice, axis=0) > MIN_ROUGH * np.median(once, axis=0)
+    quantum = np.where(once > EQUAL * peak, once, np.inf).min(axis=0, initial=np.inf)
+    small = np.maximum(MIN_SIZE * np.median(size, axis=0), MIN_QUANTA * quantum) / MIN_NOISE
     changes = by_rows(
         lambda x: np.where(
             np.abs(x[1:]) < (1 - EQUAL) * peak,
-            np.minimum(np.abs(x[1:]), np.abs(np.diff(x, axis=0))) / (EQUAL * peak),
+            np.where(
+                noisy,
+                np.minimum(np.abs(x[1:]), np.abs(np.diff(x, axis=0))) / (EQUAL * peak),
+                np.abs(x[1:]) / small,
+            ),
             MIN_NOISE,  # at a limit, where nothing tells
         ),
         motor,

@@ -117,6 +117,38 @@ def test_nothing_is_found_where_nothing_is_lost(what, speed, noise, q_step, u_st
     assert judged(STAMPS, q, u)[1] == ""
 
 
+def trapezoid(rate_hz, speed, acceleration, period_s):
+    """Position, speed and acceleration (N,) of moves to and fro at constant speed."""
+    half, rise, t = 0.5 * period_s, speed / acceleration, np.arange(round(10 * rate_hz)) / rate_hz
+    way, t = np.where(t % period_s < half, 1, -1), t % half
+    a = way * np.where(t < rise, acceleration, np.where(t > half - rise, -acceleration, 0.0))
+    v = way * np.clip(acceleration * np.minimum(t, half - t), 0, speed)
+    return np.cumsum(v) / rate_hz, v, a
+
+
+@pytest.mark.parametrize("rate_hz", [100, 1000])
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+@pytest.mark.parametrize(("name", "n"), [("emps", 1), ("scara", 2)])
+def test_efforts_without_noise_are_constant_where_speeds_are(name, n, noise, rate_hz):
+    """As of a first simulation, of one axis and of two without gravity."""
+    moves = [trapezoid(rate_hz, *x) for x in ((0.3, 1.2, 2.0), (0.4, 1.0, 2.5))[:n]]
+    q, dq, ddq = np.stack(moves, axis=-1)
+    q = q + noise * np.random.default_rng(0).normal(size=q.shape)
+    rows = {
+        "stamp_ns": np.arange(len(q)) * (1e9 / rate_hz),
+        "position": q,
+        "effort": 90 * ddq + 200 * dq + 20 * np.sign(dq),
+    }
+    assert measured_rows(rows, robot_named(name))[1] == ""
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_zeros_are_found_without_noise_too(seed):
+    q, u = recorded(seed, noise=0.0)
+    measured, _ = judged(STAMPS, q, np.where(BURSTS[:, None], 0.0, u))
+    np.testing.assert_array_equal(measured, ~BURSTS)
+
+
 PAUSED = np.minimum(np.arange(N), np.maximum(2000, np.arange(N) - 300))  # stands for 300 rows
 
 
