@@ -22,11 +22,11 @@ CHANCE = 1e-6  # that efforts of a recording repeat by chance for as long
 EQUAL, CUBIC, MIN_FILLED = 1e-13, 1e-12, 10  # and differences in sequence
 # times that, in most of so many rows to each side of a stretch
 MIN_NOISE, MOST, BESIDE = 1e3, 0.9, 20
-# of first differences of an effort, typical second ones of noise; of its size, that of one that is
-# not about to cross zero; rows that show both
-MIN_ROUGH, MIN_SIZE, MIN_QUANTA, MOST_ROWS = 0.3, 0.1, 3.0, 100_000
+# of first differences of an effort, typical second ones of noise; of its smallest step, an effort
+# that is not about to cross zero; rows that show both
+MIN_ROUGH, MIN_QUANTA, MOST_ROWS = 0.3, 3.0, 100_000
 # of the typical step, times the length of a stretch, in which a robot that moves travels more; of
-# the step before it, by which one over a step of the clock differs less
+# the step before it, by which one over a step of the clock differs less, and of the typical one
 MIN_TRAVEL, MAX_OFF = 0.05, 0.5
 
 
@@ -49,13 +49,16 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
     gaps = np.flatnonzero(in_gaps(t_s, 0.5 * (t_s[1:] + t_s[:-1])))
     periods = np.rint(np.diff(t_s)[gaps] / np.median(np.diff(t_s)))
     before, over = (q[k + 1] - q[k] for k in (np.maximum(gaps - 1, 0), gaps))
+    off, step, usual = (
+        np.linalg.norm(x, axis=1) for x in (over - before, before, np.diff(q[:MOST_ROWS], axis=0))
+    )
     counts = {
         "have lost efforts": lost.sum(),
         "are interpolated": (filled & ~lost).sum(),
         f"are missing in {len(gaps)} gap(s)": (periods - 1).sum(),
-        "of these gaps are steps of the clock, as positions go on": np.sum(
-            np.linalg.norm(over - before, axis=1) < MAX_OFF * np.linalg.norm(before, axis=1)
-        ),
+        "of these gaps are steps of the clock, as positions go on": (
+            (off < MAX_OFF * step) & (step > MAX_OFF * np.median(usual))
+        ).sum(),
     }
     runs = [*_runs(lost | filled), *([k, k + 1] for k in gaps.tolist())]
     text = ", ".join(f"{count:.0f} {why}" for why, count in counts.items() if count)
@@ -75,17 +78,16 @@ def _lost_efforts(q: Array, effort: Array, robot: Robot) -> Bools:
     peak = np.maximum(by_rows(np.abs, motor).max(axis=0), 1e-300)
     # Without noise efforts are constant, too, where speeds are, and coarse ones cross zero slowly:
     # only those that jump to 0 were lost.
-    size, once, twice = (np.abs(np.diff(motor[:MOST_ROWS], k, axis=0)) for k in (0, 1, 2))
+    once, twice = (np.abs(np.diff(motor[:MOST_ROWS], k, axis=0)) for k in (1, 2))
     noisy = np.median(twice, axis=0) > MIN_ROUGH * np.median(once, axis=0)
     quantum = np.where(once > EQUAL * peak, once, np.inf).min(axis=0, initial=np.inf)
-    small = np.maximum(MIN_SIZE * np.median(size, axis=0), MIN_QUANTA * quantum) / MIN_NOISE
     changes = by_rows(
         lambda x: np.where(
             np.abs(x[1:]) < (1 - EQUAL) * peak,
             np.where(
                 noisy,
                 np.minimum(np.abs(x[1:]), np.abs(np.diff(x, axis=0))) / (EQUAL * peak),
-                np.abs(x[1:]) / small,
+                np.abs(x[1:]) * (MIN_NOISE / MIN_QUANTA / quantum),
             ),
             MIN_NOISE,  # at a limit, where nothing tells
         ),
@@ -95,16 +97,17 @@ def _lost_efforts(q: Array, effort: Array, robot: Robot) -> Bools:
     alone = (changes <= 1) & ((robot.n == 1) | (changes > 1).any(axis=1, keepdims=True))
     often = np.log(np.clip(alone.mean(axis=0), 1 / len(q), 1 - 1e-9))
     for motors in ([*range(robot.n)], *([m] for m in range(robot.n))):
+        moved = q[:, (robot.R[motors] != 0).any(axis=0)]
         least = np.log(CHANCE / len(q)) / often[motors].sum()
-        joints = (robot.R[motors] != 0).any(axis=0)
-        lost[1:] |= _alike(changes[:, motors].max(axis=1), least, q[:, joints])
+        lost[1:] |= _alike(changes[:, motors].max(axis=1), least, moved)
     return lost
 
 
 def _filled_rows(q: Array, effort: Array) -> Bools:
     """Rows (N,) of positions and efforts (N, n) that lie on one cubic of the rows about them."""
-    largest = [np.maximum(x.max(axis=0), -x.min(axis=0)) for x in (q, effort)]
-    zero = CUBIC * np.maximum(np.concatenate(largest), 1e-300)
+    zero = CUBIC * np.concatenate(
+        [np.maximum(np.maximum(x.max(axis=0), -x.min(axis=0)), 1e-300) for x in (q, effort)]
+    )
     bends = by_rows(
         lambda *x: np.abs(np.diff(np.hstack(x), 4, axis=0) / zero).max(axis=1), q, effort, beside=4
     )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition.errors import Place
-from acquisition.files import allocate, release_pages
+from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
@@ -149,10 +149,8 @@ class Signals:
         tau = self.effort if self.known_torque is None else self.effort + self.known_torque
         if self.measured is None:
             return tau
-        filled, rows = allocate(tau.shape), np.flatnonzero(self.measured)
-        for j, x in enumerate(tau.T):
-            filled[:, j] = np.interp(np.arange(len(x)), rows, x[rows])
-        return filled
+        rows, there = np.arange(len(tau)), np.flatnonzero(self.measured)
+        return np.column_stack([np.interp(rows, there, x[there]) for x in tau.T])
 
     def __repr__(self) -> str:
         return (

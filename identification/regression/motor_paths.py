@@ -157,8 +157,10 @@ def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
     limits = np.array(
         [np.inf if m.saturation is None else SATURATED * m.saturation for m in s.robot.motors]
     )
-    unmeasured = ~problem.measured_samples()[used, None]
-    saturated = np.cumsum((np.abs(u) >= limits) | unmeasured, axis=0)
+    saturated = np.cumsum(
+        (np.abs(u) >= limits) | ~problem.measured_samples()[used, None],  # neither follows the law
+        axis=0,
+    )
     u = u if s.feedforward is None else u - s.feedforward[used]
     r, q, u = (
         lowpass(x, PASSBAND * fs / n_d, fs)

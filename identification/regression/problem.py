@@ -16,12 +16,11 @@ from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
 from .bandwidth import with_bandwidth
 from .filtering import decimation_reach, nearby
 from .law import Law
-from .motion import FilteredMotion, Motion, later
+from .motion import SPLINE_REACH, FilteredMotion, Motion, later
 from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff_hz
 
 # of positions in the cache of a process: 64 MB, a few times as much in all
 MAX_CACHED_NUMBERS = 8_000_000
-SPLINE_NEAR = 8  # samples to each side that a torque moved by a lag is made of, to 3e-5
 MARGIN_S = 5.0  # behind the beginning of a recording
 # numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
 _SERIES_BLOCK = 12_000_000
@@ -102,16 +101,18 @@ class Problem:
         fs, lag = self.signals.sample_rate_hz, self.settings.known_lag
         if self.signals.measured is None:
             return np.broadcast_to(True, len(self.signals.t_s) or self.settings.stop)
-        moved = fs * (abs(lag.value_s) + LAG_REACH * lag.sd_s) + SPLINE_NEAR
-        reach = beside + round(max(0.5 * fs / self.slip_cutoff_hz, moved))
-        return ~nearby(~self.signals.measured, reach)
+        # A torque moved by the lag is made of samples within a quarter of the reach, to 1e-5.
+        moved = fs * (abs(lag.value_s) + LAG_REACH * lag.sd_s) + SPLINE_REACH // 4
+        return ~nearby(
+            ~self.signals.measured, beside + round(max(0.5 * fs / self.slip_cutoff_hz, moved))
+        )
 
     def measured_rows(self) -> NDArray[np.bool_]:
         """Which decimated rows (rows,) have only measured samples within the rows in which the
         filter rings by more than a thousandth; all rows, if that leaves none.
         """
-        found = self.measured_samples(8 * self.settings.decimation)[self.settings.instants]
-        return found | ~found.any()
+        far = self.measured_samples(8 * self.settings.decimation)[self.settings.instants]
+        return far | ~far.any()
 
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model, which were measured, and `source`."""
