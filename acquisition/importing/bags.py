@@ -102,7 +102,7 @@ def import_bag(
         warnings.append("velocities that are not finite numbers are left out")
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
-    held = grid_of_new_rows(time_s, parts, options.resample_hz, place)
+    held = grid_of_new_rows(time_s, parts, place, options.resample_hz)
     grid = held or resample(time_s, parts, rate_hz=options.resample_hz, place=place)
     clock = "times of reception" if received else "header stamps"
     way_out = (

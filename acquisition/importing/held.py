@@ -20,15 +20,22 @@ from .time_base import POSITION, GridValues, interpolate, resample, roundest_rat
 MAX_NEW = 0.85  # of the rows in which the robot is fast, in a log that is faster than its robot
 MIN_QUANTA = 3.0  # that a position steps by, typically, where it is new
 AHEAD = 8  # rows to each side, over which speeds are compared
-MAX_PAUSE = 2.5  # usual steps between new rows: a longer one is a pause, or has lost rows
+FIRST_S, MOST_LOST = 20.0, 1.4  # of the log, in which a rate up to so many times the mean is sought
+MAX_RATE = 0.95  # of the log's: a source above it is the log
+MAX_LATE = 0.8  # of the source's period, between the rows that are seen latest and earliest
 MAX_ODD = 0.05  # of the changes of a quantity where no position is new: it is held alike
 
 
 def grid_of_new_rows(
-    time_s: Array, parts: Mapping[str, Array], rate_hz: float | None, place: Place
+    time_s: Array,
+    parts: Mapping[str, Array],
+    place: Place,
+    rate_hz: float | None = None,
+    largest_gap_periods: float | None = None,
 ) -> GridValues | None:
     """Return the rows with new positions on a grid of their source's rate, or of a lower `rate_hz`;
-    None where the log is no faster. By growing times (N,) and values (N, n); raises as `resample`.
+    None where the log is no faster. By growing times (N,) and values (N, n); other arguments and
+    errors as of `resample`.
     """
     q = parts[POSITION]
     span = np.maximum(np.ptp(q, axis=0), 1e-300)
@@ -45,24 +52,51 @@ def grid_of_new_rows(
     if not np.median(quanta.max(axis=1)) >= MIN_QUANTA:
         return None
     rows = np.flatnonzero(np.r_[True, new])
-    since = time_s[rows] - time_s[0]
-    apart, log_s = np.diff(since), float(np.median(np.diff(time_s)))
-    period_s = float(apart[apart < MAX_PAUSE * np.median(apart)].mean())
-    # Each is logged up to a period of the log late.
-    most_s = max(1.5 * period_s, period_s + 0.99 * log_s)
-    number = np.r_[0, np.cumsum(1 + np.maximum(0, np.ceil((apart - most_s) / period_s)))]
-    own_hz = roundest_rate_hz(since, number)
-    at_s = time_s[0] + np.mean(since - number / own_hz) + number / own_hz
+    log_s = float(np.median(np.diff(time_s)))
+    at_s, own_hz = _times_of_source(time_s[rows], log_s)
     kept = {
         name: taken(x, rows) if _alike(x, new) else interpolate(time_s, x, at_s)
         for name, x in parts.items()
     }
-    grid = resample(at_s, kept, rate_hz=min(rate_hz or own_hz, own_hz), place=place)
-    text = f"the log is faster than its robot: each row stands {1 / log_s / own_hz:.3g} times, as "
+    grid = resample(
+        at_s,
+        kept,
+        rate_hz=min(rate_hz or own_hz, own_hz),
+        largest_gap_periods=largest_gap_periods,
+        place=place,
+    )
+    text = f"the log is faster than its robot: each row stands {len(q) / len(rows):.2g} times, as "
     text += (
         f"positions are new at {own_hz:.6g} Hz; of {len(q)} rows only these {len(rows)} are kept"
     )
     return replace(grid, warnings=(text,))
+
+
+def _times_of_source(seen_s: Array, log_s: float) -> tuple[Array, float]:
+    """Times (K,) of rows whose source is even, and its rate, by when a log with rows every `log_s`
+    first has them, up to `log_s` late; those times and their mean rate where it is not even.
+
+    The rate is that at which the times have the same phase, sought at the beginning, where few
+    rates are to be told apart; each longer part then refines it.
+    """
+    since = seen_s - seen_s[0]
+    until_s = min(FIRST_S, float(since[-1]))
+    early = since[since <= until_s]
+    tried_hz = (len(early) - 1) / until_s * np.arange(1.0, MOST_LOST, 0.1 / len(early))
+    tried_hz = tried_hz[tried_hz < MAX_RATE / log_s]  # which all rows have in common
+    hz = float(tried_hz[np.argmax([abs(np.exp(2j * np.pi * f * early).sum()) for f in tried_hz])])
+    while True:
+        early = since[since <= until_s]
+        number = np.rint(early * hz - np.angle(np.exp(2j * np.pi * hz * early).sum()) / 2 / np.pi)
+        hz = float(np.polyfit(early, number, 1)[0])
+        if until_s >= since[-1]:
+            break
+        until_s *= 1.5
+    own_hz = roundest_rate_hz(early, number - number[0])
+    late = early - number / own_hz
+    if (np.diff(number) > 0).all() and np.ptp(late) < MAX_LATE / own_hz:
+        return seen_s[0] + np.mean(late) + number / own_hz, own_hz
+    return seen_s, roundest_rate_hz(seen_s)
 
 
 def _alike(x: Array, new: Bools) -> bool:

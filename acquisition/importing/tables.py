@@ -161,7 +161,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
                 "sample_rate_hz", given_hz, f"a rate in Hz, not a period: {1 / given_hz:g}?"
             )
         time_s = np.arange(len(parts["position"])) / given_hz
-        held = grid_of_new_rows(time_s, parts, None, source.place)
+        held = grid_of_new_rows(time_s, parts, source.place)
         return held or GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
     time_s, scatter_s = _times(source, time, parts)
     repeated = 0
@@ -176,7 +176,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         f"{source.table('time.table', time.table)}: "
         f"{time.column if time.ticks is None else time.ticks}"
     )
-    held = grid_of_new_rows(time_s, parts, time.resample_hz, place)
+    held = grid_of_new_rows(time_s, parts, place, time.resample_hz, time.largest_gap_periods)
     if held is not None:
         return held
     if time.resample_hz is None:

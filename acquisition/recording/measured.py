@@ -1,9 +1,10 @@
 """Rows that nobody measured: efforts that a bus lost, rows that somebody interpolated, and gaps.
 
-A lost effort is exactly 0, or exactly the last value, while the robot moves: in all motors, or for
-longer in one. Rows that were filled lie on one cubic, as straight lines and held rows do. So do, by
-chance, values of coarse sensors, and regularly those of a log that is faster than its sensors: such
-stretches count where chance makes none as long, and where nothing beside them is alike.
+Lost efforts are exactly 0 between large ones, or repeat exactly, in all motors or for longer in
+one, while the robot moves. Efforts that were filled in lie on one cubic, as a straight line does.
+Coarse ammeters repeat by chance, and logs that are faster than they repeat regularly: a stretch of
+repeats counts where chance makes none as long and where those beside it differ. Without noise
+efforts are constant or cubic where the motion is: nothing is told of those but by the zeros.
 """
 
 from collections.abc import Mapping
@@ -16,18 +17,17 @@ from ..robot import Robot
 from .rows import Block
 from .sync_grid import Bools
 
-MAX_GAP = 3.0  # periods between two rows, ± half a period; a longer step is a gap
-CHANCE = 1e-6  # that efforts of a recording repeat by chance for as long
-# of the largest value: efforts of a motor that are equal, fourth differences that are zero
-EQUAL, CUBIC, MIN_FILLED = 1e-13, 1e-12, 10  # and differences in sequence
+# periods between two rows, ± half a period: a longer step is a gap; that efforts of a recording
+# repeat by chance for as long
+MAX_GAP, CHANCE = 3.0, 1e-6
+# of the largest effort: changes that are none, fourth differences that are none; in sequence
+EQUAL, CUBIC, MIN_FILLED = 1e-13, 1e-12, 10
 # times that, in most of so many rows to each side of a stretch
 MIN_NOISE, MOST, BESIDE = 1e3, 0.9, 20
-# of first differences of an effort, typical second ones of noise; of its smallest step, an effort
-# that is not about to cross zero; rows that show both
-MIN_ROUGH, MIN_QUANTA, MOST_ROWS = 0.3, 3.0, 100_000
-# of the typical step, times the length of a stretch, in which a robot that moves travels more; of
-# the step before it, by which one over a step of the clock differs less, and of the typical one
-MIN_TRAVEL, MAX_OFF = 0.05, 0.5
+# of third differences, typical fourth ones of noise, in so many rows; of the typical step, times
+# the length of a stretch, in which a robot that moves travels more; of the step before it, by which
+# one over a step of the clock differs less, and of the typical one
+MIN_ROUGH, MOST_ROWS, MIN_TRAVEL, MAX_OFF = 0.5, 100_000, 0.02, 0.5
 
 
 def in_gaps(times: Array, grid: Array) -> Bools:
@@ -45,7 +45,7 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
     where all were measured, without a gap.
     """
     t_s, q = 1e-9 * (rows["stamp_ns"] - rows["stamp_ns"][0]), rows["position"]
-    lost, filled = _lost_efforts(q, rows["effort"], robot), _filled_rows(q, rows["effort"])
+    lost, filled = _lost_and_filled(q, rows["effort"], robot)
     gaps = np.flatnonzero(in_gaps(t_s, 0.5 * (t_s[1:] + t_s[:-1])))
     periods = np.rint(np.diff(t_s)[gaps] / np.median(np.diff(t_s)))
     before, over = (q[k + 1] - q[k] for k in (np.maximum(gaps - 1, 0), gaps))
@@ -71,62 +71,60 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
     return ~(lost | filled), text
 
 
-def _lost_efforts(q: Array, effort: Array, robot: Robot) -> Bools:
-    """Rows (N,) whose efforts (N, n), at the joints as the positions q (N, n), were lost."""
+def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bools]:
+    """Rows (N,) whose efforts (N, n), at the joints as the positions q (N, n), were lost, and rows
+    that were filled in.
+    """
     to_motors, lost = np.linalg.inv(robot.R), np.zeros(len(q), dtype=bool)
-    motor = by_rows(lambda x: x @ to_motors, effort)  # but for gains
-    peak = np.maximum(by_rows(np.abs, motor).max(axis=0), 1e-300)
-    # Without noise efforts are constant, too, where speeds are, and coarse ones cross zero slowly:
-    # only those that jump to 0 were lost.
-    once, twice = (np.abs(np.diff(motor[:MOST_ROWS], k, axis=0)) for k in (1, 2))
-    noisy = np.median(twice, axis=0) > MIN_ROUGH * np.median(once, axis=0)
-    quantum = np.where(once > EQUAL * peak, once, np.inf).min(axis=0, initial=np.inf)
+    motor, zero = by_rows(lambda x: x @ to_motors, effort), by_rows(lambda x: x == 0, effort)
+    top, low = motor.max(axis=0), motor.min(axis=0)
+    unit = np.maximum(np.maximum(top, -low), 1e-300)
+    once, third, fourth = (
+        np.median(np.abs(np.diff(motor[:MOST_ROWS], k, axis=0)), axis=0) for k in (1, 3, 4)
+    )
+    noisy = (fourth > np.maximum(MIN_ROUGH * third, MIN_NOISE * CUBIC * unit)) & (once > 0)
+    typical = np.sqrt(by_rows(lambda x: np.diff(x, axis=0) ** 2, q, beside=1).mean(axis=0))
     changes = by_rows(
         lambda x: np.where(
-            np.abs(x[1:]) < (1 - EQUAL) * peak,
-            np.where(
-                noisy,
-                np.minimum(np.abs(x[1:]), np.abs(np.diff(x, axis=0))) / (EQUAL * peak),
-                np.abs(x[1:]) * (MIN_NOISE / MIN_QUANTA / quantum),
-            ),
-            MIN_NOISE,  # at a limit, where nothing tells
+            noisy & ((x[1:] < top - EQUAL * unit) & (x[1:] > low + EQUAL * unit) | (x[1:] == 0)),
+            np.abs(np.diff(x, axis=0)) / (EQUAL * unit),
+            MIN_NOISE,  # without noise, and at a limit, nothing tells
         ),
         motor,
         beside=1,
     )
-    alone = (changes <= 1) & ((robot.n == 1) | (changes > 1).any(axis=1, keepdims=True))
-    often = np.log(np.clip(alone.mean(axis=0), 1 / len(q), 1 - 1e-9))
-    for motors in ([*range(robot.n)], *([m] for m in range(robot.n))):
-        moved = q[:, (robot.R[motors] != 0).any(axis=0)]
-        least = np.log(CHANCE / len(q)) / often[motors].sum()
-        lost[1:] |= _alike(changes[:, motors].max(axis=1), least, moved)
-    return lost
-
-
-def _filled_rows(q: Array, effort: Array) -> Bools:
-    """Rows (N,) of positions and efforts (N, n) that lie on one cubic of the rows about them."""
-    zero = CUBIC * np.concatenate(
-        [np.maximum(np.maximum(x.max(axis=0), -x.min(axis=0)), 1e-300) for x in (q, effort)]
-    )
+    begun = ((changes[1:] <= 1) & (changes[:-1] > 1)).sum(axis=0) / len(q)
+    for m, often in enumerate(np.clip(begun, 1 / len(q), 1 - 1e-9)):
+        joints, least = robot.R[m] != 0, np.log(CHANCE / len(q)) / np.log(often)
+        lost[1:] |= _alike(changes[:, m], least, q[:, joints], typical[joints])
+    lost[:-1] |= lost[1:] & zero[:-1].any(axis=1)
+    none = np.asarray(zero.all(axis=1))
+    # Motors that cross zero independently do not do so at once.
+    if robot.n > 1 and len(q) * (zero & ~none[:, None]).mean(axis=0).prod() < CHANCE:
+        for first, last in _runs(none):
+            lost[first:last] |= _moves(q[max(first - 1, 0) : last + 1], typical)
     bends = by_rows(
-        lambda *x: np.abs(np.diff(np.hstack(x), 4, axis=0) / zero).max(axis=1), q, effort, beside=4
+        lambda x: np.abs(np.diff(x, 4, axis=0) / (CUBIC * unit)).max(axis=1), motor, beside=4
     )
-    found = np.pad(_alike(bends, MIN_FILLED, q), 2)
-    return np.asarray(np.convolve(found, np.ones(3), "same") > 0)[: len(q)]
+    filled = np.pad(_alike(bends, MIN_FILLED, q, typical) & noisy.any(), 2)
+    return lost, np.asarray(np.convolve(filled, np.ones(3), "same") > 0)[: len(q)]
 
 
-def _alike(differences: Array, least: float, q: Array) -> Bools:
+def _alike(differences: Array, least: float, q: Array, typical: Array) -> Bools:
     """Which `differences` (N - k,), in units of rounding, are none in a stretch of at least so many
     in which the robot moves, by its positions q (N, n), and beside which they are some.
     """
     found, order = np.zeros(len(differences), dtype=bool), len(q) - len(differences)
-    typical = np.sqrt(by_rows(lambda x: np.diff(x, axis=0) ** 2, q, beside=1).mean(axis=0))
     for first, last in _runs(differences <= 1, least):
         beside = np.r_[differences[max(first - BESIDE, 0) : first], differences[last:][:BESIDE]]
-        part = q[first : last + order + 1]
-        moves = (np.ptp(part, axis=0) > MIN_TRAVEL * typical * (len(part) - 1)).any()
-        found[first:last] = moves and np.sum(beside > MIN_NOISE) > MOST * len(beside)
+        lively = np.sum(beside > MIN_NOISE) > MOST * len(beside)
+        found[first:last] = lively and _moves(q[first : last + order + 1], typical)
     return found
+
+
+def _moves(q: Array, typical: Array) -> bool:
+    """Whether a joint moves in the rows q (k, n), for `typical` steps (n,)."""
+    return bool((np.ptp(q, axis=0) > MIN_TRAVEL * typical * (len(q) - 1)).any())
 
 
 def _runs(x: Bools, least: float = 1) -> list[list[int]]:

@@ -235,7 +235,7 @@ def signals_from_arrays(
         sha256=digest.hexdigest(),
         **arrays,
     )
-    held = grid_of_new_rows(signals.t_s, {**arrays, "position": signals.q}, None, Place(NAME))
+    held = grid_of_new_rows(signals.t_s, {**arrays, "position": signals.q}, Place(NAME))
     if held is not None:
         fewer: dict[str, Any] = {name: held.parts[name] for name in arrays}
         t_s = np.arange(len(fewer["q"])) / held.rate_hz

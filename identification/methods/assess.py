@@ -115,7 +115,6 @@ def fit_of(
     except NoFitError as error:
         warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
     measured = filtered.about()
-    there = [problem.measured_rows() for problem in filtered.problems]
     parts = zip(equations.problems, spans_of(rows.parts), spans_of(measured.parts), strict=True)
     fitted = [
         FittedRecording(
@@ -123,7 +122,11 @@ def fit_of(
             arm=equations.unknowns.arms[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(
-                measured.tau[own], of_model[own], measured.speed[own], there[k], names
+                measured.tau[own],
+                of_model[own],
+                measured.speed[own],
+                filtered.problems[k].measured_rows(),
+                names,
             ),
             held_out=evidence.held_out[k]
             if len(equations.problems) > 1 and not evidence.gains
@@ -143,7 +146,13 @@ def fit_of(
         tau=rows.tau,
         tau_predicted=predicted,
         speed=rows.speed,
-        errors=torque_errors(measured.tau, of_model, measured.speed, np.concatenate(there), names),
+        errors=torque_errors(
+            measured.tau,
+            of_model,
+            measured.speed,
+            np.concatenate([x.measured_rows() for x in filtered.problems]),
+            names,
+        ),
         warnings=warnings,
         trust=trust_in(evidence),
         data=evidence,

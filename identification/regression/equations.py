@@ -118,14 +118,10 @@ def rows_of_recording(
     as in `load`. Rows of more than `most` numbers are reduced; those of several recordings have a
     share each, and may leave a joint standing. `further` columns are C.
     """
-    blocks, of_rows, robot = (
-        list[tuple[Array, ...]](),
-        sample_weights(problem).of_rows,
-        problem.signals.robot,
-    )
+    blocks, of_rows = list[tuple[Array, ...]](), sample_weights(problem).of_rows
     if most is None:  # else another recording may move the joint
-        names = tuple(joint.name for joint in robot.joints)
-        refuse_standing_joints(of_rows, names, problem.signals.recording, robot.bandwidth_hz)
+        s, names = problem.signals, tuple(joint.name for joint in problem.signals.robot.joints)
+        refuse_standing_joints(of_rows, names, s.recording, s.robot.bandwidth_hz, s.unmeasured)
         most = most_numbers(1)
     (T, n), b = of_rows.shape, problem.base.b
     factors = SpanFactors(T, n, min(SPANS, -(-T // 2))) if T * n * b > most else None

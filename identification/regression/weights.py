@@ -116,17 +116,17 @@ def weighted(problem: Problem, t_s: Array, x: Array, decimation: Decimation) -> 
 
 
 def refuse_standing_joints(
-    share: Array, joints: tuple[str, ...], place: str, bandwidth_hz: float
+    share: Array, joints: tuple[str, ...], place: str, bandwidth_hz: float, unmeasured: str = ""
 ) -> None:
     """Refuse recordings, named by `place`, in which no row of a joint counts; `share` (rows,
-    n) weights of the rows.
+    n) weights of the rows; `unmeasured` says which rows weigh nothing for another reason.
     """
     for j, name in enumerate(joints):
         if not share[:, j].any():
             raise NoFitError(
                 f"joint {name} never moves for longer than a period of the filters between two "
                 "stops, or is never faster than "
-                "the noise of its speed",
+                f"the noise of its speed{f'; {unmeasured}' if unmeasured else ''}",
                 place=place,
                 expected=f"longer moves, a bandwidth_hz above {bandwidth_hz:.3g}, or "
                 "low_speed_percent of [identification]",

@@ -93,8 +93,13 @@ def _held_out(
     """With the torque errors of some instants, whose torque `predicted` (rows,
     n) the others predict.
     """
-    measured = np.concatenate([problem.measured_rows() for problem in evidence.problems])
-    tau, counts = evidence.observed.tau[part], (evidence.observed.counts & measured[:, None])[part]
+    tau, counts = (
+        evidence.observed.tau[part],
+        (
+            evidence.observed.counts
+            & np.concatenate([x.measured_rows() for x in evidence.problems])[:, None]
+        )[part],
+    )
     percents = [
         None if x is None else relative_error_percent(tau[counts], (tau - x[part])[counts])
         for x in (predicted, evidence.predicted)

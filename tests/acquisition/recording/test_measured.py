@@ -53,6 +53,10 @@ def with_motors(effort, motors, lost, values):
     return ARM.joint_effort(np.where(lost[:, None] & chosen, values(of_motors), of_motors))
 
 
+def on_lines(x):
+    return np.stack([np.interp(T_S, T_S[~GAPS], own[~GAPS]) for own in x.T], 1)
+
+
 def held_long(x):
     return frozen(x, LONG)
 
@@ -61,10 +65,27 @@ BURSTS = rows_from(*((k, k + 30) for k in range(250, N, 500)))
 LONG = rows_from((2000, 2300))
 GAPS = rows_from((1500, 1800), (4000, 4100))
 SINGLE = np.isin(np.arange(N), np.random.default_rng(5).choice(N, 60, replace=False))
+EVERY_OTHER, EVERY_FIFTH = np.arange(N) % 2 == 0, np.arange(N) % 5 == 0
+BUT_SEVENTH = BURSTS & (np.arange(N) % 7 != 0)
+OFTEN = np.arange(N) % 100 >= 88
 # What becomes of q and u, and the rows that were not measured.
 LOSSES = {
     "all zero, in bursts": (lambda q, u: (q, np.where(BURSTS[:, None], 0.0, u)), BURSTS),
     "all zero, single rows": (lambda q, u: (q, np.where(SINGLE[:, None], 0.0, u)), SINGLE),
+    "all zero, every other row": (
+        lambda q, u: (q, np.where(EVERY_OTHER[:, None], 0.0, u)),
+        EVERY_OTHER,
+    ),
+    "all zero, every fifth row": (
+        lambda q, u: (q, np.where(EVERY_FIFTH[:, None], 0.0, u)),
+        EVERY_FIFTH,
+    ),
+    "all zero, but for every seventh": (
+        lambda q, u: (q, np.where(BUT_SEVENTH[:, None], 0.0, u)),
+        BUT_SEVENTH,
+    ),
+    "one motor zero, often": (lambda q, u: (q, with_motors(u, [0], OFTEN, np.zeros_like)), OFTEN),
+    "efforts filled by lines": (lambda q, u: (q, on_lines(u)), GAPS),
     "all held, in bursts": (lambda q, u: (q, frozen(u, BURSTS)), BURSTS),
     "one motor zero": (lambda q, u: (q, with_motors(u, [1], LONG, np.zeros_like)), LONG),
     "one motor held": (lambda q, u: (q, with_motors(u, [3], LONG, held_long)), LONG),
@@ -73,12 +94,7 @@ LOSSES = {
         lambda q, u: tuple(CubicSpline(T_S[~GAPS], x[~GAPS])(T_S) for x in (q, u)),
         GAPS,
     ),
-    "gaps filled by lines": (
-        lambda q, u: tuple(
-            np.stack([np.interp(T_S, T_S[~GAPS], own[~GAPS]) for own in x.T], 1) for x in (q, u)
-        ),
-        GAPS,
-    ),
+    "gaps filled by lines": (lambda q, u: (on_lines(q), on_lines(u)), GAPS),
 }  # fmt: skip
 
 
@@ -142,6 +158,17 @@ def test_efforts_without_noise_are_constant_where_speeds_are(name, n, noise, rat
     assert measured_rows(rows, robot_named(name))[1] == ""
 
 
+@pytest.mark.parametrize("rate_hz", [100, 125, 250])
+@pytest.mark.parametrize("speed", [0.1, 0.3])
+def test_slow_moves_without_noise_were_not_filled(rate_hz, speed):
+    """At constant speed torques of gravity are cubic for long, to rounding."""
+    moves = [trapezoid(rate_hz, speed, 1.5, period_s) for period_s in (5.0, 6.1)]
+    q, dq, ddq = np.stack(moves, axis=-1)
+    u = 3 * ddq + 2 * dq + np.sign(dq) + 20 * np.sin(q.sum(axis=1, keepdims=True)) * [2, 1]
+    rows = {"stamp_ns": np.arange(len(q)) * (1e9 / rate_hz), "position": q, "effort": u}
+    assert measured_rows(rows, robot_named("scara"))[1] == ""
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_zeros_are_found_without_noise_too(seed):
     q, u = recorded(seed, noise=0.0)
@@ -158,6 +185,7 @@ PAUSED = np.minimum(np.arange(N), np.maximum(2000, np.arange(N) - 300))  # stand
         lambda q, u: (frozen(q, np.arange(N) % 4 > 0), u),
         lambda q, u: (q, frozen(u, np.arange(N) % 4 > 0)),
         lambda q, u: (q, ARM.joint_effort(np.clip(ARM.motor_effort(u), -0.2, 0.2))),  # limits
+        lambda q, u: (q, ARM.joint_effort(np.clip(ARM.motor_effort(u), -0.1, 0.3))),
         lambda q, u: (q[PAUSED], u[PAUSED]),
         lambda q, u: (q, np.where(JOINTS == 2, 0.0, u)),  # never recorded, which is said elsewhere
     ],

@@ -10,7 +10,7 @@ from pinocchio_arm import arm_of
 from urdfs import six_joints
 
 import identification
-from acquisition.errors import BadInputError
+from acquisition.errors import BadInputError, NoFitError
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import Controller
 from identification.data import Recordings, load_signals, signals_from_arrays
@@ -186,6 +186,13 @@ def test_weights_are_zero_wherever_a_sample_was_not_measured(robot, measured):
         w = sample_weights(problem).between(0, N)
         assert not w[:, GAPS].any()
         assert (w[:, 3200:4700] > 0).any()
+
+
+def test_losses_that_leave_no_row_are_named(robot, measured):
+    q, u = measured
+    lost = np.where(ROW[:, None] % 10 == 0, 0.0, u)
+    with pytest.raises(NoFitError, match="800 have lost efforts, of 8000 rows"):
+        identify_ls(signals_from_arrays(q, lost, RATE_HZ, robot), Overrides())
 
 
 @pytest.mark.parametrize("stands", [2, 3, 5])
