@@ -20,7 +20,11 @@ from .time_base import POSITION, GridValues, interpolate, resample, roundest_rat
 MAX_NEW = 0.85  # of the rows in which the robot is fast, in a log that is faster than its robot
 MIN_QUANTA = 3.0  # that a position steps by, typically, where it is new
 AHEAD = 8  # rows to each side, over which speeds are compared
-FIRST_S, MOST_LOST = 20.0, 1.4  # of the log, in which a rate up to so many times the mean is sought
+MAX_PAUSE = 2.5  # usual steps between new rows: a longer one is a pause, or has lost rows
+FIRST, TRIED = (
+    1000,
+    (0.95, 1.4),
+)  # rows, in which a rate is sought, so many times that of the others
 MAX_RATE = 0.95  # of the log's: a source above it is the log
 MAX_LATE = 0.8  # of the source's period, between the rows that are seen latest and earliest
 MAX_ODD = 0.05  # of the changes of a quantity where no position is new: it is held alike
@@ -79,10 +83,11 @@ def _times_of_source(seen_s: Array, log_s: float) -> tuple[Array, float]:
     The rate is that at which the times have the same phase, sought at the beginning, where few
     rates are to be told apart; each longer part then refines it.
     """
-    since = seen_s - seen_s[0]
-    until_s = min(FIRST_S, float(since[-1]))
+    since, apart = seen_s - seen_s[0], np.diff(seen_s)
+    mean_hz = 1 / float(apart[apart < MAX_PAUSE * np.median(apart)].mean())
+    until_s = float(since[min(FIRST, len(since) - 1)])
     early = since[since <= until_s]
-    tried_hz = (len(early) - 1) / until_s * np.arange(1.0, MOST_LOST, 0.1 / len(early))
+    tried_hz = mean_hz * np.arange(*TRIED, 0.1 / (mean_hz * until_s))
     tried_hz = tried_hz[tried_hz < MAX_RATE / log_s]  # which all rows have in common
     hz = float(tried_hz[np.argmax([abs(np.exp(2j * np.pi * f * early).sum()) for f in tried_hz])])
     while True:

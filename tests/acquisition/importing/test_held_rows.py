@@ -122,6 +122,21 @@ def test_many_lost_rows_of_the_source_do_not_bend_time(source_hz, log_hz, share)
     np.testing.assert_allclose(found.parts["position"][exact], q[exact], atol=1e-9)
 
 
+@pytest.mark.parametrize(("source_hz", "log_hz"), RATES[:5])
+def test_pauses_do_not_bend_time(source_hz, log_hz):
+    """A robot that stands for 4 s before its motion and for 3 s within it: no row is new then."""
+    source_s, t_s = even(source_hz), even(log_hz)
+    moved_s = np.clip(source_s - 4, 0, 3) + np.clip(source_s - 10, 0, None)
+    last = np.searchsorted(source_s, t_s + 1e-9) - 1
+    rows = {name: x[last] for name, x in motion(moved_s).items()}
+    found = grid_of_new_rows(t_s, rows, Place("log"))
+    assert found.rate_hz == source_hz
+    first = round(found.start_s * source_hz)
+    q = motion(moved_s)["position"][first:][: len(found.absent)]
+    np.testing.assert_allclose(found.parts["position"][~found.absent], q[~found.absent], atol=1e-9)
+    assert found.absent.sum() > 5 * source_hz
+
+
 def test_rows_that_repeat_at_random_keep_their_own_times():
     t_s, parts = logged(even(500), 500)
     late = np.random.default_rng(3).random(len(t_s)) < 0.2
