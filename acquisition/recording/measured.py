@@ -80,7 +80,10 @@ def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bool
     top, low = motor.max(axis=0), motor.min(axis=0)
     unit = np.maximum(np.maximum(top, -low), 1e-300)
     once, third, fourth = (
-        np.median(np.abs(np.diff(motor[:MOST_ROWS], k, axis=0)), axis=0) for k in (1, 3, 4)
+        np.median(
+            np.abs(np.diff(motor[:MOST_ROWS], k, axis=0, append=np.zeros((4, robot.n)))), axis=0
+        )
+        for k in (1, 3, 4)  # of a recording of few rows, too
     )
     noisy = (fourth > np.maximum(MIN_ROUGH * third, MIN_NOISE * CUBIC * unit)) & (once > 0)
     typical = np.sqrt(by_rows(lambda x: np.diff(x, axis=0) ** 2, q, beside=1).mean(axis=0))

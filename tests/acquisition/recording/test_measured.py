@@ -176,6 +176,13 @@ def test_zeros_are_found_without_noise_too(seed):
     np.testing.assert_array_equal(measured, ~BURSTS)
 
 
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 10, 40])
+def test_few_rows_are_judged_too(count):
+    q, u = recorded(1)
+    assert judged(STAMPS[:count], q[:count], u[:count])[1] == ""
+    assert judged(STAMPS[:count], 0 * q[:count], 0 * u[:count])[1] == ""
+
+
 PAUSED = np.minimum(np.arange(N), np.maximum(2000, np.arange(N) - 300))  # stands for 300 rows
 
 
