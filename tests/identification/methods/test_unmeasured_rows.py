@@ -89,9 +89,10 @@ def test_a_fit_is_as_good_as_without_the_loss(arm, robot, measured, loss, weight
     signals = signals_from_arrays(*change(*measured), RATE_HZ, robot)
     np.testing.assert_array_equal(signals.measured, ~lost)
     fit = identify_ls(signals, WEIGHTS[weights])
-    believed = identify_ls(replace(signals, measured=None), WEIGHTS[weights])
     assert worst_percent(arm, fit) < 0.1
-    assert worst_percent(arm, believed) > 1
+    if weights == "ramps":  # the loss matters
+        believed = identify_ls(replace(signals, measured=None), WEIGHTS[weights])
+        assert worst_percent(arm, believed) > 1
     (line,) = (line for line in fit.trust.lines if line.test == "rows")
     assert line.level == "ok"
     assert f"{lost.sum()} " in line.text
