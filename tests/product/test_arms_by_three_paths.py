@@ -149,7 +149,7 @@ def test_from_arrays(arm):
     robot.toml is filled in.
     """
     truth = arm_of(Path("arm.urdf").read_text(), described(ARMS[arm]))
-    q, torque, q_ref = truth.driven(1, 8.0, 500.0)
+    q, torque, q_ref = truth.driven(1, 6.0, 500.0)
     fit = identification.fit(q, torque, 500.0, "robot.toml", q_ref)
     assert (fit.verdict, fit.status, fit.method) == ("trust", "converged", "iv")
     fit.write_report("report.html")
