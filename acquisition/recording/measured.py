@@ -1,10 +1,10 @@
 """Rows that nobody measured: efforts that a bus lost, rows that somebody interpolated, and gaps.
 
-Lost efforts are exactly 0 between large ones, or repeat exactly, in all motors or for longer in
-one, while the robot moves. Efforts that were filled in lie on one cubic, as a straight line does.
-Coarse ammeters repeat by chance, and logs that are faster than they repeat regularly: a stretch of
-repeats counts where chance makes none as long and where those beside it differ. Without noise
-efforts are constant or cubic where the motion is: nothing is told of those but by the zeros.
+Efforts were lost where those of all motors are exactly 0, or that of one repeats exactly for long,
+while the robot moves. Efforts that were filled in lie on one cubic, as a straight line does. Coarse
+ammeters repeat by chance, and logs that are faster than their drives repeat regularly: a stretch of
+repeats counts where chance makes none as long and where those beside it differ. A simulation
+without noise has constant and cubic efforts where its motion is simple, so only zeros count there.
 """
 
 from collections.abc import Mapping
