@@ -28,12 +28,15 @@ class Ear:
 @contextmanager
 def served(channel: str, n: int) -> Iterator[None]:
     """`n` simulated drives in real time, nodes from 1."""
-    robot, stop, booted = (
-        robot_of(bus_text(n, channel=channel)),
-        threading.Event(),
-        threading.Event(),
-    )
-    drives = SimulatedDrives(robot, bus_of(robot))
+    robot = robot_of(bus_text(n, channel=channel))
+    with serving(SimulatedDrives(robot, bus_of(robot))):
+        yield
+
+
+@contextmanager
+def serving(drives: SimulatedDrives) -> Iterator[None]:
+    """Simulated drives on their bus in this process, in real time."""
+    stop, booted = threading.Event(), threading.Event()
     thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
     thread.start()
     try:

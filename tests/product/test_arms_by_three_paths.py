@@ -7,9 +7,7 @@ filled in. What comes out is compared with the arm itself at a motion that nobod
 
 import re
 import shutil
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +15,11 @@ import pytest
 from conftest import ACQUIRE, IDENTIFY
 from pinocchio_arm import Arm, arm_of, mujoco_torque
 from urdfs import packaged_urdf
+from virtual_buses import serving
 
 import identification
 from acquisition.robot import load_robot, resolve
-from acquisition.simulated import SimulatedDrives, driven_plant, serve
+from acquisition.simulated import SimulatedDrives, driven_plant
 
 TORSO = ("torso_lift_joint", *(f"arm_{k}_joint" for k in range(1, 8)))
 # Six turning joints; seven, and two sliding fingers of which one mimics the other; a slide that
@@ -76,20 +75,11 @@ def true_to(arm: Arm, fit: identification.StoredFit, most_percent: float = MOST_
     return max(arm.errors_percent(torque).max() for torque in torques) < most_percent
 
 
-@contextmanager
-def drives(path: str) -> Iterator[None]:
-    """The simulated drives of a description on its bus in this process."""
+def drives(path: str) -> SimulatedDrives:
+    """The simulated drives of a description."""
     robot = load_robot(Path(path))
-    bus, stop, ready = resolve(robot, path), threading.Event(), threading.Event()
-    simulated = SimulatedDrives(robot, bus, driven_plant(robot, bus))
-    thread = threading.Thread(target=serve, args=(simulated, stop.is_set, ready.set), daemon=True)
-    thread.start()
-    try:
-        assert ready.wait(10)
-        yield
-    finally:
-        stop.set()
-        thread.join(10)
+    bus = resolve(robot, path)
+    return SimulatedDrives(robot, bus, driven_plant(robot, bus))
 
 
 def test_from_drives(arm, capsys):
@@ -104,7 +94,7 @@ def test_from_drives(arm, capsys):
         "robot.toml", acceleration_deg_s2="460", acceleration_m_s2="1", bandwidth_hz="10",
         following_error_deg="12", following_error_m="0.02",
     )  # fmt: skip
-    with drives("robot.toml"):
+    with serving(drives("robot.toml")):
         ACQUIRE.main(["check", "robot.toml"])
     wrong = [line for line in capsys.readouterr().out.splitlines() if line.startswith("NO")]
     assert all(line.startswith("NO  SYNC ") for line in wrong)  # late on a busy machine
