@@ -211,11 +211,13 @@ def signals_from_arrays(
         raise BadInputError(
             problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more"
         )
+    told = list[str]()
     if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
-        problem, expected = f"q is of {of_file.recording}", f"its {of_file.sample_rate_hz:.9g} Hz"
-        raise BadInputError(
-            problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected=expected
+        told.append(
+            f"q is of {of_file.recording}, recorded at {of_file.sample_rate_hz:.9g} Hz: fitted at "
+            f"that rate, not at sample_rate_hz = {sample_rate_hz:g}"
         )
+        sample_rate_hz = of_file.sample_rate_hz
     arrays: dict[str, Any] = {
         "q": _copy("q", q, robot.n),
         "effort": _copy("effort", effort, robot.n),
@@ -253,7 +255,7 @@ def signals_from_arrays(
         unmeasured=text,
         events=tuple(
             SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=doubt)
-            for doubt in (*(held.warnings if held is not None else ()), *doubts)
+            for doubt in (*told, *(held.warnings if held is not None else ()), *doubts)
         ),
     )
 

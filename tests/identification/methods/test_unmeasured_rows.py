@@ -10,7 +10,7 @@ from pinocchio_arm import arm_of
 from urdfs import six_joints
 
 import identification
-from acquisition.errors import BadInputError, NoFitError
+from acquisition.errors import NoFitError
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import Controller
 from identification.data import Recordings, load_signals, signals_from_arrays
@@ -208,11 +208,12 @@ def test_arrays_of_a_log_faster_than_its_robot_are_thinned(arm, robot, measured,
     assert f"each row stands {stands} times" in told.text
 
 
-def test_positions_of_a_recording_are_refused_at_another_rate(robot, measured, tmp_path):
-    """A correction of a clock, or a copy, is not."""
+def test_positions_of_a_recording_keep_its_rate(robot, measured, tmp_path):
+    """Another rate is told and not taken; a correction of a clock, and any of a copy, is."""
     log = load_signals(recording_with_gaps(tmp_path / "a.mcap", robot, measured, ROW < 2000))
-    refused = r"sample_rate_hz = 1000: q is of a\.mcap: expected its 500 Hz"
-    with pytest.raises(BadInputError, match=refused):
-        signals_from_arrays(log.q, log.effort, 1000, robot)
+    signals = signals_from_arrays(log.q, log.effort, 1000, robot)
+    assert signals.sample_rate_hz == pytest.approx(500)
+    assert signals.t_s[-1] == pytest.approx((len(log.q) - 1) / 500)
+    assert any("recorded at 500 Hz: fitted at that rate" in x.text for x in signals.events)
     for q, rate_hz in ((log.q, 499.0), (log.q.copy(), 1000)):
         assert signals_from_arrays(q, log.effort, rate_hz, robot).sample_rate_hz == rate_hz
