@@ -17,7 +17,7 @@ from identification.errors import NoFitError
 from identification.export import read_chain, robot_of_chain
 from identification.methods import identify
 from identification.model import InverseModel, base_parameters, known_parameters
-from identification.regression import Overrides, make_problem
+from identification.regression import Overrides, make_problem, sample_weights
 from identification.view import draw_recording
 
 ROTOR, VISCOUS, COULOMB = (
@@ -131,6 +131,20 @@ def test_a_recording_read_again_has_the_same(ur5):
     again = replace(problem, source=ur5).without_samples().with_samples()
     assert again.signals.robot.bandwidth_hz == problem.signals.robot.bandwidth_hz
     assert again.signals.motion_hz == problem.signals.motion_hz == problem.settings.cutoff_hz
+
+
+def test_rows_beside_reversals_stay(ur5):
+    """A sample stands within half a period of twice the motion's end, where its joint reverses."""
+    problem = make_problem(replace(ur5, q_ref=None), Overrides())
+    moves, fs = sample_weights(problem).moves, ur5.sample_rate_hz
+    beside = fs / (4 * problem.signals.motion_hz)
+    lone = 0
+    for own in moves[problem.settings.start : problem.settings.stop].T:
+        edges = np.flatnonzero(np.diff(own.astype(int)))
+        stands = np.diff(edges)[own[edges[:-1]]]
+        assert 2 * beside - 2 <= stands.min() <= 2 * beside + 4
+        lone += len(stands)
+    assert lone > 100
 
 
 @pytest.mark.parametrize("count", [2, 20, 60])
