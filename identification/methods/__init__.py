@@ -6,7 +6,7 @@ The path of a fit, stage by stage::
     Signals, Settings, Problem   a recording, the settings, the robot's model
     Rows, Unknowns, Equations    W and Y of one recording; x of all recordings, and their
                                  equations about x
-    Instruments, Pass            Z of the simulated robot, and the estimate of one pass
+    Simulated, Pass              Z of the simulated robot, and the estimate of one pass
     FitData, Trust               inputs and results of the trust tests
     Fit                          the result; `report.FitFile` is its JSON file
 """

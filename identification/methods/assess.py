@@ -19,7 +19,7 @@ from ..estimation import (
 )
 from ..regression import ROWS, Problem, Rows, base_name, sample_weights
 from ..report import FTest, Method
-from ..simulation import Replica, saturated_percents
+from ..simulation import Simulated, saturated_percents
 from ..trust import Candidates, FitData, further_columns, held_out_parts, trust_in, with_prior
 from .equations import Equations
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
@@ -38,19 +38,18 @@ def evidence_of(
     solved: LeastSquares,
     rows: Rows,
     *,
-    each: Sequence[Rows] = (),
-    replicas: tuple[Replica, ...] = (),
+    each: Sequence[Rows | Array] = (),
+    z: Sequence[Simulated] = (),
 ) -> FitData:
     """Inputs of the trust tests of an estimate from its rows; `each` are those of single
     recordings that are long.
     """
     estimate = solved.estimate
     # Long rows have the columns of before their simulation.
-    candidates = candidates_of(
-        equations, estimate.values_of(equations.names), None if each and replicas else replicas
-    )
+    candidates = candidates_of(equations, estimate.values_of(equations.names), simulated=bool(z))
     if not rows.C.size:
-        rows = replace(rows, C=further_columns(equations.problems, candidates, replicas))
+        along = [one.motion for one in z if one.motion]
+        rows = replace(rows, C=further_columns(equations.problems, candidates, along))
     lags = lags_of(equations, rows, estimate)
     within = held_and_counted(equations, estimate, equations.rows_with(each), rows.system, lags)
     return FitData(
@@ -65,24 +64,18 @@ def evidence_of(
         intervals=within,
         least_squares=solved.full,
         candidates=candidates,
-        replicas=replicas,
         lags=lags,
         essential=essential_names(solved.essential, estimate, within),
     )
 
 
 def candidates_of(
-    equations: Equations, x: Array, replicas: Sequence[Replica] | None = ()
+    equations: Equations, x: Array, *, simulated: bool = False
 ) -> tuple[Candidates, ...]:
-    """By recording the terms that are not in the model, about x; replicas are None before a
-    simulation of long recordings.
+    """By recording the terms that are not in the model, about x, along the measured or the
+    simulated motion.
     """
-    if replicas is None:
-        simulated = all(problem.signals.q_ref is not None for problem in equations.problems)
-    else:
-        simulated = bool(replicas) and all(
-            one.motion and one.reference_kind == "recorded" for one in replicas
-        )
+    simulated &= all(problem.signals.q_ref is not None for problem in equations.problems)
     speed = np.concatenate([rows.speed for rows in equations.rows])
     sliding = np.abs(speed @ equations.problem.model.coulomb_directions.T)
     return tuple(
@@ -99,10 +92,10 @@ def candidates_of(
 
 
 def fit_of(
-    equations: Equations, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()
+    equations: Equations, evidence: FitData, solved: LeastSquares, z: Sequence[Simulated] = ()
 ) -> Fit:
-    """The fit of an estimate and its assessment; `replicas` are the robot simulated in
-    each recording, if it was.
+    """The fit of an estimate and its assessment; `z`: the robot simulated in each recording,
+    if it was.
     """
     rows, predicted = evidence.observed, solved.tau_predicted
     names = tuple(joint.name for joint in equations.problem.signals.robot.joints)
@@ -131,7 +124,7 @@ def fit_of(
             held_out=evidence.held_out[k]
             if len(equations.problems) > 1 and not evidence.gains
             else None,
-            replica=replicas[k] if replicas else None,
+            simulated=z[k] if z else None,
         )
         for k, (problem, part, own) in enumerate(parts)
     ]
@@ -221,10 +214,15 @@ def assess_iv(
     """The fit of the pass that is returned; the robot simulated with its estimate
     validates the direct model.
     """
-    estimate, replicas, z = best.estimate, best.replicas, best.z
+    estimate, z = best.estimate, best.confirmed_by
     solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))
     evidence = evidence_of(
-        equations, "iv", solved, equations.along(z), each=z.rows, replicas=replicas
+        equations,
+        "iv",
+        solved,
+        equations.along(best.x, best.z),
+        each=[one.Z for one in best.z],
+        z=z,
     )
     tests = tests_of(evidence.observed.system, estimate)
     status, reason = status_of(equations, passes, best, tests)
@@ -237,10 +235,11 @@ def assess_iv(
     iv = InstrumentEvidence(
         start=start,
         reference="recorded"
-        if all(one.reference_kind == "recorded" for one in replicas)
+        if all(problem.signals.q_ref is not None for problem in equations.problems)
         else "surrogate",
         controller=max(
-            (one.controller for one in replicas), key=("described", "found", "surrogate").index
+            (one.controller for one in z),
+            key=("described", "found", "surrogate").index,
         ),
         passes=tuple(passes),
         returned=best.number,
@@ -250,7 +249,7 @@ def assess_iv(
         contrast_at=estimate.names[int(contrast.argmax())],
         rows_used_percent=float(100 * evidence.observed.counts.mean()),
         saturated_percent=largest([max(one.values(), default=None) for one in saturated]),
-        direct=direct_errors(replicas),
+        direct=direct_errors(z),
     )
     evidence = replace(
         evidence,
@@ -259,30 +258,35 @@ def assess_iv(
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         by_reference=reason if status == "converged" else None,
     )
-    fit = fit_of(equations, evidence, replace(solved, intervals=evidence.intervals), replicas)
-    warnings = (*fit.warnings, *_iv_warnings(replicas, saturated, tests))
+    fit = fit_of(equations, evidence, replace(solved, intervals=evidence.intervals), z)
+    warnings = (*fit.warnings, *_iv_warnings(equations, z, saturated, tests))
     return replace(fit, status=status, iv=iv, least_squares=ls.of_base(), warnings=warnings)
 
 
 def _iv_warnings(
-    replicas: tuple[Replica, ...], saturated: Sequence[dict[str, float]], tests: InstrumentTests
+    equations: Equations,
+    z: Sequence[Simulated],
+    saturated: Sequence[dict[str, float]],
+    tests: InstrumentTests,
 ) -> tuple[str, ...]:
-    warnings = []
-    if any(one.reference_kind == "surrogate" for one in replicas):
+    warnings, pairs = [], list(zip(equations.problems, z, strict=True))
+    without = [p.signals.robot for p, one in pairs if one.controller == "surrogate"]
+    unknown = [p for p, one in pairs if one.controller != "surrogate" and not one.prior_known]
+    if any(problem.signals.q_ref is None for problem in equations.problems):
         warnings.append(
             "surrogate reference: none recorded, the measured position is used instead; the "
             "instruments are not "
             "strictly exogenous"
         )
-    if without := [one.bandwidth_hz for one in replicas if one.controller == "surrogate"]:
-        warnings.append(f"no controller described: simulated with a {without[0]:g} Hz PD instead")
-    if unknown := [
-        one.bandwidth_hz for one in replicas if one.controller != "surrogate" and not one.J_known
-    ]:
+    if without:
+        warnings.append(
+            f"no controller described: simulated with a {without[0].bandwidth_hz:g} Hz PD instead"
+        )
+    if unknown:
         warnings.append(
             "least squares gives no positive inertias: the gain update uses those that suit the "
             "described gains at "
-            f"{unknown[0]:g} Hz"
+            f"{unknown[0].signals.robot.bandwidth_hz:g} Hz"
         )
     for shares in saturated:
         at_limit = (

@@ -2,8 +2,9 @@
 about given values of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +13,8 @@ from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..estimation import Estimate, System, combined, stacked, stacked_columns
-from ..regression import (
-    HELD,
-    REDUCED,
-    Overrides,
-    Problem,
-    Rows,
-    Settings,
-    Term,
-    Unknowns,
-    torque_of_recording,
-)
-from ..simulation import ClosedLoops, Instruments, Simulation
+from ..regression import HELD, REDUCED, Overrides, Problem, Rows, Settings, Term, Unknowns
+from ..simulation import COARSE, FINE, Simulated, SimulatedRecording, simulate
 from ..trust import Lag
 from .observation import (
     SPAN_S,
@@ -36,6 +27,8 @@ from .observation import (
     with_common_rate,
 )
 
+# by recording
+Robots = Sequence[Callable[[float], SimulatedRecording]]
 SPANS_OF_IV = 80  # of a long recording: the factors of [C Z W Y] of six joints take 80 MB
 SPAN_NUMBERS = 1_500_000  # of the W of the beginning of a long recording
 
@@ -119,9 +112,7 @@ class Equations:
         return self._about[key]
 
     def rows_about(self, x: Array, further: Sequence[Term] = ()) -> list[Rows]:
-        """The rows of each recording about x, of long ones with `further` columns; without load
-        friction for an empty x.
-        """
+        """The rows of each recording about x, of long ones with `further` columns."""
         if not further and (self.load is None or not len(x)):
             return list(self.rows)
         run = self.recordings.work.run
@@ -130,12 +121,8 @@ class Equations:
         ]
         if self.reduced:
             more = further or (None,) * len(tasks)
-            return list(
-                run(
-                    regression.rows_again,
-                    [(*task, terms) for task, terms in zip(tasks, more, strict=True)],
-                )
-            )
+            each = [(*task, terms) for task, terms in zip(tasks, more, strict=True)]
+            return list(run(regression.rows_again, each))
         assert self.load is not None
         columns = run(
             regression.load_columns, [(problem, self.load, beta) for problem, _, beta in tasks]
@@ -169,17 +156,19 @@ class Equations:
             },
         )
 
-    def along(self, z: Instruments) -> Rows:
-        """[Z J Y] about the values of instruments, in their rows."""
-        return self.stacked(self.rows_with(z.rows)) if z.rows else replace(self.about(z.x), Z=z.Z)
+    def along(self, x: Array, z: Sequence[Simulated]) -> Rows:
+        """[Z J Y] about x with the instruments of each recording."""
+        if self.reduced:
+            return self.stacked(self.rows_with([one.Z for one in z]))
+        Z = stacked_columns([np.asarray(one.Z) for one in z], self.problem.signals.robot.n)
+        return replace(self.about(x), Z=Z)
 
-    def rows_with(self, factors: Sequence[Rows]) -> list[Rows]:
-        """The rows of each recording with the given factors, and its measurements;
-        without any, its own rows.
-        """
-        pairs = zip(self.rows, factors, strict=bool(factors))
+    def rows_with(self, factors: Sequence[Rows | Array]) -> list[Rows]:
+        """The rows of each recording with given factors and its measurements, or its own."""
         return [
-            replace(x, share=own.share, tau=own.tau, speed=own.speed) for own, x in pairs
+            replace(x, share=own.share, tau=own.tau, speed=own.speed)
+            for own, x in zip(self.rows, factors, strict=bool(factors))
+            if isinstance(x, Rows)
         ] or list(self.rows)
 
     def without(self, left_out: dict[str, str]) -> "Equations":
@@ -310,7 +299,12 @@ class Equations:
             for k, (problem, arm) in enumerate(zip(self.tasks(), self.unknowns.arms, strict=True))
         ]
         return np.concatenate(
-            [predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)]
+            [
+                predicted
+                for _, predicted, _ in self.recordings.work.run(
+                    regression.torque_of_recording, tasks
+                )
+            ]
         )
 
 
@@ -370,22 +364,36 @@ def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) 
     return equations
 
 
-def closed_loops(equations: Equations, prior: Array, *, gain_update: bool) -> ClosedLoops:
-    """The closed loops of the recordings; gains are set for the inertias
-    of `prior`, values of x.
-    """
-    pairs = enumerate(zip(equations.tasks(), equations.rows, strict=True))
-    return ClosedLoops(
-        simulations=tuple(
-            Simulation(
-                problem=problem,
-                prior=equations.unknowns.beta(prior, k),
-                spans=min(SPANS_OF_IV, len(rows.tau) // 2) if rows.reduced else 0,
-                gain_update=gain_update,
-            )
-            for k, (problem, rows) in pairs
-        ),
-        names=tuple(problem.signals.recording for problem in equations.problems),
-        unknowns=equations.unknowns,
-        work=equations.recordings.work,
-    )
+def robots_in(equations: Equations, prior: Array, *, gain_update: bool = True) -> Robots:
+    """What prepares each recording; gains are set for the inertias of `prior`, values of x."""
+    each = [
+        partial(
+            SimulatedRecording,
+            problem,
+            equations.unknowns.beta(prior, k),
+            spans=min(SPANS_OF_IV, len(rows.tau) // 2) if rows.reduced else 0,
+            gain_update=gain_update,
+        )
+        for k, (problem, rows) in enumerate(zip(equations.tasks(), equations.rows, strict=True))
+    ]
+    # Once in this process; each task of a worker prepares its own.
+    return [cache(one) for one in each] if equations.recordings.work.workers == 1 else each
+
+
+def simulate_all(
+    equations: Equations,
+    robots: Robots,
+    x: Array,
+    asked: tuple[Array, Array | None] | None = None,
+    *,
+    coarse: bool = False,
+    further: Sequence[Term] = (),
+) -> tuple[Simulated, ...]:
+    """By recording, `simulate` with what is asked, values of x and their covariance; Z of x."""
+    of, rate, none = equations.unknowns, COARSE if coarse else FINE, [None] * len(robots)
+    each = zip(robots, of.simulated(*asked) if asked else none, further or none, strict=True)
+    tasks = [
+        (robot, rate, of.beta(x, k), own, more, partial(of.columns, k))
+        for k, (robot, own, more) in enumerate(each)
+    ]
+    return tuple(equations.recordings.work.run(simulate, tasks))

@@ -1,5 +1,6 @@
 """Results of an identification: the estimate, its settings, and its tests."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,9 +14,18 @@ from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
 from ..regression import Arm, Problem, Settings, base_places
 from ..report import DirectModelResidual, FTest, Method, Status, TorqueResidual
-from ..simulation import Instruments, Replica
+from ..simulation import InstrumentKind, Simulated
 from ..trust import FitData, HeldOut, Lag, Trust
 from .gain_results import EstimatedPayload, Gains
+
+WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
+
+
+def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
+    """Return the reasons of recordings in one line, led by their names if there are several."""
+    if len(reasons) == 1:
+        return reasons[0][1]
+    return "; ".join(f"{name}: {why}" for name, why in reasons if why is not None) or None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,11 +33,9 @@ class Pass:
     """One pass of the instrumental variable method; only the last one keeps arrays as large as W.
 
     Attributes:
-        z: its instruments. Their `kind` is `simulated`: by the physically consistent parameters
-            nearest to the previous estimate; `consistent`: the same, where the inertia matrix of
-            that estimate is not positive; `reference`: along the motion that the reference
-            predicts, where the simulated robot does not follow it. `reason` says why.
-        robot: values simulated in place of those of `z`; None for these.
+        x: values about which its instruments are.
+        z: by recording, the simulated robot and its instruments.
+        robot: values simulated in place of `x`; None for these.
         asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values
             to simulate (None for a regular start), and of the estimate.
         coarse: whether the robot was simulated coarsely.
@@ -37,14 +45,15 @@ class Pass:
         residual_settled, parameters_settled: whether the residual, and every parameter, changed
             less than the tolerance.
         number: counted from 1.
-        stands_alone: whether its instruments are of kind `reference` as no simulated robot
-            confirms others: one solution.
+        by_reference: why no simulated robot confirms others, so that its instruments, of kind
+            `reference`, stand alone: one solution; None where they do not.
         failure: why the next pass gave no estimate; None if it did, or there was none.
-        replicas: the robot simulated in each recording with the estimate, or with the values that
+        confirmed_by: by recording, the robot simulated with the estimate, or with the values that
             it settled at; only of the pass that is returned.
     """
 
-    z: Instruments
+    x: Array
+    z: tuple[Simulated, ...]
     estimate: Estimate
     asked: Array | None
     covariance: Array
@@ -57,15 +66,35 @@ class Pass:
     robot: Array | None = None
     coarse: bool = False
     number: int = 1
-    stands_alone: bool = False
+    by_reference: str | None = None
     failure: str | None = None
-    replicas: tuple[Replica, ...] = ()
+    confirmed_by: tuple[Simulated, ...] = ()
 
     def without_rows(self) -> "Pass":
         """The same without arrays as large as W."""
-        return replace(
-            self, z=self.z.without_rows(), estimate=self.estimate.without_rows(), replicas=()
-        )
+        z, estimate = tuple(one.without_rows() for one in self.z), self.estimate.without_rows()
+        return replace(self, z=z, estimate=estimate, confirmed_by=())
+
+    @property
+    def kind(self) -> InstrumentKind:
+        """The kind of its instruments, as of `Simulated`: of several recordings the worst."""
+        return min((one.kind for one in self.z), key=WORST_FIRST.index)
+
+    @property
+    def reason(self) -> str | None:
+        """Why its instruments are not those of the robot asked; None if they are."""
+        return self.by_reference or join_reasons([(one.recording, one.reason) for one in self.z])
+
+    @property
+    def gains(self) -> Array:
+        """Factors on the controllers' gains, n for each recording."""
+        return np.concatenate([one.gains for one in self.z])
+
+    @property
+    def tracking_percent(self) -> float | None:
+        """The largest error of the simulated position; None if a robot was not simulated."""
+        percents = [x for one in self.z if (x := one.percent) is not None]
+        return max(percents) if len(percents) == len(self.z) else None
 
     @property
     def settled(self) -> bool:
@@ -220,7 +249,7 @@ class FittedRecording:
         rows: its decimated samples in those of the fit.
         errors: its torque errors, one entry per joint and, last, all joints together.
         held_out: its torque predicted by the fit of the other recordings; None if there are none.
-        replica: the robot simulated in it with the estimate; None after least squares.
+        simulated: the robot simulated in it with the estimate; None after least squares.
     """
 
     problem: Problem
@@ -228,7 +257,7 @@ class FittedRecording:
     rows: slice
     errors: tuple[TorqueResidual, ...]
     held_out: HeldOut | None
-    replica: Replica | None
+    simulated: Simulated | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -281,10 +310,10 @@ class Fit:
         return self.data.lags
 
     def on(self, one: FittedRecording) -> "Fit":
-        """The fit restricted to one of its recordings: rows, errors and replica."""
+        """The fit restricted to one of its recordings: rows, errors and simulated robot."""
         iv = self.iv
-        if iv is not None and one.replica is not None:
-            iv = replace(iv, direct=one.replica.direct)
+        if iv is not None and one.simulated is not None:
+            iv = replace(iv, direct=one.simulated.by_joint)
         rows = {
             name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")
         }
@@ -299,11 +328,11 @@ class Fit:
         return self.recordings[0].problem
 
     @property
-    def replica(self) -> Replica | None:
-        """The robot simulated in the first recording with the estimate;
-        None after least squares.
+    def simulated(self) -> Simulated | None:
+        """The robot simulated in the first recording with the estimate; None after least
+        squares.
         """
-        return self.recordings[0].replica
+        return self.recordings[0].simulated
 
     @property
     def settings(self) -> Settings:

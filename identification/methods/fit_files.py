@@ -291,14 +291,14 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
         "controller": iv.controller,
         "iterations": [
             report.PassFile(
-                instruments=p.z.kind,
-                reason=p.z.reason,
+                instruments=p.kind,
+                reason=p.reason,
                 residual_norm=p.estimate.residual_norm,
                 largest_change_sigma=p.change_sigma,
                 largest_change_percent=p.change_percent,
                 changed_most=p.changed,
-                gains=p.z.gains.tolist(),
-                tracking_error_percent=p.z.tracking_percent,
+                gains=p.gains.tolist(),
+                tracking_error_percent=p.tracking_percent,
                 condition_number_ztw=p.estimate.condition_number_scaled,
                 settled=p.settled,
             )

@@ -81,7 +81,7 @@ def first_line(fit: Fit) -> str:
         figures.append(f"{held:.2g} % held out")
     alone = (
         " with instruments: reference"
-        if fit.iv and fit.iv.passes[fit.iv.returned - 1].stands_alone
+        if fit.iv and fit.iv.passes[fit.iv.returned - 1].by_reference is not None
         else ""
     )
     return (
@@ -301,13 +301,13 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
         rows=tuple(
             (
                 Number(number, "d"),
-                p.z.kind,
+                p.kind,
                 Number(p.estimate.residual_norm, ".3f"),
                 Number(p.change_sigma, ".2g"),
                 p.changed,
-                Number(p.z.tracking_percent, ".2f"),
-                Number(float(p.z.gains.min()), ".3g"),
-                Number(float(p.z.gains.max()), ".3g"),
+                Number(p.tracking_percent, ".2f"),
+                Number(float(p.gains.min()), ".3g"),
+                Number(float(p.gains.max()), ".3g"),
                 Number(p.estimate.condition_number_scaled, ".1f"),
             )
             for number, p in enumerate(iv.passes, 1)
@@ -337,9 +337,9 @@ def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
     t = iv.tests
     return (
         *(
-            f"pass {k}: instruments {p.z.kind}: {p.z.reason}"
+            f"pass {k}: instruments {p.kind}: {p.reason}"
             for k, p in enumerate(iv.passes, 1)
-            if p.z.reason
+            if p.reason
         ),
         f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F "
         f"{t.first_stage_F:.3g}",

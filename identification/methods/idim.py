@@ -20,12 +20,12 @@ from ..errors import BadInputError, NoFitError
 from ..estimation import Estimate, autocorrelation, instrumental_variables, intervals_of, one_thread
 from ..regression import Overrides, Rows, Term, base_places
 from ..report import Method
-from ..simulation import Instruments
+from ..simulation import Simulated
 from ..trust import covariance_of_all
 from . import iteration as iv
 from .assess import assess_iv, candidates_of, evidence_of, fit_of
-from .equations import Equations, closed_loops, read_equations
-from .fit import Fit, LeastSquares, Pass
+from .equations import Equations, read_equations, robots_in, simulate_all
+from .fit import Fit, LeastSquares, Pass, join_reasons
 from .gains import factors_of, joint_weights_of, measured_instruments, motors_of, solve_with_gains
 from .iteration import Iteration, NoEstimateError
 from .observation import position_noise_line, solver_of
@@ -235,22 +235,28 @@ def _solve_by_instruments(
     fitted = (
         np.union1d(ls.essential.kept, np.delete(every, base_places(names))) if essential else every
     )
-    lab = closed_loops(equations, prior, gain_update=iteration.gain_update)
+    robots = robots_in(equations, prior, gain_update=iteration.gain_update)
 
     def step(rows: Rows, Z: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         system = rows.system.with_columns(fitted)
         return equations.combined(system, instrumental_variables(system, Z[:, fitted], weights))
 
-    def one_pass(equations: Equations, z: Instruments) -> Pass:
-        W_and_Y = equations.along(z)
+    def one_pass(equations: Equations, x: Array, z: tuple[Simulated, ...]) -> Pass:
+        W_and_Y = equations.along(x, z)
         try:
             estimate = step(W_and_Y, W_and_Y.Z)
         except NoFitError as error:
-            raise NoEstimateError(z.reason) from error
+            reasons = [(one.recording, one.reason) for one in z]
+            raise NoEstimateError(join_reasons(reasons)) from error
         # C = D R D
         after = covariance_of_all(names, estimate, intervals_of(W_and_Y.system, estimate), ls.full)
         return iv.assess_pass(
-            z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent
+            x,
+            z,
+            estimate,
+            W_and_Y.system,
+            (C, after),
+            tolerance_percent=tolerance_percent,
         )
 
     def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
@@ -258,12 +264,12 @@ def _solve_by_instruments(
         # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only
         # starts the next ones
         further = terms_of_long(equations, x) if number > 1 or most == 1 else ()
-        z = lab.instruments(x, C, robot=robot, coarse=coarse, further=further)
-        # Y(tau(t + L))
-        equations = (
-            equations if coarse or robot is not None else with_lags_found(equations, z, weights)
-        )
-        return equations, replace(one_pass(equations, z), number=number, coarse=coarse, robot=robot)
+        asked = x if robot is None else robot, C
+        z = simulate_all(equations, robots, x, asked, coarse=coarse, further=further)
+        if not coarse and robot is None:  # Y(tau(t + L))
+            equations = with_lags_found(equations, x, z, weights)
+        found = one_pass(equations, x, z)
+        return equations, replace(found, number=number, coarse=coarse, robot=robot)
 
     given, first = equations, x
     ls, passes, regular = ls.without_rows(), list[Pass](), C is None
@@ -279,19 +285,24 @@ def _solve_by_instruments(
         try:
             equations, last = next_pass(equations, len(passes) + 1)
         except NoEstimateError as error:
-            passes = iv.failed(passes, error, lab.names)
+            passes = iv.failed(passes, error, [one.signals.recording for one in equations.problems])
             break
         passes, C = [*passes, last], last.covariance
         x, robot = iv.next_values(passes, names), None
     further = partial(terms_of_long, equations)
-    best = iv.conclude(lab, passes, further, lambda z: step(rows := equations.along(z), rows.Z))
+    best = iv.conclude(
+        equations,
+        robots,
+        passes,
+        further,
+        lambda x, z: step(rows := equations.along(x, z), rows.Z),
+    )
     if why := iv.why_by_reference(equations, passes, best):
-        z = replace(lab.along_reference(first, terms_of_long(given, first)), reason=why)
-        found = with_lags_found(given, z, weights)
+        z = simulate_all(given, robots, first, coarse=True, further=terms_of_long(given, first))
+        found = with_lags_found(given, first, z, weights)
         with suppress(NoEstimateError):
-            last = replace(
-                one_pass(found, z), number=len(passes) + 1, stands_alone=True, replicas=z.replicas
-            )
+            last = one_pass(found, first, z)
+            last = replace(last, number=len(passes) + 1, by_reference=why, confirmed_by=z)
             if iv.why_by_reference(found, [last], last) is None:
                 equations, passes, best = found, [*passes, last], last
     passes = [one.without_rows() for one in passes]
@@ -300,11 +311,13 @@ def _solve_by_instruments(
     if motors or equations.load:
         x = best.estimate.values_of(names)
         x[equations.unknowns.gains] = 1.0
-        rows = equations.along(best.z)
+        rows = equations.along(best.x, best.z)
         estimate = (
-            step(rows, rows.Z) if best.z.rows else settle(equations, x, partial(step, Z=rows.Z))[1]
+            step(rows, rows.Z)
+            if equations.reduced
+            else settle(equations, x, partial(step, Z=rows.Z))[1]
         )
-        best = replace(best, estimate=estimate, z=replace(best.z, x=x))
+        best = replace(best, estimate=estimate, x=x)
     return equations, ls, passes, best
 
 
@@ -338,7 +351,7 @@ def terms_of_long(equations: Equations, x: Array) -> tuple[Term, ...]:
     """What the rows of long recordings have beside the equations about x; nothing
     for rows that are held.
     """
-    return candidates_of(equations, x, None) if equations.reduced else ()
+    return candidates_of(equations, x, simulated=True) if equations.reduced else ()
 
 
 def solve_least_squares(

@@ -14,10 +14,10 @@ from ..estimation import Estimate, InstrumentTests, System, instrument_tests, in
 from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
 from ..regression import Problem, Term
 from ..report import DirectModelResidual, Status
-from ..simulation import ClosedLoops, Instruments, Replica, join_reasons, max_or_none
+from ..simulation import Simulated
 from ..trust import covariance_of_all
-from .equations import Equations
-from .fit import LeastSquares, Pass
+from .equations import Equations, Robots, simulate_all
+from .fit import LeastSquares, Pass, join_reasons
 from .settled import least_squares
 
 # a larger error of the simulated position does not confirm the estimate
@@ -65,7 +65,7 @@ def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
     mean with the last values.
     """
     beta = passes[-1].estimate.values_of(names)
-    return 0.5 * (beta + passes[-1].z.x) if len(passes) >= MAX_FULL_STEPS else beta
+    return 0.5 * (beta + passes[-1].x) if len(passes) >= MAX_FULL_STEPS else beta
 
 
 def is_coarse(problem: Problem, number: int, most: int) -> bool:
@@ -80,23 +80,25 @@ def is_coarse(problem: Problem, number: int, most: int) -> bool:
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
 def assess_pass(
-    z: Instruments,
+    x: Array,
+    z: tuple[Simulated, ...],
     estimate: Estimate,
     system: System,
     covariances: tuple[Array | None, Array],
     *,
     tolerance_percent: float,
 ) -> Pass:
-    """The pass that gave `estimate`, its changes, and whether it settled; `system` has all
-    parameters, `covariances` are those of the values simulated and the estimate.
+    """The pass that gave `estimate` with instruments `z` about x, its changes, and whether it
+    settled; `system` has all parameters, `covariances` are those of the values simulated and the
+    estimate.
     """
     # Compared with the values asked for, not with the consistent ones simulated instead. Parameters
     # near zero never settle in percent: half a deviation is enough.
     tolerance = 0.01 * tolerance_percent
-    old = np.array([z.x[system.names.index(name)] for name in estimate.names])
+    old = np.array([x[system.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
     w = estimate.weights[system.joint_of_row] * system.used
-    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ z.x)))
+    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x)))
     norm_change = abs(estimate.residual_norm - norm_before)
     with np.errstate(divide="ignore", invalid="ignore"):
         in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
@@ -104,6 +106,7 @@ def assess_pass(
             np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0
         )
     return Pass(
+        x=x,
         z=z,
         estimate=estimate,
         asked=covariances[0],
@@ -142,41 +145,46 @@ def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]
 
 
 def conclude(
-    lab: ClosedLoops,
+    equations: Equations,
+    robots: Robots,
     passes: Sequence[Pass],
     further: Callable[[Array], Sequence[Term]],
-    solve: Callable[[Instruments], Estimate],
+    solve: Callable[[Array, Sequence[Simulated]], Estimate],
 ) -> Pass:
     """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks
     best at its worst joint.
 
     It has its instruments, and the robot simulated with its estimate, or with the values that it
-    settled at. `further`: as of `ClosedLoops.instruments`, about given values.
+    settled at. `further`: as of `simulate_all`, about given values.
     """
-    last, names = passes[-1], lab.unknowns.names
+    last = passes[-1]
     if last.is_last and last.failure is None:
-        return replace(last, replicas=last.z.replicas)
-    after = lab.instruments(last.estimate.values_of(names), last.covariance)
+        return replace(last, confirmed_by=last.z)
+
+    def simulated(estimate: Estimate, covariance: Array) -> tuple[Simulated, ...]:
+        x = estimate.values_of(equations.names)
+        return simulate_all(equations, robots, x, (x, covariance))
+
+    after = simulated(last.estimate, last.covariance)
     tracked = [_tracking(one.z) for one in passes[1:]] + [_tracking(after)]
     best = passes[int(np.argmin(tracked)) if min(tracked) < np.inf else -1]
     if best is last and last.failure is None:
-        return replace(last, replicas=after.replicas)
-    z = lab.instruments(
-        best.z.x, best.asked, robot=best.robot, coarse=best.coarse, further=further(best.z.x)
-    )
-    estimate = solve(z)
+        return replace(last, confirmed_by=after)
+    x, asked = best.x, (best.x if best.robot is None else best.robot, best.asked)
+    z = simulate_all(equations, robots, x, asked, coarse=best.coarse, further=further(x))
+    estimate = solve(x, z)
     if best is not last:
-        after = lab.instruments(estimate.values_of(names), best.covariance)
-    return replace(best, z=z, estimate=estimate, replicas=after.replicas)
+        after = simulated(estimate, best.covariance)
+    return replace(best, z=z, estimate=estimate, confirmed_by=after)
 
 
-def _tracking(z: Instruments) -> float:
+def _tracking(z: Sequence[Simulated]) -> float:
     """Position error of the worst joint, percent; infinite where the estimate
     itself was not simulated.
     """
-    if z.kind != "simulated":
+    if any(one.kind != "simulated" for one in z):
         return np.inf
-    joints = [joint.position_error_percent for one in z.replicas for joint in one.direct]
+    joints = [joint.position_error_percent for one in z for joint in one.by_joint]
     return max((x for x in joints if x is not None), default=0.0)
 
 
@@ -190,7 +198,8 @@ def status_of(
     Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot
     would hide a joint of small travel.
     """
-    last, unconfirmed = passes[-1], None if best.stands_alone else _unconfirmed(equations, best)
+    last = passes[-1]
+    unconfirmed = None if best.by_reference else _unconfirmed(equations, best)
     if last.failure is not None:
         return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
@@ -199,11 +208,11 @@ def status_of(
             "the simulated motion does not resemble the measured one: first-stage "
             f"F = {tests.first_stage_F:.2g}",
         )
-    if best.stands_alone:
-        return "converged", f"instruments: reference; {best.z.reason}"
+    if best.by_reference:
+        return "converged", f"instruments: reference; {best.by_reference}"
     if last.is_last:
-        if unconfirmed is None and last.z.kind != "simulated":
-            unconfirmed = f"settled without simulated instruments: {last.z.reason}"
+        if unconfirmed is None and last.kind != "simulated":
+            unconfirmed = f"settled without simulated instruments: {last.reason}"
         return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
     if unconfirmed is not None:
         return "diverged", unconfirmed
@@ -221,12 +230,12 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     the pass are enough, the control law is described, or the reference is not recorded.
     """
     if any(
-        one.reference_kind != "recorded" or one.controller == "described" for one in best.replicas
+        problem.signals.q_ref is None or one.controller == "described"
+        for problem, one in zip(equations.problems, best.z, strict=True)
     ):
         return None
-    status, why = status_of(
-        equations, passes, best, tests_of(equations.along(best.z).system, best.estimate)
-    )
+    system = equations.along(best.x, best.z).system
+    status, why = status_of(equations, passes, best, tests_of(system, best.estimate))
     return (
         None
         if status == "converged"
@@ -236,21 +245,17 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
 
 def _unconfirmed(equations: Equations, best: Pass) -> str | None:
     """Why the simulation with the final estimate does not confirm it; None if it does."""
-    replicas, reasons = best.replicas, list[str | None]()
+    reasons = list[tuple[str, str | None]]()
     for problem, arm in zip(equations.tasks(), equations.unknowns.arms, strict=True):
         chi = problem.base.standard_parameters(arm.values(best.estimate))
-        reasons.append(
-            why_not_positive(
-                direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))
-            )
-        )
-    reason = join_reasons(reasons, [problem.signals.recording for problem in equations.problems])
-    if reason is not None:
+        M = direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))
+        reasons.append((problem.signals.recording, why_not_positive(M)))
+    if (reason := join_reasons(reasons)) is not None:
         return f"the final estimate cannot be simulated: {reason}"
-    tracking_percent = max_or_none([one.tracking_percent for one in replicas])
-    if tracking_percent is None or not tracking_percent <= MAX_TRACKING_PERCENT:
+    percents = [np.inf if one.percent is None else one.percent for one in best.confirmed_by]
+    if not max(percents) <= MAX_TRACKING_PERCENT:
         return "the simulated position does not follow the measured one"
-    for d in direct_errors(replicas):
+    for d in direct_errors(best.confirmed_by):
         if (
             d.position_error_percent is not None
             and not d.position_error_percent <= MAX_TRACKING_PERCENT
@@ -269,11 +274,11 @@ def tests_of(system: System, estimate: Estimate) -> InstrumentTests:
     return instrument_tests(estimate.Q, W, estimate.rows)
 
 
-def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelResidual, ...]:
+def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
     """Largest errors of the simulated robot in any recording, by joint; none if one
     could not be simulated.
     """
-    if any(not one.direct for one in replicas):
+    if any(not one.by_joint for one in z):
         return ()
     return tuple(
         DirectModelResidual(
@@ -281,7 +286,7 @@ def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelResidual, ...
             position_error_percent=largest([d.position_error_percent for d in joint]),
             torque_error_percent=largest([d.torque_error_percent for d in joint]),
         )
-        for joint in zip(*(one.direct for one in replicas), strict=True)
+        for joint in zip(*(one.by_joint for one in z), strict=True)
     )
 
 

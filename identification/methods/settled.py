@@ -29,7 +29,7 @@ from ..estimation import (
 )
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
-from .equations import Equations, closed_loops
+from .equations import Equations, robots_in, simulate_all
 from .observation import solver_of
 
 # share of the norm of an identifiable column that is independent of the others
@@ -217,10 +217,9 @@ def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]
         estimate = weighted_least_squares(system.with_columns(columns))
         if instruments:
             beta = estimate.values_of(system.names)
-            Z = closed_loops(equations, beta, gain_update=False).along_reference(beta).Z
-            estimate = instrumental_variables(
-                system.with_columns(columns), Z[:, columns], estimate.weights
-            )
+            z = simulate_all(equations, robots_in(equations, beta), beta, coarse=True)
+            Z = equations.along(beta, z).Z[:, columns]
+            estimate = instrumental_variables(system.with_columns(columns), Z, estimate.weights)
         half = intervals_of(system.with_columns(columns), estimate).half
         return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}
     return {}

@@ -11,7 +11,7 @@ from ..arrays import Array
 from ..errors import NoFitError
 from ..estimation import Estimate, spans_of
 from ..regression import NOTHING, KnownLag, Rows
-from ..simulation import Instruments
+from ..simulation import Simulated
 from ..trust import Lag, by_group, combined_lag, lags_in, moves_of, simulated_rates
 from .equations import Equations
 
@@ -66,27 +66,26 @@ def with_lags(equations: Equations, lags: Sequence[Lag]) -> Equations:
     return replace(equations.corrected([of[k] for k in range(len(of))]), lags=tuple(lags))
 
 
-def with_lags_found(equations: Equations, z: Instruments, weights: Array) -> Equations:
-    """The recordings with torques corrected by the lags that instruments find
+def with_lags_found(
+    equations: Equations, x: Array, z: Sequence[Simulated], weights: Array
+) -> Equations:
+    """The recordings with torques corrected by the lags that instruments `z` about x find
     together with what is known.
 
-    Unchanged where the reference is not recorded or the robot was not simulated; long recordings
-    have the lags of their beginning.
+    Unchanged where the reference is not recorded; long recordings have the lags of their beginning.
     """
     problems = equations.problems
     signals = [problem.signals for problem in problems]
-    if (
-        any(one.q_ref is None for one in signals)
-        or any(one.motion is None for one in z.replicas)
-        or z.rows
-    ):
+    if any(one.q_ref is None for one in signals) or equations.reduced:
         return equations
     groups, known = lag_groups(equations), known_lags(equations)
-    rates, fast = zip(*map(simulated_rates, problems, z.replicas), strict=True)
+    each = map(simulated_rates, problems, [one.motion for one in z if one.motion])
+    rates, fast = zip(*each, strict=True)
     columns = by_group(rates, groups)
     for _ in range(MAX_LAG_STEPS):
         try:
-            steps, sd, freedom = lags_in(equations.along(z), (z.Z, columns, fast), weights)
+            rows = equations.along(x, z)
+            steps, sd, freedom = lags_in(rows, (rows.Z, columns, fast), weights)
         except NoFitError:
             break
         now = [equations.problems[group[0]].settings.torque_lag_s for group in groups]

@@ -15,7 +15,6 @@ from .direct import (
     cholesky_solver,
     direct_model,
     inertias,
-    pose_step,
     poses_of,
     regressor_gradient,
     torque_of_links,

@@ -250,12 +250,7 @@ def poses_of(q: Array) -> Array:
     """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the
     inertia matrix M is checked.
     """
-    return q[:: pose_step(len(q))]
-
-
-def pose_step(N: int) -> int:
-    """Step between the poses taken from N positions."""
-    return max(1, N // _POSES)
+    return q[:: max(1, len(q) // _POSES)]
 
 
 def inertias(M: Array) -> Array:

@@ -6,7 +6,6 @@ from .equations import (
     REDUCED,
     Rows,
     Term,
-    columns_of_arm,
     columns_of_block,
     load_columns,
     most_numbers,
@@ -34,7 +33,7 @@ from .motion import (
     smooth,
 )
 from .payload import payload_of
-from .problem import Problem, RowBlock, make_problem, row_blocks
+from .problem import MotionBlock, Problem, RowBlock, make_problem, motion_of_block, row_blocks
 from .settings import (
     NOTHING,
     RAMPS,

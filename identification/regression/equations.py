@@ -22,7 +22,7 @@ from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .load import LoadFriction, load_friction
 from .motion import Motion, smooth
-from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
+from .problem import MotionBlock, Problem, motion_blocks, motion_of_block, row_blocks
 from .weights import refuse_standing_joints, sample_weights, weighted, weights_at
 
 _MAX_NUMBERS = 4_000_000  # of W in rows; above, its spans are reduced to their QR factors
@@ -127,7 +127,7 @@ def rows_of_recording(
     factors = SpanFactors(T, n, min(SPANS, -(-T // 2))) if T * n * b > most else None
     for at in row_blocks(problem):
         motion = motion_of_block(problem, at)
-        columns = columns_of_block(problem, at, beta, motion)
+        columns = columns_of_block(problem, motion, beta)
         if further is not None:
             more = further.columns(problem, motion, problem.settings.decimator)[..., at.inside]
             columns = np.concatenate([more, columns], axis=1)
@@ -292,29 +292,6 @@ def predicted_torque(
     return model.torque(motion.q, motion.dq, motion.ddq, rigid=rigid)
 
 
-def columns_of_arm(
-    problem: Problem,
-    motion: Motion,
-    decimation: Decimation,
-    *,
-    beta: Array | None = None,
-    stride: int = 1,
-) -> tuple[Array, Array]:
-    """The regressor W (n, b, rows) along a motion, weighted and decimated, and the torque D beta
-    (n, rows) that Y has more.
-
-    Columns of load friction are zero; with parameters `beta` (b,) it is linearised
-    about them, as in `load`.
-    """
-    w, load = weights_at(problem, motion.t_s), load_friction(problem.model, problem.base)
-    W = _decimated(motion, w, problem.model, problem.base, decimation, stride)
-    D_beta = np.zeros((len(W), W.shape[-1]))
-    if load and beta is not None:
-        columns = load.columns(motion.q, motion.dq, motion.ddq, w, beta, decimation)
-        load.linearise(W, D_beta, columns, beta)
-    return W, D_beta
-
-
 @one_thread
 def load_columns(problem: Problem, load: LoadFriction, beta: Array) -> Array:
     """`LoadFriction.columns` (2, k, rows) of a recording."""
@@ -369,27 +346,22 @@ def _series(
     ]
 
 
-def columns_of_block(
-    problem: Problem, at: RowBlock, beta: Array | None, motion: Motion | None = None
-) -> Array:
-    """[W E Y] (n, b + m + 1, rows) of the rows of a block; W and Y about `beta` (b,) if given."""
-    motion = motion_of_block(problem, at) if motion is None else motion
-    decimation = problem.settings.decimator
-    W, D_beta = columns_of_arm(problem, motion, decimation, beta=beta, stride=_stride(problem))
-    Y = decimation.filtered(weights_at(problem, motion.t_s) * motion.tau.T) + D_beta
-    E = (
-        [torque_of_drives(problem, motion.t_s, motion.tau, decimation)]
-        if problem.needs_drives
-        else []
-    )
-    return np.concatenate([W, *E, Y[:, None]], axis=1)[..., at.inside]
+def columns_of_block(problem: Problem, motion: MotionBlock, beta: Array | None = None) -> Array:
+    """Return [W E Y] (n, b + m + 1, rows) along a block of any motion, weighted and decimated.
 
+    Along the measured motion these are the rows; along that of the simulated robot, with the
+    torque of its drives, the first b + m are the instruments Z.
 
-def _stride(problem: Problem) -> int:
-    """Stride at which what links need is computed along the measured motion."""
-    # Beside columns that are not strided, such as those of drives, strided ones
-    # are not exact enough.
-    if problem.needs_drives or load_friction(problem.model, problem.base) is not None:
-        return 1
-    settings = problem.settings
-    return settings.decimator.stride_behind(settings.cutoff_hz, problem.signals.sample_rate_hz)
+    Columns of load friction are zero; with parameters `beta` (b,) W and Y are linearised
+    about them, as in `load`.
+    """
+    w, decimation = weights_at(problem, motion.t_s), motion.decimation
+    load = load_friction(problem.model, problem.base)
+    W = _decimated(motion, w, problem.model, problem.base, decimation, motion.stride)
+    Y = decimation.filtered(w * motion.tau.T)
+    if load and beta is not None:
+        columns = load.columns(motion.q, motion.dq, motion.ddq, w, beta, decimation)
+        load.linearise(W, Y, columns, beta)
+    drives = problem.needs_drives
+    E = [torque_of_drives(problem, motion.t_s, motion.tau, decimation)] if drives else []
+    return np.concatenate([W, *E, Y[:, None]], axis=1)[..., motion.at.inside]

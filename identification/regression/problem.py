@@ -14,8 +14,9 @@ from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
 from .bandwidth import with_bandwidth
-from .filtering import decimation_reach, nearby
+from .filtering import Decimation, decimation_reach, nearby
 from .law import Law
+from .load import load_friction
 from .motion import SPLINE_REACH, FilteredMotion, Motion, later
 from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff_hz
 
@@ -268,15 +269,29 @@ class RowBlock:
 
     def samples(self, N: int, factor: int) -> slice:
         """The samples of a series of N, `factor` to a row, from the rows `low` to `high`."""
-        return _samples(self.low, self.high, self.rows, N, factor)
-
-    def own_samples(self, N: int, factor: int) -> slice:
-        """Those of the rows `first` to `last`: blocks share none."""
-        return _samples(self.first, self.last, self.rows, N, factor)
+        start = 0 if self.low == 0 else N - (self.rows - self.low) * factor
+        return slice(start, N - (self.rows - self.high) * factor)
 
 
-def _samples(first: int, last: int, rows: int, N: int, factor: int) -> slice:
-    return slice(0 if first == 0 else N - (rows - first) * factor, N - (rows - last) * factor)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionBlock(Motion):
+    """A block of a motion, measured or simulated, with the margins that the filters of its rows
+    need.
+
+    Attributes:
+        at: its rows; `decimation` leads from its samples to the rows.
+        stride: step between samples that tell what links need: more than 1 for a low-passed motion.
+    """
+
+    at: RowBlock
+    decimation: Decimation
+    stride: int = 1
+
+    def own(self, x: Array) -> Array:
+        """Return the samples of x (N, n) that no other block has."""
+        at, factor = self.at, self.decimation.factor
+        stop = len(x) - (at.high - at.last) * factor
+        return x[stop - (at.last - at.first) * factor if at.first else 0 : stop]
 
 
 def row_blocks(problem: Problem) -> list[RowBlock]:
@@ -297,16 +312,23 @@ def row_blocks(problem: Problem) -> list[RowBlock]:
     return found
 
 
-def motion_of_block(problem: Problem, block: RowBlock) -> Motion:
+def motion_of_block(problem: Problem, at: RowBlock) -> MotionBlock:
     """The recorded motion, low-passed, of the samples that a block needs."""
-    settings = problem.settings
-    samples = block.samples(settings.stop - settings.start, settings.decimation)
-    return problem.motion.between(
-        settings.start + samples.start, settings.start + samples.stop, settings.cutoff_hz
+    settings, signals = problem.settings, problem.signals
+    span = at.samples(settings.stop - settings.start, settings.decimation)
+    x = problem.motion.between(
+        settings.start + span.start, settings.start + span.stop, settings.cutoff_hz
+    )
+    # Beside columns that are not strided, such as those of drives, strided ones
+    # are not exact enough.
+    whole = problem.needs_drives or load_friction(problem.model, problem.base) is not None
+    stride = settings.decimator.stride_behind(settings.cutoff_hz, signals.sample_rate_hz)
+    return MotionBlock(
+        **vars(x), at=at, decimation=settings.decimator, stride=1 if whole else stride
     )
 
 
-def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice]]:
+def motion_blocks(problem: Problem) -> Iterator[tuple[MotionBlock, slice]]:
     """The span used in blocks: motion, and own rows in those of the motion."""
     for block in row_blocks(problem):
         yield motion_of_block(problem, block), block.inside

@@ -1,7 +1,7 @@
 """Inputs of the trust tests."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,9 +17,17 @@ from ..estimation import (
     spans_of,
     stacked_columns,
 )
-from ..regression import Arm, Decimation, KnownLag, Motion, Problem, Rows, base_places
+from ..regression import (
+    Arm,
+    KnownLag,
+    MotionBlock,
+    Problem,
+    Rows,
+    base_places,
+    motion_of_block,
+    row_blocks,
+)
 from ..report import Method
-from ..simulation import Replica
 from .candidates import Candidates
 from .lines import HeldOut, TrustLine
 
@@ -75,7 +83,6 @@ class FitData:
         predicted: (rows, n) predicted torque, not weighted.
         least_squares: weighted least squares of all base parameters on the same recordings.
         candidates: terms that are not in the model, by recording.
-        replicas: the robot simulated in each recording; empty after least squares.
         position_noise: whether position noise biases least squares; None for
             instrumental variables.
         lags: one per group of recordings of equal timing.
@@ -99,7 +106,6 @@ class FitData:
     intervals: Intervals
     least_squares: Estimate
     candidates: tuple[Candidates, ...] = ()
-    replicas: tuple[Replica, ...] = ()
     first_stage_F: float | None = None
     unconfirmed: str | None = None
     by_reference: str | None = None
@@ -227,26 +233,22 @@ class FitData:
         return list(zip(self.observed.system.spans, starts, strict=True))
 
 
-def measured_motion(problem: Problem) -> tuple[Motion, Decimation]:
-    """The measured motion of a recording and its decimation."""
-    settings = problem.settings
-    return problem.motion.between(
-        settings.start, settings.stop, settings.cutoff_hz
-    ), settings.decimator
+def measured_motion(problem: Problem) -> MotionBlock:
+    """The measured motion of a recording, in one block."""
+    last = row_blocks(problem)[-1]
+    return motion_of_block(problem, replace(last, first=0, low=0))
 
 
 def further_columns(
-    problems: Sequence[Problem], candidates: Sequence[Candidates], replicas: Sequence[Replica]
+    problems: Sequence[Problem], candidates: Sequence[Candidates], simulated: Sequence[MotionBlock]
 ) -> Array:
     """Columns (r, k + 1) of the candidates in the rows of the recordings: along the simulated
     motion, or the measured one.
     """
     found = list[Array]()
     for k, (problem, terms) in enumerate(zip(problems, candidates, strict=True)):
-        motion, decimation = measured_motion(problem)
-        if replicas and (own := replicas[k].motion) is not None:
-            motion, decimation = own, replicas[k].decimation
-        columns = terms.columns(problem, motion, decimation)
+        motion = simulated[k] if simulated else measured_motion(problem)
+        columns = terms.columns(problem, motion, motion.decimation)
         found.append(columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]))
     return stacked_columns(found, problems[0].signals.robot.n)
 

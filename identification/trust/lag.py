@@ -28,9 +28,17 @@ from ..estimation import (
     t_quantile,
     whitened,
 )
-from ..regression import LAG_ORDER, KnownLag, Problem, Rows, differentiate, fast_for_lag, weighted
+from ..regression import (
+    LAG_ORDER,
+    KnownLag,
+    MotionBlock,
+    Problem,
+    Rows,
+    differentiate,
+    fast_for_lag,
+    weighted,
+)
 from ..report import Level
-from ..simulation import Replica
 from .fit_data import FitData, Lag
 from .lines import Figure, TrustLine
 
@@ -82,12 +90,11 @@ def by_group(rates: Sequence[Array], groups: Groups) -> Array:
     return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 
 
-def simulated_rates(problem: Problem, replica: Replica) -> tuple[Array, NDArray[np.bool_]]:
+def simulated_rates(problem: Problem, simulated: MotionBlock) -> tuple[Array, NDArray[np.bool_]]:
     """d/dt of the simulated torque of a recording, per second, weighted; and which rows
     are fast; (n, T) each.
     """
-    simulated, decimation = replica.motion, replica.decimation
-    assert simulated is not None
+    decimation = simulated.decimation
     rate = differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0]))
     sliding = np.abs(decimation.kept(simulated.dq) @ problem.model.coulomb_directions.T)
     fast = fast_for_lag(problem, simulated, decimation, sliding.max(axis=0))

@@ -212,7 +212,7 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     if evidence.observed.reduced:
         return []
     measured = [measured_motion(problem) for problem in evidence.problems]
-    q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
+    q = np.concatenate([motion.decimation.kept(motion.q) for motion in measured])
     at_rest = np.where(
         idm.of_links[columns],
         idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns],

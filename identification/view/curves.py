@@ -59,11 +59,11 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
     if signals.q_ref is not None:
         for quantity, x in (("q", signals.q_ref), ("error", signals.q_ref - signals.q)):
             lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
-    replica = None if fit is None else fit.replica
-    if replica is not None and replica.direct and (m := replica.motion) is not None:
+    simulated = None if fit is None else fit.simulated
+    if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         # m.t_s is index / rate
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]
-        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("error", m.q - replica.q)):
+        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("error", simulated.error)):
             lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
     return lines
 

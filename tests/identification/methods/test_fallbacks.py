@@ -55,7 +55,7 @@ def test_a_payload_without_a_body(monkeypatch, near):
 def test_a_robot_that_no_consistent_one_is_near(monkeypatch):
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     part = replace(signals, **{name: getattr(signals, name)[:4000] for name in COLUMNS}, track=None)
-    monkeypatch.setattr("identification.simulation.motion.nearest_consistent", refused)
+    monkeypatch.setattr("identification.simulation.instruments.nearest_consistent", refused)
     fit = identify(part, Overrides(), method="iv")
     assert fit.iv is not None
-    assert [one.z.reason for one in fit.iv.passes[1:]] != [None] * (len(fit.iv.passes) - 1)
+    assert [one.reason for one in fit.iv.passes[1:]] != [None] * (len(fit.iv.passes) - 1)

@@ -34,7 +34,7 @@ from identification.regression import (
     predicted_torque,
     rows_of_recording,
 )
-from identification.simulation import Simulation
+from identification.simulation import SimulatedRecording
 from identification.study import write_signals
 
 WHITE = GainCase(robot="scara", white=5.0)
@@ -361,7 +361,7 @@ def test_without_a_reference_the_gains_are_those_of_the_measured_motion(pair, fi
 
 def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
     free, loaded = with_reference(*pair)
-    monkeypatch.setattr(Simulation, "instruments", None)
+    monkeypatch.setattr(SimulatedRecording, "_simulated", None)
     fit = fit_with_gains(replace(free, payload=loaded.payload), replace(loaded, payload=None))
     line = fit.trust.line("fixed point")
     assert (line.level, fit.trust.verdict) == ("caution", "do not use")

@@ -78,13 +78,13 @@ def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference
     # does the method go on.
     first = fit.iv.passes[0]
-    assert first.z.kind == "reference"
-    assert "the simulated robot leaves its reference at joint 6" in first.z.reason
+    assert first.kind == "reference"
+    assert "the simulated robot leaves its reference at joint 6" in first.reason
     updated = iv_of(tx40)
-    assert all(p.z.kind == "simulated" for p in updated.iv.passes)
-    assert updated.iv.passes[0].z.tracking_percent < 5
+    assert all(p.kind == "simulated" for p in updated.iv.passes)
+    assert updated.iv.passes[0].tracking_percent < 5
     # Nor are the gains updated for the last simulation, that of the result.
-    assert not np.array_equal(fit.replica.motion.q, updated.replica.motion.q)
+    assert not np.array_equal(fit.simulated.motion.q, updated.simulated.motion.q)
 
 
 # Simulated robots
@@ -150,14 +150,14 @@ def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_
     )
     assert fit.status == "not_confirmed"
     assert "inertia matrix is not positive" in fit.iv.reason
-    assert all(p.z.kind != "simulated" or p.z.reason is None for p in fit.iv.passes)
+    assert all(p.kind != "simulated" or p.reason is None for p in fit.iv.passes)
     # Least squares has no positive inertias either: Kp = J w² then gives those of the gains.
     robot, c = signals.robot, signals.robot.controller
     assert any("those that suit the described gains at 5 Hz" in text for text in fit.warnings)
     J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
     np.testing.assert_allclose(recorded_loop(robot).inertias(c.bandwidth_hz), J)
     # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
-    assert (fit.iv.passes[0].z.gains >= 1 / J - 1e-9).all()
+    assert (fit.iv.passes[0].gains >= 1 / J - 1e-9).all()
 
 
 @pytest.mark.parametrize(

@@ -136,8 +136,8 @@ def test_the_distance_to_the_nearest_robot_is_told():
     signals, right = signals_of(path), iv_of(path)
     turned = dataclasses.replace(signals, effort=signals.effort * np.array([1.0, -1.0]))
     wrong = identify_iv(turned, Overrides(), Iteration())
-    assert {p.z.kind for p in right.iv.passes} == {"simulated"}
-    assert all(p.z.reason is not None for p in wrong.iv.passes if p.z.kind != "simulated")
+    assert {p.kind for p in right.iv.passes} == {"simulated"}
+    assert all(p.reason is not None for p in wrong.iv.passes if p.kind != "simulated")
     line = right.trust.line("consistent")
     assert (line.level, "chi² = " in line.text) == ("ok", True)
     assert line.value < 10

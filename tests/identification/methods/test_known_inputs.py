@@ -86,7 +86,7 @@ def test_with_both_the_truth_is_in_the_intervals():
     assert fit.trust.line("lag").figures[0].value == pytest.approx(-0.5, abs=0.1)
     assert fit.status == "converged"
     # 0.03 without the pulses, and the robot is lost without the spring
-    assert fit.iv.passes[-1].z.tracking_percent < 0.01
+    assert fit.iv.passes[-1].tracking_percent < 0.01
     assert fit.iv.direct[0].torque_error_percent < 3.0
 
 
@@ -109,8 +109,8 @@ def test_without_the_pulses_the_fit_says_caution():
     assert found.level == "caution"
     assert found.value < 0.97
     assert (
-        fit.iv.passes[-1].z.tracking_percent
-        > 10 * fitted(records()[0], "iv").iv.passes[-1].z.tracking_percent
+        fit.iv.passes[-1].tracking_percent
+        > 10 * fitted(records()[0], "iv").iv.passes[-1].tracking_percent
     )
 
 
@@ -295,7 +295,8 @@ def test_rates_of_torques_are_those_of_the_drives():
         terms = Candidates(
             problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False
         )
-        rates.append(terms.columns(problem, *measured_motion(problem))[:, -1, 5:-5])
+        motion = measured_motion(problem)
+        rates.append(terms.columns(problem, motion, motion.decimation)[:, -1, 5:-5])
     apart = rates[0] - rates[1]
     assert apart == pytest.approx(
         settings.decimator.filtered(w * spring.T)[:, 5:-5], abs=1e-6 * np.abs(spring).max()

@@ -69,7 +69,7 @@ def off(fit: Fit, robot_toml: Path) -> np.ndarray:
 
 
 def stands_alone(fit: Fit) -> bool:
-    return fit.iv.passes[fit.iv.returned - 1].stands_alone
+    return fit.iv.passes[fit.iv.returned - 1].by_reference is not None
 
 
 @pytest.fixture(scope="module")

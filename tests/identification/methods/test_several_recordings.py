@@ -450,5 +450,5 @@ def test_the_replay_is_that_of_the_worst_recording():
 def test_each_recording_is_simulated_with_its_own_parameters():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
-        model = one.replica.motion.tau.mean(axis=0) - fit.tau[one.rows].mean(axis=0)
+        model = one.simulated.motion.tau.mean(axis=0) - fit.tau[one.rows].mean(axis=0)
         assert abs(model[0]) < 0.3, offset

@@ -276,11 +276,9 @@ def test_a_column_is_solved_with_the_others(method):
     (lack,) = (
         x for x in missing_terms(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder")
     )
-    motion, decimation = measured_motion(evidence.problem)
-    if method == "iv":
-        motion, decimation = evidence.replicas[0].motion, evidence.replicas[0].decimation
+    motion = fit.simulated.motion if method == "iv" else measured_motion(evidence.problem)
     drift = np.linspace(0, 1, len(motion.q))[:, None] * [1.0, 0.0]
-    column = weighted(evidence.problem, motion.t_s, drift, decimation).reshape(-1)
+    column = weighted(evidence.problem, motion.t_s, drift, motion.decimation).reshape(-1)
     column = column * fit.estimate.weights[0] * system.used
     Z = evidence.Z if method == "iv" else system.W
     Z = np.c_[Z * (fit.estimate.weights[system.joint_of_row] * system.used)[:, None], column]

@@ -19,21 +19,21 @@ GOOD = InstrumentTests(strength=0.9, first_stage_F=500.0)
 
 
 def verdict(tracking, errors, tests=GOOD):
-    settled = Pass(
-        z=SimpleNamespace(kind="simulated"), estimate=None, asked=None, covariance=None,
-        coarse=False,
-        change_sigma=0.1, change_percent=0.1, changed="M1",
-        residual_percent=0.1, residual_settled=True, parameters_settled=True,
-    )  # fmt: skip
     of = DirectModelResidual
     direct = [
         of(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0)
         for j, e in enumerate(errors)
     ]
-    replica = SimpleNamespace(tracking_percent=tracking, direct=direct)
+    robot = SimpleNamespace(kind="simulated", percent=tracking, by_joint=direct)
+    settled = Pass(
+        x=None, z=(robot,), estimate=None, asked=None, covariance=None,
+        coarse=False,
+        change_sigma=0.1, change_percent=0.1, changed="M1",
+        residual_percent=0.1, residual_settled=True, parameters_settled=True,
+    )  # fmt: skip
     # whether M is positive is asked of each recording
     none = SimpleNamespace(problems=(), unknowns=SimpleNamespace(arms=()), tasks=list)
-    return status_of(none, (settled,), dataclasses.replace(settled, replicas=(replica,)), tests)
+    return status_of(none, (settled,), dataclasses.replace(settled, confirmed_by=(robot,)), tests)
 
 
 def test_every_joint_has_to_track():

@@ -1,0 +1,158 @@
+"""The package's simulation of a recording against the independent simulator: same instants, same
+law, same motion; its blocks, its rows, and what it says where a robot cannot be simulated.
+"""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from independent_robots import plant
+from independent_simulator import (
+    Imperfections,
+    described_controller,
+    description,
+    references,
+    simulate,
+)
+
+from identification import simulation
+from identification.data import load_signals
+from identification.estimation import (
+    SPANS,
+    instrumental_variables,
+    intervals,
+    intervals_of,
+    weighted_least_squares,
+)
+from identification.model import described_parameters
+from identification.regression import (
+    Overrides,
+    make_problem,
+    row_blocks,
+    rows_of_recording,
+    rule_cutoff_hz,
+)
+from identification.simulation import FINE, SimulatedRecording
+
+
+def simulated(problem, prior, x, covariance, **options):
+    of = partial(SimulatedRecording, problem, prior, **options), FINE
+    return simulation.simulate(*of, x, (x, covariance, np.zeros(len(x))))
+
+
+@pytest.mark.parametrize("name", ["scara", "emps"])
+def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
+    toml = REPLAY / name / "robot.toml"
+    body = plant(toml, smooth=0.002)
+    reference = references(body, range(1), duration_s=3.0, rate_hz=1000.0)
+    runs = simulate(body, described_controller(body), reference, Imperfections(), substeps=1)
+    problem = make_problem(runs.signals(description(toml), 0), Overrides())
+    true = described_parameters(problem.model, problem.base)
+    recording = SimulatedRecording(problem, true)
+    followed = recording.reference(0, recording.instants)
+    at = recording.first + round(1000 * recording.period_s) * np.arange(recording.instants)
+    np.testing.assert_allclose(followed.q, reference.q[0, at], atol=1e-12)
+    np.testing.assert_allclose(  # differences are one-sided at the ends
+        followed.dq[1:-1], reference.dq[0, at[1:-1]], atol=1e-3 * np.abs(reference.dq).max()
+    )
+    found = simulated(problem, true, true, None)
+    grid = np.rint(found.motion.t_s * 1000).astype(int)
+    for one, other, slope in (
+        (found.motion.q, runs.q_true[0, grid], np.abs(runs.dq_true)),
+        (found.motion.dq, runs.dq_true[0, grid], np.abs(reference.ddq)),
+    ):
+        off = np.sqrt(np.mean((one - other) ** 2, axis=0))
+        sample = 1e-3 * np.sqrt(np.mean(slope[0] ** 2, axis=0))
+        assert (off < 0.2 * sample).all(), off / sample
+    # The command of a tick is held after it: the torque of the same instants is the recorded one.
+    tau, recorded = found.motion.tau, runs.effort[0, grid]
+    assert (np.linalg.norm(tau - recorded, axis=0) < 0.02 * np.linalg.norm(recorded, axis=0)).all()
+    # Instruments of the true parameters are the regressor of a recording without noise.
+    W = rows_of_recording(problem).system.W
+    assert (np.linalg.norm(found.Z - W, axis=0) < 0.03 * np.linalg.norm(W, axis=0)).all()
+
+
+def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch):
+    problem = make_problem(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(decimation=5))
+    full = weighted_least_squares((whole := rows_of_recording(problem)).system)
+    asked = problem, full.beta, full.beta, 4 * full.covariance
+    one = simulated(*asked)
+    wanted = instrumental_variables(whole.system, one.Z, full.weights)
+    rho = wanted.weights[whole.system.joint_of_row] * (
+        whole.system.Y - whole.system.W @ wanted.beta
+    )
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
+    assert len(row_blocks(problem)) == 3
+    monkeypatch.setattr("identification.simulation.simulated_recording.CHUNK", 700)
+    short = simulated(*asked)
+    np.testing.assert_allclose(short.Z, one.Z, atol=1e-9 * np.abs(one.Z).max())
+    errors = ([joint.torque_error_percent for joint in x.by_joint] for x in (short, one))
+    assert next(errors) == pytest.approx(next(errors), rel=1e-6)
+    np.testing.assert_allclose(short.motion.q, one.motion.q, atol=1e-9)
+    long = simulated(*asked, spans=SPANS)
+    found = instrumental_variables(long.Z.system, long.Z.Z, full.weights)
+    assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6
+    np.testing.assert_allclose(
+        found.covariance, wanted.covariance, rtol=1e-6, atol=1e-9 * wanted.covariance.max()
+    )
+    assert (found.rows, found.residual_norm) == pytest.approx(
+        (wanted.rows, wanted.residual_norm), rel=1e-9
+    )
+    assert (len(long.Z.Z) < len(one.Z), long.percent) == (
+        True,
+        pytest.approx(one.percent, rel=0.01),
+    )
+    # Intervals, of spans that count as instants.
+    of_spans = intervals_of(long.Z.system, found)
+    of_rows = intervals(wanted, rho * whole.system.used, whole.system.joint_of_row[-1] + 1)
+    np.testing.assert_allclose(of_spans.sigma, of_rows.sigma, rtol=0.15)
+    assert of_spans.freedom == of_rows.freedom
+
+
+def test_a_pass_whose_inertia_matrix_is_not_positive():
+    """The SCARA's elbow with an inertia below zero, within its interval: the nearest robot is
+    simulated, and tracks.
+    """
+    problem = make_problem(load_signals(REPLAY / "scara" / "session.mcap"), Overrides())
+    true = described_parameters(problem.model, problem.base)
+    wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
+    spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
+    consistent = simulated(problem, true, wrong, spread)
+    assert (consistent.kind, consistent.percent < 5) == ("consistent", True)
+    assert "inertia matrix is not positive" in consistent.reason
+    plain = simulated(problem, true, wrong, None)
+    assert (plain.kind, plain.percent, plain.by_joint) == ("reference", None, ())
+    right = simulated(problem, true, true, spread)
+    assert (right.kind, right.reason) == ("simulated", None)
+    # What cannot be simulated has the motion that the reference predicts: that of nothing asked.
+    recording = SimulatedRecording(problem, true)
+    (along, _, why), (predicted, _, none) = (
+        recording.motion(wrong, true),
+        recording.motion(None, true),
+    )
+    assert (why, none) == (plain.reason, None)
+    for one, other in zip(along, predicted, strict=True):
+        np.testing.assert_array_equal([one.q, one.tau], [other.q, other.tau])
+
+
+def test_tracking_errors_are_norms_of_the_errors_over_norms_of_the_motion():
+    """By definition, of all joints together and of each, against the low-passed recording."""
+    problem = make_problem(load_signals(REPLAY / "scara" / "session.mcap"), Overrides())
+    true = described_parameters(problem.model, problem.base)
+    found, signals, norm = (
+        simulated(problem, true, 1.2 * true, None),
+        problem.signals,
+        np.linalg.norm,
+    )
+    k = np.rint(found.motion.t_s * signals.sample_rate_hz).astype(int)
+    q = problem.motion.between(k[0], k[-1] + 1, rule_cutoff_hz(signals)).q[k - k[0]]
+    tau, of_robot = (
+        rows_of_recording(problem).tau,
+        found.motion.decimation.filtered(found.motion.tau.T).T,
+    )
+    off, size, rho = found.motion.q - q, q - q.mean(axis=0), of_robot - tau
+    assert found.percent == pytest.approx(100 * norm(off) / norm(size))
+    wanted = [100 * norm(x, axis=0) / norm(y, axis=0) for x, y in ((off, size), (rho, tau))]
+    each = [(one.position_error_percent, one.torque_error_percent) for one in found.by_joint]
+    np.testing.assert_allclose(np.transpose(each), wanted, rtol=1e-6)
