@@ -30,6 +30,8 @@ SUBSTEPS = 2
 AR = 0.98  # autocorrelation of coloured noise at lag 1
 # Separate random streams: one kind of noise does not change another.
 _POSITION, _EFFORT, _COLOURED = range(3)
+# A recursion over rows: `scipy.signal`, which has it, takes longer to import than all the rest.
+_SLOW = np.frompyfunc(lambda before, white: AR * before + white, 2, 1)
 
 
 class Noise(CellOptions):
@@ -52,8 +54,6 @@ class Noise(CellOptions):
         """Recorded torques (N, n) from the controller's torques, which are held
         from sample to sample.
         """
-        from scipy.signal import lfilter
-
         rows, last = np.arange(len(held)), np.zeros((1, held.shape[1]))
         streams = [np.random.default_rng([seed, k]) for k in (_EFFORT, _COLOURED)]
         tau = by_rows(
@@ -66,7 +66,8 @@ class Noise(CellOptions):
 
         def noisy(tau: Array, scale: Array) -> Array:
             white, slow = (rng.standard_normal(tau.shape) for rng in streams)
-            slow, last[:] = lfilter([1], [1, -AR], scale * slow, axis=0, zi=last)
+            slow = _SLOW.accumulate(np.r_[last, scale * slow], dtype=object).astype(float)[1:]
+            last[:] = slow[-1:]
             return np.asarray(
                 tau + level * (self.effort_percent * white + self.coloured_percent * slow)
             )

@@ -126,13 +126,16 @@ def test_help_loads_nothing_heavy(package):
     assert out.count("usage: robot-") == len(helps)
 
 
-def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
+def test_methods_and_simulation_do_without_the_slow_parts_of_scipy(tmp_path):
     """`scipy.signal` imports `scipy.stats`, which alone takes longer than a fit."""
     slow = {"scipy.stats", "scipy.signal", "scipy.interpolate"}
-    assert (
-        printed(f"import sys, identification.methods\nprint({slow} & set(sys.modules))")
-        == "set()\n"
+    robot, out = ROOT / "replay_data" / "emps" / "robot.toml", tmp_path / "made.mcap"
+    simulate = ["simulate", str(robot), "--duration-s", "0.2", "--effort-coloured-percent", "1"]
+    code = (
+        "import sys, identification.methods\nfrom identification.commands import main\n"
+        f"assert main({[*simulate, '-o', str(out)]}) == 0\nprint({slow} & set(sys.modules))"
     )
+    assert printed(code).splitlines()[-1] == "set()"
 
 
 MOST_PARAMETERS = 6
