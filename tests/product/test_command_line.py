@@ -198,6 +198,24 @@ def test_versions_are_those_of_what_is_installed(program, name, capsys):
     assert versions == {package: metadata.version(package) for package in versions}
 
 
+@pytest.mark.parametrize(
+    ("given", "threads"),
+    [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2), ({"OMP_NUM_THREADS": "2"}, 2)],
+    ids=lambda given: " ".join(given) if isinstance(given, dict) else "",
+)
+def test_a_command_computes_by_one_thread_unless_the_user_asks_for_more(given, threads):
+    code = (
+        "from contextlib import suppress\nfrom identification.commands import main\n"
+        "with suppress(SystemExit): main(['--help'])\n"
+        "import numpy, threadpoolctl\nprint(threadpoolctl.threadpool_info()[0]['num_threads'])"
+    )
+    none = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=none | given, check=True
+    )
+    assert done.stdout.splitlines()[-1] == str(min(threads, os.cpu_count() or 1))
+
+
 def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     with Progress("reading") as progress:
