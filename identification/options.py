@@ -69,7 +69,8 @@ class Overrides:
 
     `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv,
     and `method` takes its own, by the recording if it is None; `ramp_rows` as of `Settings`;
-    `torque_lag_s` "none" means no correction.
+    `torque_lag_s` "none" means no correction; `law` is the control law that another fit of the
+    recording found, with the same cut-off, decimation and span (`Problem.law`).
     """
 
     cutoff_hz: Annotated[
@@ -108,6 +109,7 @@ class Overrides:
             const=("all",),
         ),
     ] = None
+    law: Any = None
 
     def over(self, others: "Overrides") -> "Overrides":
         """These options; those that are None come from `others`."""

@@ -88,10 +88,9 @@ def run(options: argparse.Namespace) -> None:
         base, true = study_truth(robot)
         write_json(out / "truth.json", base_file(base, robot, true))
         progress.say("least squares")
-        fits = {
-            "ls": identify_ls(signals, Overrides()),
-            "iv": identify_iv(signals, Overrides(), Iteration(), say=progress.say),
-        }
+        ls = identify_ls(signals, Overrides())
+        law = Overrides(law=ls.problem.law)
+        fits = {"ls": ls, "iv": identify_iv(signals, law, Iteration(), say=progress.say)}
         reports = [fit_document(signals, fit) for fit in fits.values()]
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(fit))

@@ -243,6 +243,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         base=base_parameters(model),
         motion=motion,
         gains=gains,
+        law=overrides.law,
     )
     return problem.corrected(settings.torque_lag_s)
 

@@ -132,8 +132,9 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         signals = _simulated(
             robot, study, int(np.random.default_rng([study.seed, number]).integers(2**31))
         )
-        run = replace(run, ls=result(identify_ls(signals, Overrides())))
-        iv = identify_iv(signals, Overrides(), Iteration())
+        ls = identify_ls(signals, Overrides())
+        run = replace(run, ls=result(ls))
+        iv = identify_iv(signals, Overrides(law=ls.problem.law), Iteration())
     except RobotIdimError as error:
         return replace(run, reason=error.args[0])
     assert iv.iv is not None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
+from identification.regression import law_of
 from identification.study import (
     FALSE_TRUST,
     Noise,
@@ -67,10 +68,16 @@ def test_coverage_spread_and_bias_are_those_of_the_printed_intervals():
     assert iv.bias_percent == pytest.approx(1.0)
 
 
-def test_a_run_has_the_intervals_and_verdicts_of_its_fits():
-    study = Study(noise=Noise(effort_percent=1.0), duration_s=3.0)
+def test_a_run_has_the_intervals_and_verdicts_of_its_fits(monkeypatch):
+    study, laws = Study(noise=Noise(effort_percent=1.0), duration_s=4.0), []
+    monkeypatch.setattr(
+        "identification.methods.observation.law_of",
+        lambda problem: laws.append(law_of(problem)) or laws[-1],
+    )
     files = robot_named("scara").files
     found, again, other = (one_run(files, study, number) for number in (1, 1, 2))
+    assert len(laws) == 3, "once per run: both of its fits have the same law"
+    assert laws[0].gains.tolist() == laws[1].gains.tolist() != laws[2].gains.tolist()
     for one in (found.ls, found.iv):
         np.testing.assert_allclose(0.5 * (one.low + one.high), one.beta)
         assert (one.high > one.low).all()
