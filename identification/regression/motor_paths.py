@@ -4,6 +4,7 @@ and its least squares.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ SATURATED, MAX_SATURATED, SATURATED_ROWS = 0.995, 0.01, 3
 MAX_USED_S, MAX_ROWS, MAX_DELAY_S = 120.0, 600, 0.02
 HOPELESS_PERCENT = 20.0  # after the first steps
 MAX_RESIDUAL_PERCENT = 2.0  # of the effort's variation
+_REMEMBERED = 32  # lags and delays of a path
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +55,11 @@ class MotorPaths:
         """`paths`: spline coefficients of r and q, each with two derivatives and the integral, at
         places `at`; `rest`: columns beside them; `most`: delay. Times are in samples of the paths.
         """
-        (self._r, self._q), self.u, self._rest, self._at, self._most = paths, u, rest, at, most
+        # Structures and steps share most of their lags and delays.
+        self._r, self._q = (
+            lru_cache(_REMEMBERED)(lambda L, d, c=c: on_spline(at - L - d, c).T) for c in paths
+        )
+        self.u, self._rest, self._most = u, rest, most
         self._size = max(float(np.linalg.norm(u - u.mean())) if len(u) else 0.0, 1e-300)
 
     def solve(self, letters: str, known: KnownLag, clock: tuple[float, float]) -> LawSolution:
@@ -73,10 +79,10 @@ class MotorPaths:
         self, letters: str, at: tuple[float, float], clock: tuple[float, float]
     ) -> tuple[Array, ...]:
         """Columns (rows, k) at d and L, and their derivatives by d and by L."""
-        t = self._at - at[1]
-        r, dr, ddr, ir = on_spline(t - at[0], self._r).T
-        q, dq, ddq, iq = on_spline(t, self._q).T
-        v, dv = on_spline(t - clock[0], self._q).T[1:3] if clock[0] else (dq, ddq)
+        d, L = at
+        r, dr, ddr, ir = self._r(L, d)
+        q, dq, _, iq = self._q(L, 0.0)
+        v, dv = self._q(L, clock[0])[1:3]
         e, de, none, half = r - q, dr - dq, np.zeros_like(r), 0.5 * clock[1]
         found = {
             "e": (e, -dr, -de),
@@ -139,8 +145,7 @@ def scaled_solution(A: Array, y: Array) -> Array:
     """Least squares by columns of norm one; of a column of zeros the value is zero."""
     norm = np.linalg.norm(A, axis=0)
     scale = np.where(norm > 0, norm, 1.0)
-    Q, R = np.linalg.qr(A / scale)
-    return np.asarray(np.linalg.lstsq(R, Q.T @ y)[0] / scale)
+    return np.asarray(np.linalg.lstsq(A / scale, y)[0] / scale)
 
 
 def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
