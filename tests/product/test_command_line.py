@@ -209,11 +209,9 @@ def test_a_command_computes_by_one_thread_unless_the_user_asks_for_more(given, t
         "with suppress(SystemExit): main(['--help'])\n"
         "import numpy, threadpoolctl\nprint(threadpoolctl.threadpool_info()[0]['num_threads'])"
     )
-    none = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=none | given, check=True
-    )
-    assert done.stdout.splitlines()[-1] == str(min(threads, os.cpu_count() or 1))
+    env = {x: value for x, value in os.environ.items() if "NUM_THREADS" not in x} | given
+    told = subprocess.check_output([sys.executable, "-c", code], text=True, env=env)
+    assert told.splitlines()[-1] == str(min(threads, os.cpu_count() or 1))
 
 
 def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):

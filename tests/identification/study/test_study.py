@@ -76,8 +76,8 @@ def test_a_run_has_the_intervals_and_verdicts_of_its_fits(monkeypatch):
     )
     files = robot_named("scara").files
     found, again, other = (one_run(files, study, number) for number in (1, 1, 2))
-    assert len(laws) == 3, "once per run: both of its fits have the same law"
-    assert laws[0].gains.tolist() == laws[1].gains.tolist() != laws[2].gains.tolist()
+    # once per run, for both of its fits
+    assert (len(laws), len({law.gains.tobytes() for law in laws})) == (3, 2)
     for one in (found.ls, found.iv):
         np.testing.assert_allclose(0.5 * (one.low + one.high), one.beta)
         assert (one.high > one.low).all()
