@@ -21,10 +21,7 @@ MAX_NEW = 0.85  # of the rows in which the robot is fast, in a log that is faste
 MIN_QUANTA = 3.0  # that a position steps by, typically, where it is new
 AHEAD = 8  # rows to each side, over which speeds are compared
 MAX_PAUSE = 2.5  # usual steps between new rows: a longer one is a pause, or has lost rows
-FIRST, TRIED = (
-    1000,
-    (0.95, 1.4),
-)  # rows, in which a rate is sought, so many times that of the others
+FIRST, TRIED = 1000, (0.95, 1.4)  # rows in which a rate is sought; tried, times their mean rate
 MAX_RATE = 0.95  # of the log's: a source above it is the log
 MAX_LATE = 0.8  # of the source's period, between the rows that are seen latest and earliest
 MAX_ODD = 0.05  # of the changes of a quantity where no position is new: it is held alike

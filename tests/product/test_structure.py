@@ -128,12 +128,11 @@ def test_help_loads_nothing_heavy(package):
 
 def test_methods_and_simulation_do_without_the_slow_parts_of_scipy(tmp_path):
     """`scipy.signal` imports `scipy.stats`, which alone takes longer than a fit."""
-    simulate = (
-        f"simulate {ROOT}/replay_data/emps/robot.toml --duration-s 0.2 -o {tmp_path}/made.mcap"
-    )
     code = (
         "import sys, identification.methods\nfrom identification.commands import main\n"
-        f"assert main({[*simulate.split(), '--effort-coloured-percent', '1']}) == 0\n"
+        f"command = 'simulate {ROOT}/replay_data/emps/robot.toml -o {tmp_path}/made.mcap'\n"
+        "options = ['--duration-s', '0.2', '--effort-coloured-percent', '1']\n"
+        "assert main([*command.split(), *options]) == 0\n"
         "print({'scipy.stats', 'scipy.signal', 'scipy.interpolate'} & set(sys.modules))"
     )
     assert printed(code).splitlines()[-1] == "set()"
