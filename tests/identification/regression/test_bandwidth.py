@@ -136,15 +136,11 @@ def test_a_recording_read_again_has_the_same(ur5):
 def test_rows_beside_reversals_stay(ur5):
     """A sample stands within half a period of twice the motion's end, where its joint reverses."""
     problem = make_problem(replace(ur5, q_ref=None), Overrides())
-    moves, fs = sample_weights(problem).moves, ur5.sample_rate_hz
-    beside = fs / (4 * problem.signals.motion_hz)
-    lone = 0
+    moves, beside = sample_weights(problem).moves, ur5.sample_rate_hz / problem.signals.motion_hz
     for own in moves[problem.settings.start : problem.settings.stop].T:
         edges = np.flatnonzero(np.diff(own.astype(int)))
-        stands = np.diff(edges)[own[edges[:-1]]]
-        assert 2 * beside - 2 <= stands.min() <= 2 * beside + 4
-        lone += len(stands)
-    assert lone > 100
+        assert len(edges) > 30
+        assert -2 <= np.diff(edges)[own[edges[:-1]]].min() - beside / 2 <= 4
 
 
 @pytest.mark.parametrize("count", [2, 20, 60])
