@@ -42,8 +42,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     settings.add_argument(
         "--start",
-        metavar="regular|ls|FIT.json",
-        help="initial parameters of iv: unit inertias (regular, default), least squares, or a "
+        metavar="ls|regular|FIT.json",
+        help="initial parameters of iv: least squares (ls, default), unit inertias, or a "
         "fit's JSON file",
     )
     shared.add_work(parser)
@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         raise BadInputError(
             "has no effect alone", key="--prior", value=str(options.prior), expected=expected
         )
-    inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
+    inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "ls")]
     shared.refuse_outputs(inputs, json=options.json, report=options.report, picture=options.rrd)
     from acquisition.files import refuse_clash
 

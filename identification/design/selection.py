@@ -8,7 +8,7 @@ of its weighted rows, each divided by its joint's s_j of the fit with the usual 
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import msgspec
 import numpy as np
@@ -160,9 +160,7 @@ def select_friction(
     )
     given = overrides or Overrides()
     if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
-        gain = methods.identify(
-            Recordings(sources=recordings), given, say=say
-        ).problem.signals.robot.gain
+        gain = methods.identify(Recordings(sources=recordings), given, say=say).problem.robot.gain
         recordings = tuple(_with_gain(one, gain) for one in recordings)
         given = replace(given, gains=None)
     robot = recordings[0].robot
@@ -227,9 +225,9 @@ class Trials:
     Attributes:
         whole: their system with all tried terms; `added`: joint and term of the base
             parameters of these, by name.
-        parts: instants that are held out: fifths of time of a single recording, and of recordings
-            that differ in payload, which only all of them determine; else each of several;
-            `names`: of the parts.
+        parts: spans of time (K,) that are held out: fifths of a single recording, and of
+            recordings that differ in payload, which only all of them determine; else each of
+            several; `names`: of the parts; `widths`: instants of each span.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
         done: the trials; `left_out`: joints and terms that some of them leave
@@ -238,26 +236,17 @@ class Trials:
 
     def __init__(self, whole: methods.Equations) -> None:
         robot, model, base = whole.problem.signals.robot, whole.problem.model, whole.problem.base
-        recordings = estimation.spans_of(whole.about().parts)
-        self.parts = tuple(np.arange(part.start, part.stop) for part in recordings)
+        spans = whole.about().system.spans
+        self.widths = np.concatenate([np.diff(of.edges) for of in spans])
+        recording = np.repeat(np.arange(len(spans)), [of.count for of in spans])
         self.whole, self._own = whole, [arm.own for arm in whole.unknowns.arms]
         self.names = [problem.signals.recording for problem in whole.problems]
-        if whole.reduced:
-            raise BadInputError(
-                "too long",
-                place=", ".join(self.names),
-                expected="a part of it, or a larger decimation",
-            )
         self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
+        part_of = recording
         if not self.by_recording:
-            edges = [
-                np.linspace(of.start, of.stop, FIFTHS + 1).round().astype(int) for of in recordings
-            ]
-            fifths = zip(
-                *([np.arange(*ends) for ends in pairwise(of)] for of in edges), strict=True
-            )
-            self.parts = tuple(map(np.concatenate, fifths))
+            part_of = np.concatenate([np.arange(of.count) * FIFTHS // of.count for of in spans])
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS
+        self.parts = tuple(part_of == k for k in range(len(self.names)))
         self.added = {
             name: (source.joint, term)
             for name, source in zip(
@@ -302,12 +291,16 @@ class Trials:
             by_recording=self.by_recording,
         )
 
-        def percent(predicted: Array, part: slice | NDArray[np.intp]) -> float | None:
-            among, tau = moving[part], rows.tau[part]
-            return estimation.relative_error_percent(tau[among], (tau - predicted[part])[among])
+        def percent(predicted: Array, part: NDArray[np.bool_]) -> float | None:
+            among = moving & np.repeat(part, self.widths)[:, None]
+            return estimation.relative_error_percent(rows.tau[among], (rows.tau - predicted)[among])
 
+        J, Y = rows.system.weighted(self.weights)
         held = [
-            (np.sum(rows.residual(beta, self.weights)[part] ** 2), percent(by_others, part))
+            (
+                np.sum((Y - J @ beta)[part[rows.system.span]] ** 2),
+                percent(by_others, part),
+            )
             for name, part, beta in zip(self.names, self.parts, betas, strict=True)
             if name not in self.unpredicted
         ]
@@ -324,7 +317,7 @@ class Trials:
         trial = Trial(
             terms=self._terms(estimate.names),
             significant_terms=self._terms(beyond),
-            fitted_error_percent=percent(settled.predicted(estimate), slice(None)),
+            fitted_error_percent=percent(settled.predicted(estimate), np.ones_like(self.parts[0])),
             held_out_percents=percents,
             scores=scores,
         )
@@ -350,12 +343,8 @@ class Trials:
         they do not determine.
         """
         system = settled.system
-        rows = np.column_stack(system.weighted(self.weights)).reshape(
-            len(self.weights), -1, len(system.names) + 1
-        )
-        each = [
-            estimation.r_factor(rows[:, part].reshape(-1, rows.shape[2])) for part in self.parts
-        ]
+        rows = np.column_stack(system.weighted(self.weights))
+        each = [estimation.r_factor(rows[part[system.span]]) for part in self.parts]
         found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], system.names, self._own)
         return [
             (np.zeros(len(system.names)) if beta is None else beta, lost) for beta, lost in found

@@ -9,7 +9,6 @@ from .confidence import (
     deviations_of_sums,
     differs,
     estimate_deviations,
-    intervals,
     intervals_from,
     intervals_of,
     scores_of_recordings,
@@ -27,6 +26,7 @@ from .diagnostics import (
     InstrumentTests,
     are_moving,
     autocorrelation,
+    autoregression,
     chi_squared_quantile,
     f_tail,
     f_tests,
@@ -34,7 +34,6 @@ from .diagnostics import (
     relative_error_percent,
     t_quantile,
     torque_errors,
-    whitened,
 )
 from .estimators import (
     MIN_COLUMN_NORM,
@@ -48,13 +47,11 @@ from .estimators import (
 )
 from .system import (
     SPANS,
-    SpanFactors,
     Spans,
     System,
-    condensed,
+    by_joint,
     r_factor,
     spans_of,
     stacked,
-    stacked_columns,
     undetermined_parameters,
 )

@@ -6,7 +6,7 @@ Economic Statistics 36 (2018). Only the low-frequency part of the residual matte
 the cosines of the lowest frequencies measure it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from .diagnostics import f_tail, t_quantile
 from .estimators import Estimate
-from .system import Spans, System, spans_of
+from .system import System
 
 LEVEL = 0.95
 MIN_COSINES = 4
 # with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
 MAX_COSINES = 16
 MIN_VARIANCE_SHARE = 0.1  # of a very short recording
-# for the share that cosines find: eight per half period of the fastest one
-TIME_BLOCKS = 8 * MAX_COSINES
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,26 +55,11 @@ class Intervals:
         return 0.5 * (self.high - self.low)
 
 
-def intervals(estimate: Estimate, rho: Array, n: int, parts: Sequence[int] = ()) -> Intervals:
-    """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by
-    joint, zero in unused rows.
-
-    `parts` are the numbers of instants of several recordings, in the order of the rows;
-    none for one recording.
-    """
-    spans = tuple(Spans(instants=T, count=T) for T in parts or (len(rho) // n,))
-    return _intervals(estimate, rho.reshape(n, -1), spans)
-
-
 def intervals_of(system: System, estimate: Estimate) -> Intervals:
-    """Intervals of an estimate from the used rows of its system."""
+    """Intervals of an estimate from the rows of its system."""
     rho = system.Y - system.W @ estimate.values_of(system.names)
-    weighted = rho * estimate.weights[system.joint_of_row] * system.used
-    return _intervals(estimate, weighted.reshape(len(system.rows), -1), system.spans)
-
-
-def _intervals(estimate: Estimate, rho: Array, spans: Sequence[Spans]) -> Intervals:
-    found = scores_of_recordings(estimate.Q, estimate.bread, rho, spans)
+    weighted = rho * estimate.weights[system.joint_of_row]
+    found = scores_of_recordings(system, estimate.Q, estimate.bread, weighted)
     sigma, freedom = estimate_deviations(estimate.bread, found)
     return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
 
@@ -135,28 +118,44 @@ def differs(off: Array, covariance: Array, freedom: int) -> bool:
     )
 
 
-# Of a recording: the scores (T, b) of instants or spans of time, whose sum is its share of beta -
-# beta_true; Q'Q (K, b, b) of blocks of time; the number of cosines.
+# Of a recording: the scores (K, b) of its spans of time, whose sum is its share of beta -
+# beta_true; Q'Q (K, b, b) of the spans; the number of cosines.
 Scores = tuple[Array, Array, int]
 
 
 def scores_of_recordings(
-    Q: Array, bread: Array, rho: Array, spans: Sequence[Spans]
+    system: System, Q: Array, bread: Array, rho: Array, among: NDArray[np.bool_] | None = None
 ) -> list[Scores]:
-    """Scores of recordings with these spans, from orthonormal Q (r, b), `bread` and
-    residuals rho (n, r/n).
+    """Scores of the recordings of a system, from orthonormal Q (r, b) of its rows, `bread` and
+    weighted residuals rho (r,); `among` some of the spans, by default all.
     """
-    (n, r), b = rho.shape, Q.shape[1]
-    scores = (Q * rho.reshape(-1, 1)).reshape(n, r, b).sum(axis=0) @ bread.T
-    by_row, found = Q.reshape(n, r, b).transpose(1, 0, 2), list[Scores]()
-    for part, own in zip(spans_of([own.count * own.rows for own in spans]), spans, strict=True):
-        by_span = by_row[part].reshape(own.count, own.rows, n, b)
-        blocks = np.array_split(by_span, min(own.count, TIME_BLOCKS))
-        grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
-        found.append(
-            (scores[part].reshape(own.count, own.rows, b).sum(axis=1), grams, cosines(own.instants))
-        )
+    found = list[Scores]()
+    for spans, instants in _of_recordings(system, among):
+        each = rows_of_spans(system, spans)
+        scores = np.array([bread @ (Q[own].T @ rho[own]) for own in each])
+        grams = np.array([Q[own].T @ Q[own] for own in each])
+        found.append((scores, grams, cosines(instants)))
     return found
+
+
+def rows_of_spans(system: System, spans: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """The rows of each of these spans, ascending; of all joints."""
+    order = np.argsort(system.span, kind="stable")
+    first, last = (np.searchsorted(system.span[order], at) for at in (spans, spans + 1))
+    return [order[a:b] for a, b in zip(first, last, strict=True)]
+
+
+def _of_recordings(
+    system: System, among: NDArray[np.bool_] | None
+) -> Iterator[tuple[NDArray[np.intp], int]]:
+    """By recording its spans, of those `among`, and their instants; none if it has none there."""
+    first = 0
+    for own in system.spans:
+        spans = np.arange(first, first + own.count)
+        here = slice(None) if among is None else among[spans]
+        if (count := int(np.diff(own.edges)[here].sum())) > 0:
+            yield spans[here], count
+        first += own.count
 
 
 def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:
@@ -186,30 +185,25 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
     )
 
 
-def deviations_of_sums(z: Array, rho: Array, Q: Array, n: int, spans: Sequence[Spans]) -> Array:
-    """Standard deviations (k,) of the sums z'e of k columns z (r, k), of recordings with these
-    spans of rows of n joints.
+def deviations_of_sums(system: System, z: Array, rho: Array, Q: Array) -> Array:
+    """Standard deviations (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
 
     rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The
     deviations are corrected for what the two remove, as in `estimate_deviations`.
     """
     own = z - Q @ (Q.T @ z)  # the direction that a column adds to Q
     own, each = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), []
-    by_instant = [x.reshape(n, -1, x.shape[1]).transpose(1, 0, 2) for x in (z * rho, z, Q, own)]
-    for part, of in zip(spans_of([one.count * one.rows for one in spans]), spans, strict=True):
-        scores, *others = (x[part].reshape(of.count, of.rows * n, -1) for x in by_instant)
-        squares, along, B = list[Array](), list[Array](), cosines(of.instants)
-        for block in np.array_split(np.arange(of.count), min(of.count, TIME_BLOCKS)):
-            z_k, Q_k, own_k = (x[block].reshape(-1, x.shape[2]) for x in others)
-            squares.append((z_k**2).sum(axis=0))
-            along.append(np.c_[z_k.T @ Q_k, (z_k * own_k).sum(axis=0)])
-        share = _share(np.stack(squares), np.stack(along), B)
-        each.append(deviations(scores.sum(axis=1), B) / np.sqrt(share))
+    for spans, instants in _of_recordings(system, None):
+        rows, B = rows_of_spans(system, spans), cosines(instants)
+        scores = np.array([(z[at] * rho[at]).sum(axis=0) for at in rows])
+        squares = np.array([(z[at] ** 2).sum(axis=0) for at in rows])
+        along = np.array([np.c_[z[at].T @ Q[at], (z[at] * own[at]).sum(axis=0)] for at in rows])
+        each.append(deviations(scores, B) / np.sqrt(_share(squares, along, B)))
     return np.asarray(np.hypot.reduce(each))
 
 
 def deviations(scores: Array, B: int) -> Array:
-    """Standard deviations (b,) of the sums of scores (T, b) in order of time, by the B
+    """Standard deviations (b,) of the sums of scores (K, b) in order of time, by the B
     cosines of lowest frequency.
     """
     L = _family(B, len(scores)) @ scores
@@ -219,7 +213,7 @@ def deviations(scores: Array, B: int) -> Array:
 def _share(squares: Array, along: Array, B: int) -> Array:
     """Share (m,) of the variance of the sums z'e, e white, that the cosines find in the residuals.
 
-    By K blocks of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. For an
+    By K spans of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. For an
     estimate z is Q bread'. The estimate removes d directions from the noise: rho = (I - Q Q')e. A
     cosine's L = a'rho, a being the cosine times z, has the variance |a|² - |Q'a|². Regressors as
     slow as the cosines lose more of it than d of r rows: on the TX40 up to a third of the

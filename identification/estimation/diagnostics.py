@@ -5,14 +5,14 @@ The distributions are written here because importing a library for them takes lo
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..report import TorqueResidual
-from .system import System, orthonormal, spans_of
+from .system import orthonormal
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
@@ -98,34 +98,6 @@ def instrument_tests(Q: Array, W: Array, rows: float) -> InstrumentTests:
     strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
     first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
     return InstrumentTests(strength=strength, first_stage_F=float(first_stage))
-
-
-def whitened(
-    system: System, Z: Array, rho: Array, order: int, parts: tuple[int, ...] | None = None
-) -> tuple[System, Array]:
-    """W, Y and Z (r, b) filtered along time, joint by joint.
-
-    Joint j's filter is 1 - a_1 B ... - a_p B^p with B the row before, by Yule and Walker
-    from the used rows of its residual rho (r,). A row is used if it and the `order` rows
-    before it are. `parts` are the numbers of instants of several recordings, each filtered
-    alone; None for one recording.
-    """
-    n, b = len(system.rows), len(system.names)
-    stack = np.c_[system.W, Z, system.Y].reshape(n, -1, b + Z.shape[1] + 1)
-    used, residual = system.used.reshape(n, -1), rho.reshape(n, -1) * system.used.reshape(n, -1)
-    T = stack.shape[1]
-    filtered, counts = stack.copy(), used.copy()
-    for part in spans_of(parts or (T,)):
-        counts[:, part.start : part.start + order] = 0.0
-    for j in range(n):
-        h = np.r_[1.0, -autoregression(residual[j], order)]
-        filtered[j] = sum(h[k] * np.roll(stack[j], k, axis=0) for k in range(order + 1))
-        for k in range(1, order + 1):
-            counts[j, order:] *= used[j, order - k : T - k]
-    flat = filtered.reshape(n * T, -1)
-    return replace(system, W=flat[:, :b], Y=flat[:, -1]).with_rows(counts.reshape(-1)), flat[
-        :, b:-1
-    ]
 
 
 def autoregression(x: Array, order: int) -> Array:

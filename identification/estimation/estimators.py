@@ -45,7 +45,7 @@ class Estimate:
         covariance: (b, b) by the formula, which assumes white residuals.
         weights: (n,) 1/s_j of the rows of joint j; ones without weighting.
         residual_norm: |Y - W beta| of the weighted rows.
-        condition_number: of W in the used rows; `condition_number_scaled`: of the weighted W
+        condition_number: of W; `condition_number_scaled`: of the weighted W
             with columns of norm one.
         rows: r, the number of decimated samples over all joints, the sum of the
             squares of their weights.
@@ -117,7 +117,7 @@ class Reduction:
 
 
 def ordinary_least_squares(system: System) -> Estimate:
-    """beta minimises |Y - W beta| over the used rows, without weights.
+    """beta minimises |Y - W beta| over the rows, without weights.
 
     Raises as `weighted_least_squares`.
     """
@@ -128,7 +128,7 @@ def weighted_least_squares(system: System) -> Estimate:
     """Equation (B): least squares with the rows of joint j divided by s_j, the residual deviation
     of its own least squares.
 
-    Raises `NoFitError` where there are no more used rows than parameters, or W is rank deficient.
+    Raises `NoFitError` where there are no more rows than parameters, or W is rank deficient.
     """
     return _estimated(system, joint_weights(system))
 
@@ -219,7 +219,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
             key="decimated rows", value=round(r), expected=f"more than the {b} parameters"
         )
     W, Y = system.weighted(weights)
-    spanning = W if Z is None else Z * (weights[system.joint_of_row] * system.used)[:, None]
+    spanning = W if Z is None else Z * weights[system.joint_of_row][:, None]
     singular = refuse_rank_deficiency(spanning, system.names)
     Q = orthonormal(spanning / _norms(spanning))
     beta, bread, residual_norm, condition = _solve(Q, W, Y)

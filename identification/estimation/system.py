@@ -1,9 +1,8 @@
-"""The over-determined system of the estimators, and QR factors of its rows for long recordings."""
+"""The over-determined system of the estimators: its rows by joint and span of time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +10,8 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import NoFitError
 
-# of a long recording: halves and fifths of its time end where spans do; 7.5 per half period
-# of the fastest cosine
+# of a recording: halves and fifths of its time end where spans do; 7.5 per half period of
+# the fastest cosine
 SPANS = 120
 _BLOCK_ROWS = 1024  # of a block that is factored at a time
 _MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
@@ -21,16 +20,15 @@ RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
 @dataclass(frozen=True, kw_only=True)
 class Spans:
-    """The rows of a recording: `count` spans of equal time, each with `rows` rows of each
-    joint, in all of `instants`.
-
-    Held rows are spans of one instant and one row; those of a long recording are QR
-    factors of a span's rows.
-    """
+    """The time of a recording: `count` equal spans, in all of `instants`."""
 
     instants: int
     count: int
-    rows: int = 1
+
+    @classmethod
+    def of(cls, instants: int) -> "Spans":
+        """The spans of so many instants: `SPANS`, or one an instant."""
+        return cls(instants=instants, count=min(SPANS, instants))
 
     @property
     def edges(self) -> NDArray[np.intp]:
@@ -39,72 +37,58 @@ class Spans:
         """
         return np.asarray(-(-np.arange(self.count + 1) * self.instants // self.count))
 
-    def between(self, part: slice, start: int = 0) -> "Spans":
-        """The spans of a part of the time, which ends where spans do; the recording
-        starts at instant `start`.
-        """
-        first, last = np.clip((part.start - start, part.stop - start), 0, self.instants)
-        count = int(np.subtract(*np.searchsorted(self.edges, (last, first))))
-        return replace(self, instants=int(last - first), count=count)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class System:
-    """Y = W beta + rho, equations (5) and (6) of Janot2014: rows stacked joint by joint.
+    """Y = W beta + rho, equations (5) and (6) of Janot2014: the weighted rows that count, stacked
+    joint by joint, or R factors of them by span of time, which have the same products.
 
     Attributes:
         W: (r, b) regressor.
         Y: (r,) torques.
         joint_of_row: (r,) joint index of each row, ascending.
         names: (b,) parameters.
-        share: (r,) weight of each row, at most 1, with which W and Y are multiplied; 0 for
-            rows that do not count.
-        rows: (n,) samples per joint, the sum of the squares of their weights; more than rows of W
-            where these are QR factors.
-        spans: by recording how its rows follow in time, the same for each joint;
-            empty where they do not.
+        rows: (n,) samples per joint, the sum of the squares of their weights.
+        span: (r,) span of each row, counted through all recordings.
+        spans: of each recording.
     """
 
     W: Array
     Y: Array
     joint_of_row: NDArray[np.intp]
     names: tuple[str, ...]
-    share: Array
     rows: Array
-    spans: tuple[Spans, ...] = ()
-
-    def __post_init__(self) -> None:
-        r, b = self.W.shape
-        if {self.Y.shape, self.joint_of_row.shape, self.share.shape} != {(r,)} or len(
-            self.names
-        ) != b:
-            raise ValueError(
-                f"shapes do not agree: W {self.W.shape}, Y {self.Y.shape}, {len(self.names)} "
-                "parameters"
-            )
+    span: NDArray[np.intp]
+    spans: tuple[Spans, ...]
 
     @classmethod
     def whole(
         cls, W: Array, Y: Array, joint_of_row: NDArray[np.intp], names: tuple[str, ...]
     ) -> "System":
-        """A system all of whose rows are samples that count."""
-        rows = np.bincount(joint_of_row).astype(float)
+        """A system of samples, one instant after the other at each joint."""
+        rows = np.bincount(joint_of_row)
+        spans = Spans.of(int(rows.max()))
+        instant = np.concatenate([np.arange(count) for count in rows])
         return cls(
-            W=W, Y=Y, joint_of_row=joint_of_row, names=names, share=np.ones(len(Y)), rows=rows
+            W=W,
+            Y=Y,
+            joint_of_row=joint_of_row,
+            names=names,
+            rows=rows.astype(float),
+            span=instant * spans.count // spans.instants,
+            spans=(spans,),
         )
 
     @property
-    def used(self) -> Array:
-        """(r,) 1 for rows that count, else 0."""
-        return (self.share > 0).astype(float)
+    def recording(self) -> NDArray[np.intp]:
+        """(r,) the recording of each row."""
+        ends = np.cumsum([own.count for own in self.spans])
+        return np.searchsorted(ends, self.span, side="right")
 
-    def with_rows(self, used: Array) -> "System":
-        """The same system with fewer rows: of those that count the `used` ones (r,), 1 and 0."""
-        share = self.share * used
-        rows: Array = np.bincount(
-            self.joint_of_row, weights=share**2, minlength=len(self.rows)
-        ).astype(float)
-        return replace(self, share=share, rows=rows)
+    def part(self, rows: NDArray[np.bool_]) -> "System":
+        """The system of some of its rows (r,)."""
+        of = {name: getattr(self, name)[rows] for name in ("W", "Y", "joint_of_row", "span")}
+        return replace(self, **of)
 
     def with_columns(self, columns: NDArray[np.intp]) -> "System":
         """The same system for some of its parameters."""
@@ -113,8 +97,8 @@ class System:
         return replace(self, W=self.W[:, columns], names=tuple(self.names[i] for i in columns))
 
     def weighted(self, weights: Array) -> tuple[Array, Array]:
-        """W (r, b) and Y (r,) with rows of joint j times `weights` (n,), zero where unused."""
-        w = weights[self.joint_of_row] * self.used
+        """W (r, b) and Y (r,) with rows of joint j times `weights` (n,)."""
+        w = weights[self.joint_of_row]
         return self.W * w[:, None], self.Y * w
 
 
@@ -124,59 +108,9 @@ def spans_of(parts: Sequence[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-class SpanFactors:
-    """R factors of the used rows, such as [Z W Y], of each joint in each span of a long recording.
-
-    A factor has the same column products AᵀB as its rows, hence the same least squares and
-    instrumental variables, and avoids the loss of digits of squared sums.
-    """
-
-    def __init__(self, instants: int, n: int, spans: int = SPANS) -> None:
-        """Of `instants` of n joints, without any rows yet."""
-        self._instants, self._rows = instants, np.zeros(n)
-        self._R: list[list[Array | None]] = [[None] * n for _ in range(min(spans, instants))]
-
-    def add(self, first: int, columns: Array, share: Array) -> None:
-        """Add the instants from `first` on: columns (n, columns, T), and `share` (T, n), 0 for
-        rows that do not count.
-        """
-        span = np.arange(first, first + len(share)) * len(self._R) // self._instants
-        for k in np.unique(span):
-            for j, own in enumerate(columns):
-                before, more = self._R[k][j], own[:, (span == k) & (share[:, j] > 0)].T
-                self._R[k][j] = _factor(more if before is None else np.concatenate([before, more]))
-        self._rows += (share**2).sum(axis=0)
-
-    def rows(self) -> tuple[Array, dict[str, Any]]:
-        """The rows (r, columns) of all joints and spans, and how they follow: the further
-        attributes of a `System`. Once only.
-
-        Spans with fewer rows end with zeros.
-        """
-        each = [[R for R in of_span if R is not None] for of_span in self._R]
-        n, K, m = len(self._rows), len(each), max(len(R) for of_span in each for R in of_span)
-        found = np.zeros((n, K, m, each[0][0].shape[1]))
-        self._R.clear()  # as large as the rows
-        for k in range(K):
-            for j, R in enumerate(each[k]):
-                found[j, k, : len(R)] = R
-            each[k].clear()
-        return found.reshape(n * K * m, -1), {
-            "joint_of_row": np.repeat(np.arange(n), K * m),
-            "share": np.ones(n * K * m),
-            "rows": self._rows.copy(),
-            "spans": (Spans(instants=self._instants, count=K, rows=m),),
-        }
-
-
-def stacked_columns(each: Sequence[Array], n: int) -> Array:
-    """Columns (r, k) of several recordings, whose rows (r_i, k) are by joint of n,
-    stacked joint by joint.
-    """
-    if len(each) == 1:
-        return each[0]
-    blocks = [x.reshape(n, len(x) // n, x.shape[1]) for x in each]
-    return np.concatenate(blocks, axis=1).reshape(sum(map(len, each)), each[0].shape[1])
+def by_joint(systems: Sequence[System]) -> NDArray[np.intp]:
+    """The places (r,) of the rows of recordings one after the other, stacked joint by joint."""
+    return np.argsort(np.concatenate([s.joint_of_row for s in systems]), kind="stable")
 
 
 def stacked(systems: Sequence[System]) -> System:
@@ -185,46 +119,24 @@ def stacked(systems: Sequence[System]) -> System:
     """
     if len(systems) == 1:
         return systems[0]
-    rows = [[s.joint_of_row == j for s in systems] for j in range(len(systems[0].rows))]
-
-    def by_joint(name: str) -> Array:
-        values = [getattr(s, name) for s in systems]
-        return np.concatenate(
-            [x[own] for indices in rows for x, own in zip(values, indices, strict=True)]
-        )
-
+    order, before = by_joint(systems), 0
+    spans = list[NDArray[np.intp]]()
+    for one in systems:
+        spans.append(one.span + before)
+        before += sum(own.count for own in one.spans)
+    W, Y, joint_of_row = (
+        np.concatenate([getattr(s, name) for s in systems])[order]
+        for name in ("W", "Y", "joint_of_row")
+    )
     return replace(
         systems[0],
-        W=by_joint("W"),
-        Y=by_joint("Y"),
-        joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
-        share=by_joint("share"),
+        W=W,
+        Y=Y,
+        joint_of_row=joint_of_row,
         rows=np.sum([s.rows for s in systems], axis=0),
-        spans=tuple(spans for s in systems for spans in s.spans),
+        span=np.concatenate(spans)[order],
+        spans=tuple(own for s in systems for own in s.spans),
     )
-
-
-def condensed(system: System) -> System:
-    """Per joint the QR factor of the used rows of [W Y]: at most b + 1 rows with
-    the same least squares.
-    """
-    rows = np.c_[system.W, system.Y]
-    R = [
-        _factor(rows[(system.joint_of_row == j) & (system.share > 0)])
-        for j in range(len(system.rows))
-    ]
-    stack, joints = np.concatenate(R), np.repeat(np.arange(len(R)), [len(x) for x in R])
-    W, Y = np.ascontiguousarray(stack[:, :-1]), np.ascontiguousarray(stack[:, -1])
-    return replace(system, W=W, Y=Y, joint_of_row=joints, share=np.ones(len(stack)), spans=())
-
-
-def _factor(rows: Array) -> Array:
-    """The R factor of rows (r, columns) of a joint, which depends on some parameters only."""
-    own = np.any(rows, axis=0)
-    R = r_factor(rows[:, own])
-    found = np.zeros((len(R), rows.shape[1]))
-    found[:, own] = R
-    return found
 
 
 def r_factor(A: Array) -> Array:

@@ -19,8 +19,8 @@ from ..estimation import (
 )
 from ..regression import ROWS, Problem, Rows, base_name, sample_weights
 from ..report import FTest, Method
-from ..simulation import Simulated, saturated_percents
-from ..trust import Candidates, FitData, further_columns, held_out_parts, trust_in, with_prior
+from ..simulation import Simulated, controller_of, saturated_percents
+from ..trust import Candidates, FitData, held_out_parts, trust_in, with_prior
 from .equations import Equations
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
@@ -36,22 +36,21 @@ def evidence_of(
     equations: Equations,
     method: Method,
     solved: LeastSquares,
-    rows: Rows,
+    each: Sequence[Rows],
     *,
-    each: Sequence[Rows | Array] = (),
+    tau: Array | None = None,
     z: Sequence[Simulated] = (),
 ) -> FitData:
-    """Inputs of the trust tests of an estimate from its rows; `each` are those of single
-    recordings that are long.
+    """Inputs of the trust tests of an estimate from its rows, of each recording, with the columns
+    of candidates; `tau` (rows, n) replaces their torques.
     """
-    estimate = solved.estimate
-    # Long rows have the columns of before their simulation.
+    estimate, rows = solved.estimate, equations.stacked(each)
+    if tau is not None:
+        rows = replace(rows, tau=tau)
+    # Rows have the columns of before their simulation.
     candidates = candidates_of(equations, estimate.values_of(equations.names), simulated=bool(z))
-    if not rows.C.size:
-        along = [one.motion for one in z if one.motion]
-        rows = replace(rows, C=further_columns(equations.problems, candidates, along))
     lags = lags_of(equations, rows, estimate)
-    within = held_and_counted(equations, estimate, equations.rows_with(each), rows.system, lags)
+    within = held_and_counted(equations, estimate, each, rows.system, lags)
     return FitData(
         problems=tuple(equations.with_sources()),
         arms=equations.unknowns.arms,
@@ -76,18 +75,18 @@ def candidates_of(
     simulated motion.
     """
     simulated &= all(problem.signals.q_ref is not None for problem in equations.problems)
-    speed = np.concatenate([rows.speed for rows in equations.rows])
+    speed = equations.speed
     sliding = np.abs(speed @ equations.problem.model.coulomb_directions.T)
     return tuple(
         Candidates(
-            problem=problem.without_samples(),
+            problem=problem,
             beta=equations.unknowns.beta(x, k),
             peak=np.abs(speed).max(axis=0),
             sliding=sliding.max(axis=0),
             simulated=simulated,
             gains=bool(equations.unknowns.motors),
         )
-        for k, problem in enumerate(equations.problems)
+        for k, problem in enumerate(equations.tasks())
     )
 
 
@@ -101,23 +100,24 @@ def fit_of(
     names = tuple(joint.name for joint in equations.problem.signals.robot.joints)
     evidence = replace(evidence, held_out=held_out_parts(evidence, equations.predicted))
     evidence = with_prior(evidence, equations.predicted)
-    filtered, of_model, warnings = equations, predicted, _warnings(equations)
+    filtered, warnings = equations, _warnings(equations)
+    measured, of_model, speed = rows.tau, predicted, rows.speed
     try:  # errors of the model, without the noise that passes the cut-off of the fit
         if (behind := equations.behind_rule()) is not None:
-            filtered, of_model = behind, behind.predicted(solved.estimate)
+            filtered, (measured, of_model, speed) = behind, behind.torques(solved.estimate)
     except NoFitError as error:
         warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
-    measured = filtered.about()
-    parts = zip(equations.problems, spans_of(rows.parts), spans_of(measured.parts), strict=True)
+    of_filtered = spans_of([len(problem.settings.instants) for problem in filtered.problems])
+    parts = zip(equations.problems, spans_of(rows.parts), of_filtered, strict=True)
     fitted = [
         FittedRecording(
             problem=problem,
             arm=equations.unknowns.arms[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(
-                measured.tau[own],
+                measured[own],
                 of_model[own],
-                measured.speed[own],
+                speed[own],
                 filtered.problems[k].measured_rows(),
                 names,
             ),
@@ -140,9 +140,9 @@ def fit_of(
         tau_predicted=predicted,
         speed=rows.speed,
         errors=torque_errors(
-            measured.tau,
+            measured,
             of_model,
-            measured.speed,
+            speed,
             np.concatenate([x.measured_rows() for x in filtered.problems]),
             names,
         ),
@@ -215,15 +215,9 @@ def assess_iv(
     validates the direct model.
     """
     estimate, z = best.estimate, best.confirmed_by
-    solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))
-    evidence = evidence_of(
-        equations,
-        "iv",
-        solved,
-        equations.along(best.x, best.z),
-        each=[one.Z for one in best.z],
-        z=z,
-    )
+    tau, predicted, _ = equations.torques(estimate)
+    solved = replace(ls, estimate=estimate, tau_predicted=predicted)
+    evidence = evidence_of(equations, "iv", solved, equations.rows_with(best.z), tau=tau, z=z)
     tests = tests_of(evidence.observed.system, estimate)
     status, reason = status_of(equations, passes, best, tests)
     if reason is not None and best.number != len(passes):
@@ -232,15 +226,13 @@ def assess_iv(
         off = np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half
         contrast = np.nan_to_num(np.where(np.isin(estimate.names, ls.full.names), off, 0.0))
     saturated = [saturated_percents(problem.with_samples()) for problem in equations.tasks()]
+    controllers = [controller_of(problem)[1] for problem in equations.problems]
     iv = InstrumentEvidence(
         start=start,
         reference="recorded"
         if all(problem.signals.q_ref is not None for problem in equations.problems)
         else "surrogate",
-        controller=max(
-            (one.controller for one in z),
-            key=("described", "found", "surrogate").index,
-        ),
+        controller=max(controllers, key=("described", "found", "surrogate").index),
         passes=tuple(passes),
         returned=best.number,
         reason=reason,
@@ -259,19 +251,25 @@ def assess_iv(
         by_reference=reason if status == "converged" else None,
     )
     fit = fit_of(equations, evidence, replace(solved, intervals=evidence.intervals), z)
-    warnings = (*fit.warnings, *_iv_warnings(equations, z, saturated, tests))
+    warnings = (*fit.warnings, *_iv_warnings(equations, z, controllers, saturated, tests))
     return replace(fit, status=status, iv=iv, least_squares=ls.of_base(), warnings=warnings)
 
 
 def _iv_warnings(
     equations: Equations,
     z: Sequence[Simulated],
+    controllers: Sequence[str],
     saturated: Sequence[dict[str, float]],
     tests: InstrumentTests,
 ) -> tuple[str, ...]:
-    warnings, pairs = [], list(zip(equations.problems, z, strict=True))
-    without = [p.signals.robot for p, one in pairs if one.controller == "surrogate"]
-    unknown = [p for p, one in pairs if one.controller != "surrogate" and not one.prior_known]
+    warnings, robots = [], [problem.signals.robot for problem in equations.problems]
+    each = list(zip(robots, controllers, z, strict=True))
+    without = [robot for robot, controller, _ in each if controller == "surrogate"]
+    unknown = [
+        robot
+        for robot, controller, one in each
+        if controller != "surrogate" and not one.prior_known
+    ]
     if any(problem.signals.q_ref is None for problem in equations.problems):
         warnings.append(
             "surrogate reference: none recorded, the measured position is used instead; the "
@@ -286,7 +284,7 @@ def _iv_warnings(
         warnings.append(
             "least squares gives no positive inertias: the gain update uses those that suit the "
             "described gains at "
-            f"{unknown[0].signals.robot.bandwidth_hz:g} Hz"
+            f"{unknown[0].bandwidth_hz:g} Hz"
         )
     for shares in saturated:
         at_limit = (

@@ -4,7 +4,7 @@ about given values of them.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,25 +12,31 @@ from numpy.typing import NDArray
 from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..estimation import Estimate, System, combined, stacked, stacked_columns
-from ..regression import HELD, REDUCED, Overrides, Problem, Rows, Settings, Term, Unknowns
+from ..estimation import Estimate, System, by_joint, combined, stacked
+from ..regression import (
+    Overrides,
+    Problem,
+    Rows,
+    Settings,
+    Term,
+    Unknowns,
+    rows_of_recording,
+    torque_of_recording,
+)
 from ..simulation import COARSE, FINE, Simulated, SimulatedRecording, simulate
 from ..trust import Lag
 from .observation import (
-    SPAN_S,
     Observed,
     Replayed,
     Say,
     observation_of,
     observe_all,
-    rows_at,
+    settings_at,
     with_common_rate,
 )
 
-# by recording
+# by recording, what prepares it at a rate per period of the bandwidth
 Robots = Sequence[Callable[[float], SimulatedRecording]]
-SPANS_OF_IV = 80  # of a long recording: the factors of [C Z W Y] of six joints take 80 MB
-SPAN_NUMBERS = 1_500_000  # of the W of the beginning of a long recording
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,8 +46,7 @@ class Equations:
 
     Attributes:
         recordings: in the order of the digests; `overrides`: their settings.
-        problems: the recordings with their settings; `rows`: of each, columns
-            of load friction zero.
+        problems: the recordings with their settings.
         replays: the described control law of each against its recorded effort.
         order: places of the recordings in the order given.
         unknowns: x.
@@ -53,14 +58,17 @@ class Equations:
     recordings: Recordings
     overrides: Overrides
     problems: tuple[Problem, ...]
-    rows: tuple[Rows, ...]
     replays: tuple[Replayed, ...]
     order: tuple[int, ...]
     unknowns: Unknowns
     load: regression.LoadFriction | None
     left_out: dict[str, str] = field(default_factory=dict)
     lags: tuple[Lag, ...] = ()
-    _about: dict[bytes, Rows] = field(default_factory=dict)
+
+    @cached_property
+    def _made(self) -> dict[bytes, Sequence[Rows]]:
+        """The rows about the last values, and those with columns of load friction zero."""
+        return {}
 
     @property
     def problem(self) -> Problem:
@@ -72,10 +80,20 @@ class Equations:
         """The names of x."""
         return self.unknowns.names
 
+    @cached_property
+    def _whole(self) -> dict[bytes, Rows]:
+        """The rows of all recordings about the last values."""
+        return {}
+
     @property
-    def reduced(self) -> bool:
-        """Whether rows are QR factors; all of them, or none."""
-        return self.rows[0].reduced
+    def rows(self) -> Sequence[Rows]:
+        """Of each recording, columns of load friction zero."""
+        return self.rows_about(np.zeros(0))
+
+    @cached_property
+    def speed(self) -> Array:
+        """(rows, n) joint speeds."""
+        return np.concatenate([rows.speed for rows in self.rows])
 
     def tasks(self) -> list[Problem]:
         """The problems for tasks: without samples if a task can read them itself."""
@@ -104,31 +122,31 @@ class Equations:
         """[J Y] of all recordings about x, columns of all unknowns; without x columns of
         load friction are zero.
         """
-        if self.load is None or x is None:
-            x = np.zeros(0)
-        if (key := x.tobytes()) not in self._about:
-            self._about.clear()
-            self._about[key] = self.stacked(self.rows_about(x))
-        return self._about[key]
+        key = (np.zeros(0) if x is None or self.load is None else x).tobytes()
+        if key not in self._whole:
+            self._whole.clear()
+            self._whole[key] = self.stacked(self.rows_about(np.frombuffer(key)))
+        return self._whole[key]
 
-    def rows_about(self, x: Array, further: Sequence[Term] = ()) -> list[Rows]:
-        """The rows of each recording about x, of long ones with `further` columns."""
-        if not further and (self.load is None or not len(x)):
-            return list(self.rows)
-        run = self.recordings.work.run
+    def rows_about(self, x: Array, further: Sequence[Term] = ()) -> Sequence[Rows]:
+        """The rows of each recording about x, with `further` columns; without load friction
+        for an empty x.
+        """
+        if self.load is None and not further:
+            x = x[:0]
+        if (key := x.tobytes()) in self._made and not further:
+            return self._made[key]
         tasks = [
-            (problem, REDUCED, self.unknowns.beta(x, k)) for k, problem in enumerate(self.tasks())
+            (problem, self.unknowns.beta(x, k) if len(x) else None, *further[k : k + 1])
+            for k, problem in enumerate(self.tasks())
         ]
-        if self.reduced:
-            more = further or (None,) * len(tasks)
-            each = [(*task, terms) for task, terms in zip(tasks, more, strict=True)]
-            return list(run(regression.rows_again, each))
-        assert self.load is not None
-        columns = run(
-            regression.load_columns, [(problem, self.load, beta) for problem, _, beta in tasks]
-        )
-        found = zip(self.rows, tasks, columns, strict=True)
-        return [rows.about(beta, self.load, column) for rows, (*_, beta), column in found]
+        found = list(self.recordings.work.run(rows_of_recording, tasks))
+        if not further:
+            none = self._made.get(b"")
+            self._made.clear()
+            self._made.update({} if none is None else {b"": none})
+            self._made[key] = found
+        return found
 
     def stacked(self, each: Sequence[Rows]) -> Rows:
         """The rows of the recordings, stacked joint by joint, in the columns of x."""
@@ -144,84 +162,75 @@ class Equations:
                 )
             systems.append(replace(rows.system, W=J, Y=Y, names=self.names))
             Z.append(self.unknowns.columns(k, rows.Z) if rows.Z.size else rows.Z)
-        n = self.problem.signals.robot.n
+        order = by_joint(systems)
+        share, tau, speed = (
+            np.concatenate([getattr(rows, name) for rows in each])
+            for name in ("share", "tau", "speed")
+        )
         return Rows(
             system=stacked(systems),
             E=each[0].E[:0],
-            C=stacked_columns([rows.C for rows in each], n),
-            Z=stacked_columns(Z, n),
-            **{
-                name: np.concatenate([getattr(rows, name) for rows in each])
-                for name in ("share", "tau", "speed")
-            },
+            C=np.concatenate([rows.C for rows in each])[order],
+            fast=np.concatenate([rows.fast for rows in each])[order],
+            Z=np.concatenate(Z)[order],
+            share=share,
+            tau=tau,
+            speed=speed,
+            torque_lag_s=each[0].torque_lag_s,
         )
 
-    def along(self, x: Array, z: Sequence[Simulated]) -> Rows:
-        """[Z J Y] about x with the instruments of each recording."""
-        if self.reduced:
-            return self.stacked(self.rows_with([one.Z for one in z]))
-        Z = stacked_columns([np.asarray(one.Z) for one in z], self.problem.signals.robot.n)
-        return replace(self.about(x), Z=Z)
+    def along(self, z: Sequence[Simulated]) -> Rows:
+        """[Z J Y] with the instruments of simulated robots, about the values that these have."""
+        return self.stacked(self.rows_with(z))
 
-    def rows_with(self, factors: Sequence[Rows | Array]) -> list[Rows]:
-        """The rows of each recording with given factors and its measurements, or its own."""
-        return [
-            replace(x, share=own.share, tau=own.tau, speed=own.speed)
-            for own, x in zip(self.rows, factors, strict=bool(factors))
-            if isinstance(x, Rows)
-        ] or list(self.rows)
+    def rows_with(self, z: Sequence[Simulated]) -> Sequence[Rows]:
+        """The rows of each recording with instruments, with the torques of these equations: of
+        other lags to first order, and of other drive gains.
+        """
+        found = []
+        for rows, problem in zip([x for one in z if (x := one.rows)], self.problems, strict=True):
+            late_s = problem.settings.torque_lag_s - rows.torque_lag_s
+            Y, E = rows.system.Y - late_s * rows.Z[:, -1], rows.E
+            if problem.gains is not None:
+                factors = problem.gains / (1.0 if rows.gains is None else rows.gains)
+                Y, E = Y + E @ (factors - 1), E * factors
+            found.append(replace(rows, system=replace(rows.system, Y=Y), E=E))
+        return found
 
     def without(self, left_out: dict[str, str]) -> "Equations":
         """The same without friction terms that are regrouped with nothing;
         `left_out` has the reasons.
         """
         problems = [problem.without_terms(left_out) for problem in self.problems]
-        found = self._of(problems, [rows.without(left_out) for rows in self.rows])
-        return replace(found, left_out=self.left_out | left_out)
+        found = replace(self._of(problems), left_out=self.left_out | left_out)
+        found._made[b""] = [rows.without(left_out) for rows in self.rows]
+        return found
 
     def _of(
-        self,
-        problems: Sequence[Problem],
-        rows: Sequence[Rows],
-        motors: tuple[int, ...] | None = None,
+        self, problems: Sequence[Problem], motors: tuple[int, ...] | None = None
     ) -> "Equations":
-        """The same recordings with other settings and rows, or other motors
-        whose gains are unknown.
-        """
-        observed = list(zip(problems, rows, self.replays, strict=True))
+        """The same recordings with other settings, or other motors whose gains are unknown."""
+        observed = list(zip(problems, self.replays, strict=True))
         motors = self.unknowns.motors if motors is None else motors
         found = equations_of(self.recordings, self.overrides, observed, self.order, motors)
         return replace(found, left_out=self.left_out, lags=self.lags)
 
     def at_cutoff(self, cutoff_hz: float) -> "Equations":
         """The same recordings with another low-pass."""
-        overrides, most = (
-            replace(self.overrides, cutoff_hz=cutoff_hz),
-            regression.most_numbers(len(self.problems)),
-        )
+        overrides = replace(self.overrides, cutoff_hz=cutoff_hz)
         tasks = [
-            (one, replace(overrides, decimation=one.settings.decimation), most)
-            for one in self.tasks()
+            (one, replace(overrides, decimation=one.settings.decimation)) for one in self.tasks()
         ]
-        settings, rows = zip(*self.recordings.work.run(rows_at, tasks), strict=True)
-        return self._of(self._with_settings(settings), rows)
+        settings = list(self.recordings.work.run(settings_at, tasks))
+        return self._of(self._with_settings(settings))
 
     def with_ramps(self, ramp_rows: float) -> "Equations":
         """The same recordings with other ramps of the weights of samples."""
         if all(problem.settings.ramp_rows == ramp_rows for problem in self.problems):
             return self
-        most, settings = REDUCED if self.reduced else HELD, [one.settings for one in self.problems]
+        settings = [replace(one.settings, ramp_rows=ramp_rows) for one in self.problems]
         found = replace(self, overrides=replace(self.overrides, ramp_rows=ramp_rows))
-        found = replace(
-            found,
-            problems=self._with_settings([replace(one, ramp_rows=ramp_rows) for one in settings]),
-        )
-        rows = list(
-            self.recordings.work.run(
-                regression.rows_again, [(problem, most) for problem in found.tasks()]
-            )
-        )
-        return found._of(found.problems, rows)
+        return found._of(self._with_settings(settings))
 
     def _with_settings(self, settings: Sequence[Settings]) -> tuple[Problem, ...]:
         return tuple(
@@ -241,45 +250,25 @@ class Equations:
 
     def with_motors(self, motors: tuple[int, ...]) -> "Equations":
         """The same recordings with the gains of these motors as unknowns."""
-        return (
-            self if motors == self.unknowns.motors else self._of(self.problems, self.rows, motors)
-        )
+        if motors == self.unknowns.motors:
+            return self
+        found = self._of(self.problems, motors)
+        found._made.update(self._made if self.load is None else {})
+        return found
 
     def with_gains(self, factors: Array) -> "Equations":
         """The same recordings with drive gains times `factors` (n,)."""
-        return self._with_torques([problem.with_gains(factors) for problem in self.problems])
+        return self._of([problem.with_gains(factors) for problem in self.problems])
 
-    def corrected(self, lags_s: Sequence[float]) -> "Equations":
-        """The same with the torque of each recording corrected by another lag, s."""
-        pairs = list(zip(self.problems, lags_s, strict=True))
-        if all(problem.settings.torque_lag_s == lag_s for problem, lag_s in pairs):
-            return self
-        return self._with_torques([problem.corrected(lag_s) for problem, lag_s in pairs])
-
-    def _with_torques(self, problems: Sequence[Problem]) -> "Equations":
-        tasks = zip(replace(self, problems=tuple(problems)).tasks(), self.rows, strict=True)
-        return self._of(
-            problems, list(self.recordings.work.run(regression.with_torque, list(tasks)))
-        )
-
-    def beginning(self) -> "Equations":
-        """Unchanged if rows are held; else the beginnings of the recordings, with rows, together
-        at most three minutes.
-        """
-        if not self.reduced:
-            return self
-        observed, count = list[Observed](), len(self.problems)
-        for problem in self.tasks():
-            whole = problem.with_samples()
-            rows = SPAN_NUMBERS / (whole.signals.robot.n * whole.base.b) / count
-            most = min(
-                rows * whole.settings.decimation, SPAN_S * whole.signals.sample_rate_hz / count
-            )
-            stop = min(whole.settings.stop, whole.settings.start + int(most))
-            observed.append(observation_of(whole.until(stop), HELD))
-        problems, held, replays = zip(*observed, strict=True)
-        recordings = Recordings(sources=tuple(problem.signals for problem in problems))
-        return replace(self, recordings=recordings, replays=replays)._of(problems, held)
+    def corrected(self, lags_s: Sequence[float], lags: tuple[Lag, ...]) -> "Equations":
+        """The same with another lag of the torque of each recording, s; `lags` has them."""
+        pairs = zip(self.problems, lags_s, strict=True)
+        found = replace(self._of([problem.corrected(lag_s) for problem, lag_s in pairs]), lags=lags)
+        if lags_s == [problem.settings.torque_lag_s for problem in self.problems]:
+            vars(found).update(_made=self._made, _whole=self._whole)
+        if "speed" in vars(self) or b"" in self._made:
+            vars(found)["speed"] = self.speed  # of the same motion
+        return found
 
     def combined(self, system: System, estimate: Estimate) -> Estimate:
         """An estimate from these rows, combined with the stated centres of mass."""
@@ -291,6 +280,12 @@ class Equations:
         """Decimated torque (rows, n) of an estimate; of several, each in equal spans of a
         recording, or in one recording.
         """
+        return self.torques(*estimates, by_recording=by_recording)[1]
+
+    def torques(
+        self, *estimates: Estimate, by_recording: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """Decimated torque, as measured and as `predicted`, and speed, (rows, n) each."""
         tasks = [
             (
                 problem,
@@ -298,14 +293,9 @@ class Equations:
             )
             for k, (problem, arm) in enumerate(zip(self.tasks(), self.unknowns.arms, strict=True))
         ]
-        return np.concatenate(
-            [
-                predicted
-                for _, predicted, _ in self.recordings.work.run(
-                    regression.torque_of_recording, tasks
-                )
-            ]
-        )
+        each = self.recordings.work.run(torque_of_recording, tasks)
+        tau, predicted, speed = (np.concatenate(x) for x in zip(*each, strict=True))
+        return tau, predicted, speed
 
 
 def equations_of(
@@ -316,12 +306,11 @@ def equations_of(
     motors: tuple[int, ...] = (),
 ) -> Equations:
     """The equations of recordings; the gains of `motors` are unknown."""
-    problems, rows, replays = zip(*observed, strict=True)
+    problems, replays = zip(*observed, strict=True)
     return Equations(
         recordings=recordings,
         overrides=overrides,
         problems=problems,
-        rows=rows,
         replays=replays,
         order=order,
         unknowns=regression.make_unknowns(
@@ -341,27 +330,32 @@ def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) 
     if len(given.sources) == 1:
         (source,) = given.sources
         signals = source if isinstance(source, Signals) else source.load()
-        one = observation_of(regression.make_problem(signals, overrides), None, say)
+        one = observation_of(regression.make_problem(signals, overrides))
         return equations_of(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
-    found = observe_all(
-        given, [overrides] * len(given.sources), regression.most_numbers(len(given.sources))
-    )
-    check_one_robot([problem.signals for problem, _, _ in found])
+    found = observe_all(given, [overrides] * len(given.sources))
+    check_one_robot([problem.signals for problem, _ in found])
     found = with_common_rate(given, found, overrides)
-    each = [problem.signals for problem, _, _ in found]
+    each = [problem.signals for problem, _ in found]
     by_digest = sorted(range(len(found)), key=lambda k: (each[k].sha256, each[k].recording))
-    equations = equations_of(
+    return equations_of(
         replace(given, sources=tuple(given.sources[k] for k in by_digest)),
         overrides,
         [found[k] for k in by_digest],
         tuple(by_digest.index(k) for k in range(len(found))),
     )
-    joints = tuple(joint.name for joint in each[0].robot.joints)
-    places = ", ".join(each[k].recording for k in by_digest)
-    bandwidth_hz = equations.problem.signals.robot.bandwidth_hz
-    regression.refuse_standing_joints(equations.about().share, joints, places, bandwidth_hz)
-    return equations
+
+
+def refuse_standing_joints(equations: Equations) -> None:
+    """Refuse recordings in none of which a row of a joint counts."""
+    signals = [problem.signals for problem in equations.problems]
+    regression.refuse_standing_joints(
+        equations.about().share,
+        tuple(joint.name for joint in signals[0].robot.joints),
+        ", ".join(one.recording for one in signals),
+        signals[0].robot.bandwidth_hz,
+        "; ".join(one.unmeasured for one in signals if one.unmeasured),
+    )
 
 
 def robots_in(equations: Equations, prior: Array, *, gain_update: bool = True) -> Robots:
@@ -371,10 +365,9 @@ def robots_in(equations: Equations, prior: Array, *, gain_update: bool = True) -
             SimulatedRecording,
             problem,
             equations.unknowns.beta(prior, k),
-            spans=min(SPANS_OF_IV, len(rows.tau) // 2) if rows.reduced else 0,
             gain_update=gain_update,
         )
-        for k, (problem, rows) in enumerate(zip(equations.tasks(), equations.rows, strict=True))
+        for k, problem in enumerate(equations.tasks())
     ]
     # Once in this process; each task of a worker prepares its own.
     return [cache(one) for one in each] if equations.recordings.work.workers == 1 else each
@@ -386,14 +379,17 @@ def simulate_all(
     x: Array,
     asked: tuple[Array, Array | None] | None = None,
     *,
-    coarse: bool = False,
     further: Sequence[Term] = (),
+    before: Array | None = None,
 ) -> tuple[Simulated, ...]:
-    """By recording, `simulate` with what is asked, values of x and their covariance; Z of x."""
-    of, rate, none = equations.unknowns, COARSE if coarse else FINE, [None] * len(robots)
-    each = zip(robots, of.simulated(*asked) if asked else none, further or none, strict=True)
-    tasks = [
-        (robot, rate, of.beta(x, k), own, more, partial(of.columns, k))
-        for k, (robot, own, more) in enumerate(each)
-    ]
-    return tuple(equations.recordings.work.run(simulate, tasks))
+    """By recording, `simulate` with what is asked, values of x and their covariance, or coarsely
+    along the motion that the reference predicts; the rows of the lag are whitened by the
+    residuals of the values `before`.
+    """
+    of, rate, none = equations.unknowns, FINE if asked else COARSE, [None] * len(robots)
+    own = of.simulated(*asked) if asked else none
+    about = [(of.beta(x, k), one) for k, one in enumerate(own)]
+    left = none if before is None else [of.beta(before, k) for k in range(len(own))]
+    rates = [rate] * len(robots)
+    each = zip(robots, rates, equations.tasks(), about, further or none, left, strict=True)
+    return tuple(equations.recordings.work.run(simulate, list(each)))

@@ -38,7 +38,6 @@ class Pass:
         robot: values simulated in place of `x`; None for these.
         asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values
             to simulate (None for a regular start), and of the estimate.
-        coarse: whether the robot was simulated coarsely.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations; in
             percent of those larger than two deviations; the parameter of the former.
         residual_percent: change of the residual norm by the pass, over the same rows.
@@ -64,8 +63,8 @@ class Pass:
     residual_settled: bool
     parameters_settled: bool
     robot: Array | None = None
-    coarse: bool = False
     number: int = 1
+    lags_settled: bool = True
     by_reference: str | None = None
     failure: str | None = None
     confirmed_by: tuple[Simulated, ...] = ()
@@ -103,8 +102,8 @@ class Pass:
 
     @property
     def is_last(self) -> bool:
-        """Whether it settled, at the robot that was simulated, and not coarsely."""
-        return self.settled and not self.coarse and self.robot is None
+        """Whether it and its lags settled, at the robot that was simulated."""
+        return self.settled and self.lags_settled and self.robot is None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

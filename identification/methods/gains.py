@@ -20,7 +20,7 @@ from .. import estimation
 from ..arrays import Array
 from ..errors import BadInputError, NoFitError
 from ..estimation import Estimate, Intervals, System
-from ..regression import Rows, base_places, predicted_drives
+from ..regression import Rows, Term, base_places, rows_by_measured_motion
 from ..trust import FitData, Lag, moves_of
 from .equations import Equations
 from .gain_results import EstimatedPayload, Gains
@@ -44,14 +44,13 @@ def motors_of(equations: Equations) -> tuple[int, ...]:
     )
 
 
-def measured_instruments(equations: Equations, x: Array) -> Array:
-    """Z = [W L -Ê] (r, p) of the measured motion about x: the rows of `about`."""
-    n, of, each = equations.problem.signals.robot.n, equations.unknowns, list[Array]()
-    for k, (problem, rows) in enumerate(
-        zip(equations.problems, equations.rows_about(x), strict=True)
-    ):
-        each.append(of.columns(k, np.c_[rows.system.W, predicted_drives(problem, of.beta(x, k))]))
-    return estimation.stacked_columns(each, n)
+def measured_rows(equations: Equations, x: Array, further: Sequence[Term] = ()) -> list[Rows]:
+    """The rows of each recording about x, with Z = [W L -Ê] of the measured motion."""
+    tasks = [
+        (problem, equations.unknowns.beta(x, k), further[k] if further else None)
+        for k, problem in enumerate(equations.tasks())
+    ]
+    return list(equations.recordings.work.run(rows_by_measured_motion, tasks))
 
 
 def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
@@ -78,10 +77,10 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
             equations, x = fixed.with_motors(equations.unknowns.motors), np.r_[start, x[gains]]
             names, gains = equations.names, equations.unknowns.gains
     for _ in range(MAX_PASSES):
-        rows, Z = equations.about(x), measured_instruments(equations, x)
+        rows = equations.stacked(measured_rows(equations, x))
         try:
             estimate = estimation.instrumental_variables(
-                rows.system, Z, joint_weights_of(rows.system, x)
+                rows.system, rows.Z, joint_weights_of(rows.system, x)
             )
             estimate = equations.combined(rows.system, estimate)
         except NoFitError as error:
@@ -99,8 +98,10 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
 
 def joint_weights_of(system: System, x: Array) -> Array:
     """1/s_j (n,) of the residuals of x, N m or N."""
-    rho = (system.Y - system.W @ x) * system.used
-    s = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
+    rho = system.Y - system.W @ x
+    s = np.sqrt(
+        np.bincount(system.joint_of_row, rho**2, len(system.rows)) / np.maximum(1, system.rows)
+    )
     return np.asarray(1.0 / np.where(s > 0, np.maximum(s, 1e-6 * s.max()), 1.0))
 
 
@@ -108,11 +109,8 @@ def refuse_without_scale(equations: Equations, columns: NDArray[np.intp]) -> Non
     """Refuse recordings whose known torques are no more than the robot's parameters could give."""
     rows, of = equations.about(), equations.unknowns
     system = rows.system
-    W = (
-        system.W[:, np.setdiff1d(columns, np.arange(len(of.names))[of.gains])]
-        * system.used[:, None]
-    )
-    Y, size = system.Y * system.used, np.linalg.norm(W, axis=0)
+    W = system.W[:, np.setdiff1d(columns, np.arange(len(of.names))[of.gains])]
+    Y, size = system.Y, np.linalg.norm(W, axis=0)
     A = W / np.where(size > 0, size, 1.0)
     left = np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y, rcond=1e-10)[0])
     typical = np.linalg.norm(rows.tau * rows.share)
@@ -156,13 +154,9 @@ def held_and_counted(
     that are not estimated are known, which the estimate holds; from the rows of each
     recording, and of all.
     """
-    of, n, found = (
-        equations.unknowns,
-        equations.problem.signals.robot.n,
-        estimation.intervals_of(system, estimate),
-    )
+    of, found = equations.unknowns, estimation.intervals_of(system, estimate)
     # by recording, of each half-width
-    robot, torques = equations.problem.signals.robot, list[list[Array]]()
+    robot, torques = equations.problem.robot, list[list[Array]]()
     for m, motor in enumerate(robot.motors):
         if motor.drive_gain_half_width and m not in of.motors:
             torques.append(
@@ -178,9 +172,8 @@ def held_and_counted(
             )
     moved = [lag.moved for lag in lags]
     if torques:
-        C = estimation.stacked_columns(
-            [np.transpose(of_recording) for of_recording in zip(*torques, strict=True)], n
-        )
+        columns = [np.transpose(of_recording) for of_recording in zip(*torques, strict=True)]
+        C = np.concatenate(columns)[estimation.by_joint([rows.system for rows in each])]
         moved += list(np.abs(stated - moves_of(system, C, estimate).T) / found.reach)
     return estimation.intervals_from(
         estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom
@@ -194,7 +187,7 @@ def smallest_cragg_donald(system: System, Z: Array, weights: Array, gains: slice
     Cragg, Donald, Testing identifiability and specification in instrumental variable models,
     Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
     """
-    w = (weights[system.joint_of_row] * system.used)[:, None]
+    w = weights[system.joint_of_row][:, None]
     others, E, known = np.delete(Z, gains, axis=1) * w, system.W[:, gains] * w, Z[:, gains] * w
     basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
     E, known = (x - basis @ (basis.T @ x) for x in (E, known))
@@ -212,7 +205,7 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
     payloads, which it includes.
     """
     of, estimate, found = equations.unknowns, evidence.estimate, evidence.intervals
-    base, robot = base_places(estimate.names), equations.problem.signals.robot
+    base, robot = base_places(estimate.names), equations.problem.robot
     payloads, motors, gains = [], [robot.motors[m] for m in of.motors], None
     for one in of.payloads:
         own = np.array(

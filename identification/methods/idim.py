@@ -18,7 +18,7 @@ from ..arrays import Array
 from ..data import Recordings, Signals
 from ..errors import BadInputError, NoFitError
 from ..estimation import Estimate, autocorrelation, instrumental_variables, intervals_of, one_thread
-from ..regression import Overrides, Rows, Term, base_places
+from ..regression import Overrides, Rows, base_places
 from ..report import Method
 from ..simulation import Simulated
 from ..trust import covariance_of_all
@@ -26,11 +26,11 @@ from . import iteration as iv
 from .assess import assess_iv, candidates_of, evidence_of, fit_of
 from .equations import Equations, read_equations, robots_in, simulate_all
 from .fit import Fit, LeastSquares, Pass, join_reasons
-from .gains import factors_of, joint_weights_of, measured_instruments, motors_of, solve_with_gains
+from .gains import factors_of, joint_weights_of, measured_rows, motors_of, solve_with_gains
 from .iteration import Iteration, NoEstimateError
 from .observation import position_noise_line, solver_of
-from .settled import least_squares, settle, with_best_ramps
-from .timing import correct_known_lags, with_lags, with_lags_found
+from .settled import least_squares, with_best_ramps
+from .timing import correct_known_lags, with_lags_found
 
 Say = Callable[[str], None]
 
@@ -147,14 +147,13 @@ def _by_least_squares(
 ) -> Fit:
     """IDIM-LS: W and Y from the measured torque and the filtered position."""
     equations, full = least_squares(equations, method)
-    x, each = full.values_of(equations.names), list[Rows]()
-    if equations.reduced:
-        each = equations.rows_about(x, candidates_of(equations, x))
-    rows = equations.stacked(each) if each else equations.about(x)
-    if each or equations.load:  # of these very rows
-        full = equations.combined(rows.system, solver_of(method)(rows.system))
+    x = full.values_of(equations.names)
+    each = equations.rows_about(x, candidates_of(equations, x))
+    rows = equations.stacked(each)
+    # of these very rows
+    full = equations.combined(rows.system, solver_of(method)(rows.system))
     ls = solve_least_squares(equations, full, rows, essential=essential)
-    evidence = evidence_of(equations, method, ls, rows, each=each)
+    evidence = evidence_of(equations, method, ls, each)
     ls = replace(ls, intervals=evidence.intervals)
     # Once, of the first recording: it looks at the beginning of a long one anyway.
     first, alone = (
@@ -168,51 +167,26 @@ def _by_least_squares(
 def _by_instruments(
     equations: Equations, iteration: Iteration, *, essential: bool, say: Say
 ) -> Fit:
-    """IDIM-IV; long recordings start where their beginnings end, with the lags of these."""
-    motors, begun = motors_of(equations), equations.beginning()
-    if motors:
-        begun, x, settled = solve_with_gains(begun)
-        if not settled or _default_method(begun)[0] != "iv" or not (factors_of(begun, x) > 0).all():
-            if equations.reduced:  # the fit would be that of the beginning alone
-                raise BadInputError(
-                    "the recordings are too long to identify gains without a simulated robot",
-                    key="gains",
-                    expected="a recorded reference, a larger decimation or shorter recordings",
-                )
-            return _by_measured_motion(begun, x, settled=settled, essential=essential)
-        begun = begun.with_gains(factors_of(begun, x)).with_motors(())
+    """IDIM-IV; drive gains start at the fixed point with the measured motion."""
+    if motors_of(equations):
+        equations, x, settled = solve_with_gains(equations)
+        factors = factors_of(equations, x)
+        if not settled or _default_method(equations)[0] != "iv" or not (factors > 0).all():
+            return _by_measured_motion(equations, x, settled=settled, essential=essential)
+        equations = equations.with_gains(factors).with_motors(())
         iteration = replace(iteration, start="ls") if iteration.values is None else iteration
-    begun, ls, passes, best = _solve_by_instruments(begun, iteration, essential=essential, say=say)
-    if equations.reduced:
-        equations = equations.without(begun.left_out) if begun.left_out else equations
-        equations = (
-            equations.with_gains(np.asarray(begun.problem.gains)).with_motors(())
-            if motors
-            else equations
-        )
-        start = begun.names, best.estimate.values_of(begun.names), best.covariance
-        begun = with_lags(equations, begun.lags)
-        del equations, ls, passes, best  # with their rows
-        begun, ls, passes, best = _solve_by_instruments(
-            begun, iteration, essential=essential, say=say, start=start
-        )
-    return assess_iv(begun, best, ls, passes, iteration.start)
+    found = _solve_by_instruments(equations, iteration, essential=essential, say=say)
+    return assess_iv(*found, iteration.start)
 
 
 def _solve_by_instruments(
-    equations: Equations,
-    iteration: Iteration,
-    *,
-    essential: bool,
-    say: Say,
-    start: tuple[tuple[str, ...], Array, Array] | None = None,
-) -> tuple[Equations, LeastSquares, list[Pass], Pass]:
+    equations: Equations, iteration: Iteration, *, essential: bool, say: Say
+) -> tuple[Equations, Pass, LeastSquares, list[Pass]]:
     """The instruments Z are the regressor of the robot simulated with the previous estimate.
 
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference,
     same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq,
     decimated as W, finds the lag L of the torque by the same instruments, and solves for beta_k+1.
-    `start`: names, values and covariance in place of those of `iteration`.
     """
     equations, full = least_squares(equations)
     ls = solve_least_squares(
@@ -228,78 +202,61 @@ def _solve_by_instruments(
             None if C is None else np.pad(C, (0, len(motors))),
         )
     names, weights = equations.names, full.weights
-    if start is not None:  # the whole may leave out terms that its beginning has
-        at = [start[0].index(name) for name in names]
-        x, C, robot = start[1][at], start[2][np.ix_(at, at)], None
     every = np.arange(len(names))
     fitted = (
         np.union1d(ls.essential.kept, np.delete(every, base_places(names))) if essential else every
     )
     robots = robots_in(equations, prior, gain_update=iteration.gain_update)
 
-    def step(rows: Rows, Z: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def step(rows: Rows) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         system = rows.system.with_columns(fitted)
-        return equations.combined(system, instrumental_variables(system, Z[:, fitted], weights))
+        return equations.combined(
+            system, instrumental_variables(system, rows.Z[:, fitted], weights)
+        )
 
     def one_pass(equations: Equations, x: Array, z: tuple[Simulated, ...]) -> Pass:
-        W_and_Y = equations.along(x, z)
+        W_and_Y = equations.along(z)
         try:
-            estimate = step(W_and_Y, W_and_Y.Z)
+            estimate = step(W_and_Y)
         except NoFitError as error:
             reasons = [(one.recording, one.reason) for one in z]
             raise NoEstimateError(join_reasons(reasons)) from error
         # C = D R D
         after = covariance_of_all(names, estimate, intervals_of(W_and_Y.system, estimate), ls.full)
         return iv.assess_pass(
-            x,
-            z,
-            estimate,
-            W_and_Y.system,
-            (C, after),
-            tolerance_percent=tolerance_percent,
+            x, z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent
         )
 
-    def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
-        coarse = regular and iv.is_coarse(equations.problem, number, most)
-        # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only
-        # starts the next ones
-        further = terms_of_long(equations, x) if number > 1 or most == 1 else ()
-        asked = x if robot is None else robot, C
-        z = simulate_all(equations, robots, x, asked, coarse=coarse, further=further)
-        if not coarse and robot is None:  # Y(tau(t + L))
-            equations = with_lags_found(equations, x, z, weights)
-        found = one_pass(equations, x, z)
-        return equations, replace(found, number=number, coarse=coarse, robot=robot)
+    def next_pass(equations: Equations) -> tuple[Equations, Pass]:
+        # Z = IDM(q_sim, dq_sim, ddq_sim)
+        asked, further = (x if robot is None else robot, C), terms(equations, x)
+        left = solved if robot is None else None
+        z = simulate_all(equations, robots, x, asked, further=further, before=left)
+        equations, settled = with_lags_found(equations, z, first=not passes)  # Y(tau(t + L))
+        return equations, replace(one_pass(equations, x, z), robot=robot, lags_settled=settled)
 
-    given, first = equations, x
-    ls, passes, regular = ls.without_rows(), list[Pass](), C is None
+    first, solved, terms = x, x, partial(candidates_of, simulated=True)
+    ls, passes = ls.without_rows(), list[Pass]()
     stored = equations.problem.signals.robot.identification
     most = iteration.max_iterations or stored.max_iterations
     tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
-    while (
-        not (passes and passes[-1].is_last and len(passes) > equations.reduced)
-        and len(passes) < most
-    ):
+    while not (passes and passes[-1].is_last) and len(passes) < most:
         say(f"pass {len(passes) + 1}: simulating the robot")
         passes = [one.without_rows() for one in passes]
         try:
-            equations, last = next_pass(equations, len(passes) + 1)
+            equations, last = next_pass(equations)
         except NoEstimateError as error:
             passes = iv.failed(passes, error, [one.signals.recording for one in equations.problems])
             break
-        passes, C = [*passes, last], last.covariance
-        x, robot = iv.next_values(passes, names), None
-    further = partial(terms_of_long, equations)
+        passes, C = [*passes, replace(last, number=len(passes) + 1)], last.covariance
+        solved, x, robot = last.estimate.values_of(names), iv.next_values(passes, names), None
     best = iv.conclude(
-        equations,
-        robots,
-        passes,
-        further,
-        lambda x, z: step(rows := equations.along(x, z), rows.Z),
+        equations, robots, passes, partial(terms, equations), lambda z: step(equations.along(z))
     )
     if why := iv.why_by_reference(equations, passes, best):
-        z = simulate_all(given, robots, first, coarse=True, further=terms_of_long(given, first))
-        found = with_lags_found(given, first, z, weights)
+        further = terms(equations, first)
+        z = simulate_all(equations, robots, first, further=further, before=solved)
+        found, _ = with_lags_found(equations, z, first=False)
         with suppress(NoEstimateError):
             last = one_pass(found, first, z)
             last = replace(last, number=len(passes) + 1, by_reference=why, confirmed_by=z)
@@ -308,17 +265,8 @@ def _solve_by_instruments(
     passes = [one.without_rows() for one in passes]
     if motors:
         equations = equations.with_gains(factors_of(equations, best.estimate.values_of(names)))
-    if motors or equations.load:
-        x = best.estimate.values_of(names)
-        x[equations.unknowns.gains] = 1.0
-        rows = equations.along(best.x, best.z)
-        estimate = (
-            step(rows, rows.Z)
-            if equations.reduced
-            else settle(equations, x, partial(step, Z=rows.Z))[1]
-        )
-        best = replace(best, estimate=estimate, x=x)
-    return equations, ls, passes, best
+        best = replace(best, estimate=step(equations.along(best.z)))
+    return equations, best, ls, passes
 
 
 def _by_measured_motion(equations: Equations, x: Array, *, settled: bool, essential: bool) -> Fit:
@@ -327,8 +275,9 @@ def _by_measured_motion(equations: Equations, x: Array, *, settled: bool, essent
     """
     equations = equations.with_gains(factors_of(equations, x))
     x[equations.unknowns.gains] = 1.0
-    rows, Z = equations.about(x), measured_instruments(equations, x)
-    estimate = instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
+    each = measured_rows(equations, x, candidates_of(equations, x))
+    rows = equations.stacked(each)
+    estimate = instrumental_variables(rows.system, rows.Z, joint_weights_of(rows.system, x))
     estimate = equations.combined(rows.system, estimate)
     fixed, full = least_squares(equations.with_motors(()))
     ls = solve_least_squares(
@@ -339,19 +288,12 @@ def _by_measured_motion(equations: Equations, x: Array, *, settled: bool, essent
     )
     solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))
     evidence = replace(
-        evidence_of(equations, "iv", solved, replace(rows, Z=Z)),
+        evidence_of(equations, "iv", solved, each),
         fixed_point=settled,
         unconfirmed=f"drive gains by the measured motion: no robot is simulated {without}",
     )
     solved = replace(solved, intervals=evidence.intervals)
     return replace(fit_of(equations, evidence, solved), least_squares=ls.of_base())
-
-
-def terms_of_long(equations: Equations, x: Array) -> tuple[Term, ...]:
-    """What the rows of long recordings have beside the equations about x; nothing
-    for rows that are held.
-    """
-    return candidates_of(equations, x, simulated=True) if equations.reduced else ()
 
 
 def solve_least_squares(

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import Array
-from ..errors import NoFitError
+from ..errors import BadInputError, NoFitError
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, intervals_of
 from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
-from ..regression import Problem, Term
+from ..regression import Term
 from ..report import DirectModelResidual, Status
-from ..simulation import Simulated
+from ..simulation import Simulated, controller_of
 from ..trust import covariance_of_all
 from .equations import Equations, Robots, simulate_all
 from .fit import LeastSquares, Pass, join_reasons
@@ -36,12 +36,16 @@ class Iteration:
     those of the regular start, 1 kg m² (or kg) by default.
     """
 
-    start: str = "regular"
+    start: str = "ls"
     tolerance_percent: float | None = None
     max_iterations: int | None = None
     values: Callable[[BaseParameters], Array] | None = None
     inertias: Array | None = None
     gain_update: bool = True
+
+    def __post_init__(self) -> None:
+        if self.inertias is not None and self.start != "regular":
+            raise BadInputError(key="start", value=self.start, expected="regular, for inertias")
 
 
 def start_values(
@@ -68,16 +72,6 @@ def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
     return 0.5 * (beta + passes[-1].x) if len(passes) >= MAX_FULL_STEPS else beta
 
 
-def is_coarse(problem: Problem, number: int, most: int) -> bool:
-    """Whether a pass from a regular start is coarse: the first, and the second if no
-    controller is described.
-
-    Their estimates only start later passes. A described controller sets its own steps, so less time
-    is saved. The last of the `most` passes is never coarse.
-    """
-    return number <= min(1 if problem.signals.robot.controller.structure else 2, most - 1)
-
-
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
 def assess_pass(
     x: Array,
@@ -97,7 +91,7 @@ def assess_pass(
     tolerance = 0.01 * tolerance_percent
     old = np.array([x[system.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
-    w = estimate.weights[system.joint_of_row] * system.used
+    w = estimate.weights[system.joint_of_row]
     norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x)))
     norm_change = abs(estimate.residual_norm - norm_before)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -149,7 +143,7 @@ def conclude(
     robots: Robots,
     passes: Sequence[Pass],
     further: Callable[[Array], Sequence[Term]],
-    solve: Callable[[Array, Sequence[Simulated]], Estimate],
+    solve: Callable[[Sequence[Simulated]], Estimate],
 ) -> Pass:
     """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks
     best at its worst joint.
@@ -171,8 +165,8 @@ def conclude(
     if best is last and last.failure is None:
         return replace(last, confirmed_by=after)
     x, asked = best.x, (best.x if best.robot is None else best.robot, best.asked)
-    z = simulate_all(equations, robots, x, asked, coarse=best.coarse, further=further(x))
-    estimate = solve(x, z)
+    z = simulate_all(equations, robots, x, asked, further=further(x))
+    estimate = solve(z)
     if best is not last:
         after = simulated(estimate, best.covariance)
     return replace(best, z=z, estimate=estimate, confirmed_by=after)
@@ -230,11 +224,11 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     the pass are enough, the control law is described, or the reference is not recorded.
     """
     if any(
-        problem.signals.q_ref is None or one.controller == "described"
-        for problem, one in zip(equations.problems, best.z, strict=True)
+        problem.signals.q_ref is None or controller_of(problem)[1] == "described"
+        for problem in equations.problems
     ):
         return None
-    system = equations.along(best.x, best.z).system
+    system = equations.along(best.z).system
     status, why = status_of(equations, passes, best, tests_of(system, best.estimate))
     return (
         None

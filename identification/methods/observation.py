@@ -16,7 +16,15 @@ from ..estimation import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from ..regression import FilteredMotion, KnownLag, Overrides, Problem, Rows, Settings, law_of
+from ..regression import (
+    MAX_CACHED_NUMBERS,
+    FilteredMotion,
+    KnownLag,
+    Overrides,
+    Problem,
+    Settings,
+    law_of,
+)
 from ..report import Method
 from ..trust import TrustLine, law_line
 from .fit import LeastSquares
@@ -25,7 +33,7 @@ Say = Callable[[str], None]
 # the line of its control law, and the lag of the torque by it
 Replayed = tuple[TrustLine, KnownLag | None]
 # a recording, without samples where it is one of several long ones
-Observed = tuple[Problem, Rows, Replayed]
+Observed = tuple[Problem, Replayed]
 
 SPAN_S = 180.0  # of a long recording, for tests that need rows
 NAME = "position noise"
@@ -38,62 +46,49 @@ ADVICE = "use --method iv (needs a recorded reference)"
 
 @one_thread
 def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Observed:
-    """`observation_of` as a task."""
+    """`observation_of` as a task; without samples if there are more than `most` numbers."""
     signals = source.load() if isinstance(source, RecordingFile) else source
-    return observation_of(regression.make_problem(signals, overrides), most)
+    problem, replayed = observation_of(regression.make_problem(signals, overrides))
+    return problem.without_samples() if signals.q.size > most else problem, replayed
 
 
-def observation_of(problem: Problem, most: float | None, say: Say = lambda text: None) -> Observed:
-    """The rows of a recording, and its control law; `most` as of `rows_of_recording`."""
+def observation_of(problem: Problem) -> Observed:
+    """A recording and its control law."""
     problem = problem if problem.law is not None else replace(problem, law=law_of(problem))
-    rows, replayed = regression.rows_of_recording(problem, say, most=most), law_line(problem)
-    return (
-        problem.without_samples() if most is not None and rows.reduced else problem,
-        rows,
-        replayed,
-    )
+    return problem, law_line(problem)
 
 
-def observe_all(given: Recordings, overrides: Sequence[Overrides], most: float) -> list[Observed]:
+def observe_all(given: Recordings, overrides: Sequence[Overrides]) -> list[Observed]:
     """`observe` of each of `given`, with its overrides."""
-    tasks = zip(given.sources, overrides, [most] * len(given.sources), strict=True)
-    return list(given.work.run(observe, list(tasks)))
+    most = [MAX_CACHED_NUMBERS / len(given.sources)] * len(given.sources)
+    return list(given.work.run(observe, list(zip(given.sources, overrides, most, strict=True))))
 
 
 def with_common_rate(
     given: Recordings, found: list[Observed], overrides: Overrides
 ) -> list[Observed]:
-    """The same with common cut-off and rate of rows, all reduced or none; only those that
-    change are built again.
-    """
-    settings = [problem.settings for problem, _, _ in found]
-    rates = [problem.signals.sample_rate_hz for problem, _, _ in found]
+    """The same with common cut-off and rate of rows; only those that change are read again."""
+    settings = [problem.settings for problem, _ in found]
+    rates = [problem.signals.sample_rate_hz for problem, _ in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
-    most = (
-        regression.REDUCED
-        if any(rows.reduced for _, rows, _ in found)
-        else regression.most_numbers(len(found))
-    )
     again = []
     for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
         decimation = max(1, round(fs / row_hz))
-        reduced = found[k][1].reduced or most != regression.REDUCED
-        if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation) or not reduced:
+        if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation):
             again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
     if again:
         some = replace(given, sources=tuple(given.sources[k] for k, _ in again))
-        for (k, _), one in zip(again, observe_all(some, [o for _, o in again], most), strict=True):
+        for (k, _), one in zip(again, observe_all(some, [o for _, o in again]), strict=True):
             found[k] = one
     return found
 
 
 @one_thread
-def rows_at(problem: Problem, overrides: Overrides, most: float) -> tuple[Settings, Rows]:
-    """Settings and rows of a recording with other overrides."""
+def settings_at(problem: Problem, overrides: Overrides) -> Settings:
+    """Settings of a recording with other overrides."""
     problem = problem.with_samples()
-    settings = regression.make_settings(problem.signals, overrides, problem.motion)
-    return settings, regression.rows_of_recording(replace(problem, settings=settings), most=most)
+    return regression.make_settings(problem.signals, overrides, problem.motion)
 
 
 def position_noise_line(
@@ -208,7 +203,7 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
 
 def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
     """Least squares of the recording with the parameters of `ls`, without load friction."""
-    system = regression.rows_of_recording(problem, most=regression.HELD).system
+    system = regression.rows_of_recording(problem).system
     asked = set(map(regression.base_name, ls.estimate.names))
     columns = np.array(
         [k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()]

@@ -22,9 +22,9 @@ from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     System,
-    condensed,
     instrumental_variables,
     intervals_of,
+    r_factor,
     weighted_least_squares,
 )
 from ..model import SHAPES
@@ -50,7 +50,7 @@ def least_squares(
         system = equations.about().system
         return equations, equations.combined(system, solve(system))
     others = np.setdiff1d(np.arange(len(equations.names)), equations.load_places())
-    x = solve(condensed(equations.about().system.with_columns(others))).values_of(equations.names)
+    x = solve(equations.about().system.with_columns(others)).values_of(equations.names)
     equations, x = leave_out_load(equations, x, solve)
     return equations, settle(
         equations, x, lambda now: equations.combined(now.system, solve(now.system))
@@ -156,10 +156,9 @@ def independent_norm(system: System, names: Collection[str]) -> dict[str, float]
     """
     if not names:
         return {}
-    system = condensed(system)
     norms = np.linalg.norm(system.W, axis=0)
     seen = norms > 1e-12 * norms.max()
-    _, singular, Vt = np.linalg.svd(np.linalg.qr(system.W[:, seen] / norms[seen], mode="r"))
+    _, singular, Vt = np.linalg.svd(r_factor(system.W[:, seen] / norms[seen]))
     # Row i of the inverse is normal to all other columns; 1 over its length is
     # the share of column i.
     left = 1.0 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
@@ -179,12 +178,10 @@ def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
     stand = (equations.about().share[equations.about().counts] < 1).any()
     if not stand or equations.overrides.ramp_rows is not None:
         return equations
-    span = equations.beginning()
-    tried = {ramp: span.with_ramps(ramp) for ramp in (LONG, SHORT)}
-    if any(
-        min(sample_weights(problem.with_samples()).ramps) < LONG for problem in tried[LONG].problems
-    ):
-        tried[ROWS] = span.with_ramps(ROWS)
+    tried = {ramp: equations.with_ramps(ramp) for ramp in (LONG, SHORT)}
+    longest = [sample_weights(one.with_samples()) for one in tried[LONG].with_sources()]
+    if any(min(weights.ramps) < LONG for weights in longest):
+        tried[ROWS] = equations.with_ramps(ROWS)
     found: dict[float, dict[str, float]] = {}
     # a joint that the reference holds has no instruments along it
     for by_instruments in (instruments, False):
@@ -201,11 +198,10 @@ def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
         ):
             best = ramp
     if best is None:
-        best = next(
-            (ramp for ramp in OTHERS if _half_widths(span.with_ramps(ramp), instruments=False)),
-            LONG,
-        )
-    return tried[best] if span is equations and best in tried else equations.with_ramps(best)
+        others = {ramp: equations.with_ramps(ramp) for ramp in OTHERS}
+        tried |= others
+        best = next((x for x in OTHERS if _half_widths(others[x], instruments=False)), LONG)
+    return tried[best]
 
 
 def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]:
@@ -217,9 +213,12 @@ def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]
         estimate = weighted_least_squares(system.with_columns(columns))
         if instruments:
             beta = estimate.values_of(system.names)
-            z = simulate_all(equations, robots_in(equations, beta), beta, coarse=True)
-            Z = equations.along(beta, z).Z[:, columns]
-            estimate = instrumental_variables(system.with_columns(columns), Z, estimate.weights)
+            z = simulate_all(equations, robots_in(equations, beta), beta)
+            rows = equations.along(z)
+            system = rows.system
+            estimate = instrumental_variables(
+                system.with_columns(columns), rows.Z[:, columns], estimate.weights
+            )
         half = intervals_of(system.with_columns(columns), estimate).half
         return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}
     return {}

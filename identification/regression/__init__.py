@@ -2,21 +2,13 @@
 
 from .bandwidth import with_bandwidth
 from .equations import (
-    HELD,
-    REDUCED,
     Rows,
     Term,
-    columns_of_block,
-    load_columns,
-    most_numbers,
-    predicted_drives,
     predicted_torque,
-    rows_again,
-    rows_of_factors,
+    rows_by_measured_motion,
     rows_of_recording,
     torque_of_drives,
     torque_of_recording,
-    with_torque,
 )
 from .filtering import Decimation, forward_backward_3db_hz, lowpass_reach
 from .law import Law, described_gains, law_of
@@ -33,7 +25,15 @@ from .motion import (
     smooth,
 )
 from .payload import payload_of
-from .problem import MotionBlock, Problem, RowBlock, make_problem, motion_of_block, row_blocks
+from .problem import (
+    MAX_CACHED_NUMBERS,
+    MotionBlock,
+    Problem,
+    RowBlock,
+    make_problem,
+    motion_of_block,
+    row_blocks,
+)
 from .settings import (
     NOTHING,
     RAMPS,
@@ -49,7 +49,6 @@ from .settings import (
     standing_joints,
 )
 from .states import (
-    LAG_ORDER,
     fast_for_lag,
     friction_states,
     recorded_power,

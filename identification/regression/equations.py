@@ -2,62 +2,63 @@
 weighted and decimated alike.
 
 Rows are stacked by joint. The columns are asked of any motion in the same way: W and Y along the
-measured motion, Z along that of the simulated robot. A long recording has QR factors of the rows of
-each span of time, with the same products of columns: whatever is a sum of its columns, such as W P,
-may be taken afterwards.
+measured motion, Z along that of the simulated robot. Where a span of time has more rows than
+columns it has their QR factor, with the same products of columns: whatever is a sum of its columns,
+such as W P, may be taken afterwards.
 """
 
-import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import SPANS, SpanFactors, Spans, System, one_thread
+from ..estimation import System, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
-from .load import LoadFriction, load_friction
-from .motion import Motion, smooth
+from .lag_rows import LagCollector
+from .load import load_friction
+from .motion import Motion, differentiate, smooth
 from .problem import MotionBlock, Problem, motion_blocks, motion_of_block, row_blocks
-from .weights import refuse_standing_joints, sample_weights, weighted, weights_at
+from .spans import SpanRows
+from .states import fast_for_lag
+from .weights import sample_weights, weights_at
 
-_MAX_NUMBERS = 4_000_000  # of W in rows; above, its spans are reduced to their QR factors
-_MAX_NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
-REDUCED, HELD = 0.0, math.inf  # most numbers of a recording: always reduced, or never
 MAX_BLOCKS_KEPT = 8  # whose torque by the last parameters is kept
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
-    """The rows of a recording, and the measurements at their instants.
+    """The rows of a recording, and the measurements at its decimated instants.
 
     Attributes:
         system: weighted W and Y.
         E: (r, n) weighted torque at the joints of each motor by its described gain; (r, 0)
             where no gain needs it.
-        C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for.
-        Z: (r, b + n) instruments in the rows of a long recording, those of E last; (r, 0) else.
+        C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for;
+            `fast`: (r,) which rows of them show a lag.
+        Z: (r, b + n + 1) instruments: of W, of E, and of the lag; (r, 0) for none.
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
-        tau: (T, n) decimated torques, not weighted; never reduced.
-        speed: (T, n) joint speeds at the same instants.
+        tau: (T, n) decimated torques, not weighted.
+        speed: (T, n) joint speeds.
+        torque_lag_s, gains: of the torques, as of `Problem`.
+        late: those of the lag along a simulated motion, and their instruments (r, b + 1).
     """
 
     system: System
     E: Array
     C: Array
+    fast: NDArray[np.bool_]
     Z: Array
     share: Array
     tau: Array
     speed: Array
-
-    @property
-    def reduced(self) -> bool:
-        """Whether rows are QR factors of spans rather than samples."""
-        return self.system.spans[0].count < self.system.spans[0].instants
+    torque_lag_s: float
+    gains: Array | None = None
+    late: tuple[System, Array] | None = None
 
     @property
     def parts(self) -> tuple[int, ...]:
@@ -69,110 +70,102 @@ class Rows:
         """(T, n) whether a decimated sample counts."""
         return self.share > 0
 
-    def residual(self, x: Array, weights: Array) -> Array:
-        """Residual Y - J x (T, n), times `weights` (n,), for rows that are not reduced; 0
-        where rows do not count.
-        """
-        J, Y = self.system.weighted(weights)
-        return np.asarray((Y - J @ x).reshape(len(weights), -1).T)
-
-    def about(self, beta: Array, load: LoadFriction, columns: Array) -> "Rows":
-        """The same about beta (b,), by the columns (2, k, T) of load friction; for
-        rows that are not reduced.
-        """
-        n, W, Y = self.tau.shape[1], self.system.W.copy(), self.system.Y.copy()
-        load.linearise(
-            W.reshape(n, -1, len(beta)).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta
-        )
-        return replace(self, system=replace(self.system, W=W, Y=Y))
-
     def without(self, names: Collection[str]) -> "Rows":
         """The same without the columns of parameters."""
         stay = np.flatnonzero([name not in names for name in self.system.names])
         return replace(self, system=self.system.with_columns(stay))
 
 
-def most_numbers(recordings: int) -> float:
-    """Numbers of W that each of several recordings may hold in rows."""
-    return min(_MAX_NUMBERS, _MAX_NUMBERS_OF_ALL // recordings)
-
-
 class Term(Protocol):
     """What is asked for its columns along a motion of a recording."""
+
+    @property
+    def sliding(self) -> Array:
+        """(c,) largest speeds along the directions of Coulomb friction."""
 
     def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
         """(n, k, rows), weighted and decimated."""
 
 
+@one_thread
 def rows_of_recording(
     problem: Problem,
-    say: Callable[[str], None] = lambda text: None,
-    *,
-    most: float | None = None,
     beta: Array | None = None,
     further: Term | None = None,
+    along: Iterable[MotionBlock] | None = None,
+    before: Array | None = None,
 ) -> Rows:
-    """The rows of a recording, by blocks: the undecimated W is never whole in memory.
+    """The rows [C Z W E Y] of a recording, block by block: W is never whole in memory.
 
     Columns of load friction are zero, or W and Y are linearised about the parameters `beta` (b,),
-    as in `load`. Rows of more than `most` numbers are reduced; those of several recordings have a
-    share each, and may leave a joint standing. `further` columns are C.
+    as in `load`. `further` columns are C, and Z the columns `along` another motion, given by block.
+    The rows of the lag along it are whitened by the residuals of the parameters `before` (b,).
     """
-    blocks, of_rows = list[tuple[Array, ...]](), sample_weights(problem).of_rows
-    if most is None:  # else another recording may move the joint
-        s, names = problem.signals, tuple(joint.name for joint in problem.signals.robot.joints)
-        refuse_standing_joints(of_rows, names, s.recording, s.robot.bandwidth_hz, s.unmeasured)
-        most = most_numbers(1)
-    (T, n), b = of_rows.shape, problem.base.b
-    factors = SpanFactors(T, n, min(SPANS, -(-T // 2))) if T * n * b > most else None
-    for at in row_blocks(problem):
+    problem = problem.with_samples()
+    settings, share, blocks = problem.settings, sample_weights(problem).of_rows, row_blocks(problem)
+    collected, parts, (k, m) = SpanRows(*share.shape), list[tuple[Array, ...]](), (0, 0)
+    lag = None
+    if before is not None:
+        tau, predicted, speed = torque_of_recording(problem, before)
+        lag = LagCollector(problem, share, share * (tau - predicted), speed)
+    b, about = problem.base.b, np.zeros(problem.base.b) if beta is None else beta
+    motions: Iterable[MotionBlock | None] = along or [None] * len(blocks)
+    for at, z in zip(blocks, motions, strict=True):
         motion = motion_of_block(problem, at)
-        columns = columns_of_block(problem, motion, beta)
+        A = columns_of_block(problem, motion, beta)
+        Z, C, fast = A[:, :0], A[:, :0], None
+        if z is not None:
+            Z = instruments_of_block(problem, z, about)
+            if lag is not None:
+                W, L, r = A[:, :b], Z[:, -1:], A[:, -1:] - about @ A[:, None, :b]
+                lag.add(np.concatenate([Z[:, :b], L, W, L, r], axis=1), z)
         if further is not None:
-            more = further.columns(problem, motion, problem.settings.decimator)[..., at.inside]
-            columns = np.concatenate([more, columns], axis=1)
-        tau = problem.settings.decimator.filtered(motion.tau.T)[:, at.inside]
-        speed = problem.settings.decimator.kept(motion.dq)[at.inside].T
-        if factors:
-            factors.add(at.first, columns, of_rows[at.first : at.last])
-        blocks.append((tau, speed) if factors else (tau, speed, columns))
-        say(f"regressor: {at.last / T:.0%}")
-    tau, speed, *held = (np.concatenate(x, axis=-1) for x in zip(*blocks, strict=True))
-    if factors:
-        rows = rows_of_factors(problem, factors)
-    else:
-        followed = {
-            "joint_of_row": np.repeat(np.arange(n), T),
-            "share": of_rows.T.reshape(-1),
-            "rows": (of_rows**2).sum(axis=0),
-            "spans": (Spans(instants=T, count=T),),
-        }
-        rows = _split(problem, held[0].transpose(0, 2, 1).reshape(n * T, -1), followed)
-    return replace(rows, share=of_rows, tau=tau.T, speed=np.ascontiguousarray(speed.T))
-
-
-def rows_of_factors(problem: Problem, factors: SpanFactors, instruments: int = 0) -> Rows:
-    """Rows [C Z W E Y] of a long recording with so many columns of instruments, without the
-    measurements at its instants.
-    """
-    return _split(problem, *factors.rows(), instruments)
-
-
-def _split(problem: Problem, rows: Array, followed: dict[str, Any], instruments: int = 0) -> Rows:
-    b, m = problem.base.b, problem.signals.robot.n * problem.needs_drives
-    k = rows.shape[1] - instruments - b - m - 1
-    edges = np.cumsum([k, instruments, b, m])
+            other = motion if z is None else z
+            C = further.columns(problem, other, other.decimation)[..., at.inside]
+            fast = fast_for_lag(problem, other, other.decimation, further.sliding)[:, at.inside]
+        k, m = C.shape[1], Z.shape[1]
+        A = np.concatenate([C, Z, A], axis=1)
+        collected.add(at.first, A, share[at.first : at.last], fast)
+        tau, speed = motion.filtered(motion.tau.T).T, settings.decimator.kept(motion.dq)[at.inside]
+        parts.append((tau, speed))
+    tau, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
+    rows, fast_rows, followed = collected.rows()
+    edges = np.cumsum([k, m, problem.base.b, problem.signals.robot.n * problem.needs_drives])
     C, Z, W, E, Y = (np.ascontiguousarray(part) for part in np.split(rows, edges, axis=1))
-    system, none = System(W=W, Y=Y[:, 0], names=problem.base.names, **followed), np.zeros((0, 0))
-    return Rows(system=system, E=E, C=C, Z=Z, share=none, tau=none, speed=none)
+    return Rows(
+        system=System(W=W, Y=Y[:, 0], names=problem.base.names, **followed),
+        E=E,
+        C=C,
+        fast=fast_rows,
+        Z=Z,
+        share=share,
+        tau=tau,
+        speed=speed,
+        torque_lag_s=settings.torque_lag_s,
+        gains=problem.gains,
+        late=None if lag is None else lag.rows(problem.base.names),
+    )
 
 
 @one_thread
-def rows_again(
-    problem: Problem, most: float, beta: Array | None = None, further: Term | None = None
-) -> Rows:
-    """`rows_of_recording` as a task."""
-    return rows_of_recording(problem.with_samples(), most=most, beta=beta, further=further)
+def rows_by_measured_motion(problem: Problem, beta: Array, further: Term | None = None) -> Rows:
+    """The rows about beta (b,) with instruments of the measured motion: those of the drives are
+    the torques that beta predicts, as the recorded ones are noisy.
+    """
+    problem = problem.with_samples()
+    return rows_of_recording(problem, beta, further, (x for x, _ in motion_blocks(problem)))
+
+
+def instruments_of_block(problem: Problem, z: MotionBlock, beta: Array) -> Array:
+    """The columns [W E L] (n, b + m + 1, rows) about beta (b,) along a block of a motion, E of the
+    torque that beta predicts: L, of the lag, is minus the rate of the motion's torque.
+    """
+    x = z
+    if problem.needs_drives:
+        x = replace(z, tau=predicted_torque(z, problem.model, problem.base, beta))
+    found, rate = columns_of_block(problem, x, beta), differentiate(z.tau, 1 / z.step_s)
+    found[:, -1] = -z.filtered(weights_at(problem, z.t_s) * rate.T)  # in place of Y
+    return found
 
 
 @one_thread
@@ -189,8 +182,9 @@ def torque_of_recording(problem: Problem, *betas: Array) -> tuple[Array, Array, 
         problem.settings.decimator,
     )
     rows, fs = decimation.rows(settings.stop - settings.start), problem.signals.sample_rate_hz
+    # as spans of time end
     edges = settings.stop - settings.decimation * (
-        rows - np.linspace(0, rows, len(betas) + 1).round().astype(int)
+        rows + -np.arange(len(betas) + 1) * rows // len(betas)
     )
     for motion, inside in motion_blocks(problem):
         cuts = [
@@ -211,34 +205,6 @@ def torque_of_recording(problem: Problem, *betas: Array) -> tuple[Array, Array, 
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
 
 
-@one_thread
-def with_torque(problem: Problem, rows: Rows) -> Rows:
-    """The rows of a recording, columns of load friction zero, with the torque of `problem`,
-    of another lag or gains.
-    """
-    problem = problem.with_samples()
-    if rows.reduced:
-        return rows_of_recording(problem, most=REDUCED)
-    settings, n = problem.settings, problem.signals.robot.n
-    t_s = np.arange(settings.start, settings.stop) / problem.signals.sample_rate_hz
-    # Contiguous in time by joint: sums round otherwise along a column of a file than along
-    # one of another process.
-    torque = np.ascontiguousarray(problem.signals.torque[settings.start : settings.stop].T).T
-    Y, tau = (
-        weighted(problem, t_s, torque, settings.decimator),
-        settings.decimator.filtered(torque.T),
-    )
-    E = rows.E
-    if problem.needs_drives:
-        E = torque_of_drives(problem, t_s, torque, settings.decimator).transpose(0, 2, 1)
-    return replace(
-        rows,
-        tau=tau.T,
-        E=E.reshape(n * len(rows.tau), -1),
-        system=replace(rows.system, Y=Y.reshape(-1)),
-    )
-
-
 def torque_of_drives(problem: Problem, t_s: Array, torque: Array, decimation: Decimation) -> Array:
     """Torques (n, n, rows) at the joints of each motor, weighted and decimated, of the `torque` (K,
     n) at joints, which has the known one, at samples of the recording at `t_s` (K,).
@@ -252,21 +218,6 @@ def torque_of_drives(problem: Problem, t_s: Array, torque: Array, decimation: De
     for m, j in np.argwhere(R):
         found[j, m] = decimation.filtered(R[m, j] * w[j] * of_motors[m])
     return found
-
-
-@one_thread
-def predicted_drives(problem: Problem, beta: Array) -> Array:
-    """`torque_of_drives` (r, n) that beta (b,) predicts along the measured motion; for
-    rows that are not reduced.
-    """
-    problem, parts = problem.with_samples(), list[Array]()
-    for motion, inside in motion_blocks(problem):
-        torque = torque_of_model(problem, motion, beta)
-        parts.append(
-            torque_of_drives(problem, motion.t_s, torque, problem.settings.decimator)[..., inside]
-        )
-    E = np.concatenate(parts, axis=2)
-    return np.ascontiguousarray(E.transpose(0, 2, 1)).reshape(-1, E.shape[1])
 
 
 def torque_of_model(problem: Problem, motion: Motion, beta: Array) -> Array:
@@ -290,16 +241,6 @@ def predicted_torque(
     model = direct_model(dynamics, base.standard_parameters(beta))
     rigid = smooth(model.torques_of_links, motion, stride)
     return model.torque(motion.q, motion.dq, motion.ddq, rigid=rigid)
-
-
-@one_thread
-def load_columns(problem: Problem, load: LoadFriction, beta: Array) -> Array:
-    """`LoadFriction.columns` (2, k, rows) of a recording."""
-    problem, parts = problem.with_samples(), list[Array]()
-    for motion, inside in motion_blocks(problem):
-        w, x = weights_at(problem, motion.t_s), (motion.q, motion.dq, motion.ddq)
-        parts.append(load.columns(*x, w, beta, problem.settings.decimator)[..., inside])
-    return np.concatenate(parts, axis=-1)
 
 
 def _decimated(

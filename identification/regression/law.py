@@ -25,7 +25,7 @@ from acquisition.robot import Controller
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import System, intervals, ordinary_least_squares
+from ..estimation import System, intervals_of, ordinary_least_squares
 from .motor_paths import MAX_RESIDUAL_PERCENT, LawSolution, MotorPaths, motor_paths, scaled_solution
 from .settings import KnownLag
 
@@ -119,7 +119,7 @@ def law_of(problem: "Problem") -> Law | None:
     motor's residual is small and its gains are positive, and if the structure is clearly better at
     some motor than all that it is no part of, while none that contains it is.
     """
-    signals, controller = problem.recorded, problem.recorded.robot.controller
+    signals, controller = problem.signals, problem.signals.robot.controller
     described = "pd" if controller.structure == "cascade_p_p" else controller.structure
     if signals.q_ref is None or described == "computed_torque":
         return None
@@ -134,8 +134,8 @@ def _told(
     problem: "Problem", motors: list[MotorPaths], rate_hz: float, described: str | None
 ) -> Law:
     signals, controller, known = (
-        problem.recorded,
-        problem.recorded.robot.controller,
+        problem.signals,
+        problem.signals.robot.controller,
         problem.settings.known_lag,
     )
     period_s = 1 / (controller.sample_rate_hz or signals.sample_rate_hz)
@@ -283,11 +283,13 @@ def _values(
     names = tuple(map(str, range(one.J.shape[1])))
     unit = np.array([1.0, 1 / rate_hz, 1.0 if "q" in letters else rate_hz])
     with suppress(NoFitError):
-        free = ordinary_least_squares(System.whole(one.J, one.rho, rows, names))
-        sd_L = 1 / math.hypot(1 / intervals(free, one.rho, 1).sigma[-1], 1 / max(known.sd_s, 1e-9))
+        whole = System.whole(one.J, one.rho, rows, names)
+        free = ordinary_least_squares(whole)
+        sd_L = 1 / math.hypot(1 / intervals_of(whole, free).sigma[-1], 1 / max(known.sd_s, 1e-9))
         sd_L = math.hypot(sd_L, LEAST_LAG_SD)
-        held = ordinary_least_squares(System.whole(one.J[:, :-1], one.rho, rows, names[:-1]))
-        within = intervals(held, one.rho, 1)
+        whole = whole.with_columns(np.arange(len(names) - 1))
+        held = ordinary_least_squares(whole)
+        within = intervals_of(whole, held)
         # An unknown lag widens all; an unknown period of the sum of rectangles widens Kp.
         half = within.reach * np.hypot(within.sigma, held.bread @ (held.Q.T @ one.J[:, -1]) * sd_L)
         at = [

@@ -62,15 +62,6 @@ class FilteredMotion:
         # by block: `equations.torque_of_model`
         self.torques: dict[tuple[Any, ...], tuple[bytes, Array]] = {}
 
-    def with_torque_of(self, signals: Signals) -> "FilteredMotion":
-        """The same position, with its filtered versions and weights, and the
-        torque of other signals.
-        """
-        other = FilteredMotion(signals)
-        other._filtered, other.weights, other.torques = self._filtered, self.weights, self.torques
-        other.predicted = self.predicted
-        return other
-
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
         s, q, fs = self._signals, self._signals.q, self._signals.sample_rate_hz

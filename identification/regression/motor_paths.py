@@ -150,7 +150,7 @@ def scaled_solution(A: Array, y: Array) -> Array:
 
 def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
     """The motors of a recording, and the rate of their paths."""
-    s, settings, R = problem.recorded, problem.settings, problem.recorded.robot.R
+    s, settings, R = problem.signals, problem.settings, problem.signals.robot.R
     fs, n_d = s.sample_rate_hz, settings.decimation
     stop, step = (
         min(settings.stop, settings.start + round(MAX_USED_S * fs)),

@@ -1,5 +1,6 @@
 """The input of a fit: a recording, the settings, the model of the robot and its base parameters."""
 
+import math
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.files import release_pages
+from acquisition.robot import Robot
+
 from ..arrays import Array
 from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import BadInputError
@@ -17,7 +21,7 @@ from .bandwidth import with_bandwidth
 from .filtering import Decimation, decimation_reach, nearby
 from .law import Law
 from .load import load_friction
-from .motion import SPLINE_REACH, FilteredMotion, Motion, later
+from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, sampled_at
 from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff_hz
 
 # of positions in the cache of a process: 64 MB, a few times as much in all
@@ -32,16 +36,14 @@ class Problem:
     """The data of an identification, made once per fit.
 
     Attributes:
-        signals: the recording with corrected torque lag; `recorded`: as recorded.
+        signals: the recording, as recorded.
         motion: low-passed motion of the recording.
         source: where a task reads the recording, if the samples are left out.
         law: the control law of its drives, once looked for.
-        gains: (n,) factors on the described drive gains, in `signals`; 1 in `recorded`;
-            None for those described.
+        gains: (n,) factors on the described drive gains; None for those described.
     """
 
     signals: Signals
-    recorded: Signals
     settings: Settings
     model: InverseModel
     base: BaseParameters
@@ -49,6 +51,34 @@ class Problem:
     source: Signals | RecordingFile | None = None
     gains: Array | None = None
     law: Law | None = None
+
+    @property
+    def robot(self) -> Robot:
+        """The robot with its drive gains."""
+        robot = self.signals.robot
+        return (
+            robot if self.gains is None else replace(robot, identified_gain=robot.gain * self.gains)
+        )
+
+    def torque(self, start: int, stop: int) -> Array:
+        """(N, n) torque of the inverse dynamic model at the samples `start` to `stop`."""
+        drives, known = self.drives(start, stop), self.signals.known_torque
+        return drives if known is None else drives + known[start:stop]
+
+    def drives(self, start: int, stop: int) -> Array:
+        """(N, n) torque of the drives at the samples `start` to `stop`, by their gains; it is
+        recorded a lag later.
+        """
+        s, by = self.signals, self.settings.torque_lag_s * self.signals.sample_rate_hz
+        low = max(0, math.floor(start + by) - SPLINE_REACH)
+        high = min(len(s.effort), math.ceil(stop + by) + SPLINE_REACH)
+        tau, R = s.torque[low:high], s.robot.R
+        if s.known_torque is not None:
+            tau = tau - s.known_torque[low:high]
+        tau = sampled_at(np.arange(start - low, stop - low, dtype=np.float64) + by, tau)
+        if len(s.effort) > BLOCK_SAMPLES:
+            release_pages(s.effort)
+        return tau if self.gains is None else np.linalg.solve(R.T, tau.T).T * self.gains @ R
 
     @cached_property
     def series(self) -> int:
@@ -120,7 +150,7 @@ class Problem:
         s = self.signals
         none = {name: x[:0] for name in COLUMNS if (x := getattr(s, name)) is not None}
         signals = replace(s, **none, health={})
-        return replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
+        return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     def with_samples(self) -> "Problem":
         """The same with its samples, read and filtered once per process."""
@@ -128,7 +158,7 @@ class Problem:
             return self
         if isinstance(self.source, Signals):
             return self._of(self.source)
-        key = f"{self.source.key} {self.settings.torque_lag_s} {self.gains}"
+        key = f"{self.source.key} {self.gains is None}"
         if key not in _cache:
             _cache[key] = self._of(self.source.load())
             while (
@@ -138,39 +168,34 @@ class Problem:
                 _cache.popitem(last=False)
         _cache.move_to_end(key)
         found = _cache[key]
-        return replace(self, signals=found.signals, recorded=found.recorded, motion=found.motion)
+        return replace(self, signals=found.signals, motion=found.motion)
 
     def until(self, stop: int) -> "Problem":
         """The beginning of the recording, up to a sample of its span, and some
         seconds more for the filters.
         """
-        whole, N = self.recorded, stop + round(MARGIN_S * self.recorded.sample_rate_hz)
+        whole, N = self.signals, stop + round(MARGIN_S * self.signals.sample_rate_hz)
         cut: dict[str, Any] = {
             name: np.array(x[:N])
             for name in (*COLUMNS, "measured")
             if (x := getattr(whole, name)) is not None
         }
-        recorded = replace(whole, **cut)
-        found = replace(
-            self, signals=recorded, recorded=recorded, source=None, motion=FilteredMotion(recorded)
-        )
-        return replace(found, settings=replace(self.settings, stop=stop)).corrected(
-            self.settings.torque_lag_s
-        )
+        signals, settings = replace(whole, **cut), replace(self.settings, stop=stop)
+        motion = FilteredMotion(signals)
+        return replace(self, signals=signals, source=None, motion=motion, settings=settings)
 
     def _of(self, signals: Signals) -> "Problem":
-        if self.gains is not None:
-            signals = with_gains(signals, np.ones(len(self.gains)))
         # with its bandwidth
         robot = replace(signals.robot, controller=self.signals.robot.controller)
+        if self.gains is not None:
+            robot = replace(robot, identified_gain=robot.gain)
         signals = replace(signals, robot=robot, motion_hz=self.signals.motion_hz)
-        found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
-        return found.corrected(self.settings.torque_lag_s)
+        return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     def with_gains(self, factors: Array) -> "Problem":
         """The same with drive gains times `factors` (n,)."""
         gains = factors if self.gains is None else self.gains * factors
-        return replace(self, gains=gains).corrected(self.settings.torque_lag_s)
+        return replace(self, gains=gains)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
         """The same without friction terms that are regrouped with nothing;
@@ -180,21 +205,8 @@ class Problem:
         return replace(self, base=self.base.without(left_out), settings=settings)
 
     def corrected(self, lag_s: float) -> "Problem":
-        """The same with the torque corrected by another lag, s, positive where it is late."""
-        signals = self.recorded if self.gains is None else with_gains(self.recorded, self.gains)
-        if (by := lag_s * signals.sample_rate_hz) and len(signals.effort):
-            signals = replace(signals, effort=later(signals.effort, by))
-        settings = replace(self.settings, torque_lag_s=lag_s)
-        return replace(
-            self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals)
-        )
-
-
-def with_gains(signals: Signals, factors: Array) -> Signals:
-    """The signals with drive gains times `factors` (n,), by motor; they count as known."""
-    motors = signals.robot.motor_effort(signals.effort)
-    robot = replace(signals.robot, identified_gain=signals.robot.gain * factors)
-    return replace(signals, robot=robot, effort=robot.joint_effort(motors))
+        """The same with another lag of the torque, s, positive where it is late."""
+        return replace(self, settings=replace(self.settings, torque_lag_s=lag_s))
 
 
 _cache: OrderedDict[str, Problem] = OrderedDict()  # of this process, in order of use
@@ -231,13 +243,13 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         if "all" not in overrides.gains:
             _refuse_unknown_motors(signals, overrides.gains)
         gains = np.ones(signals.robot.n)
-        signals = with_gains(signals, gains)
+        robot = replace(signals.robot, identified_gain=signals.robot.gain)
+        signals = replace(signals, robot=robot)
     signals = with_bandwidth(signals)
     motion, model = FilteredMotion(signals), InverseModel(signals.robot)
     settings = make_settings(signals, overrides, motion)
-    problem = Problem(
+    return Problem(
         signals=signals,
-        recorded=signals,
         settings=settings,
         model=model,
         base=base_parameters(model),
@@ -245,7 +257,6 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         gains=gains,
         law=overrides.law,
     )
-    return problem.corrected(settings.torque_lag_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,8 +281,15 @@ class RowBlock:
 
     def samples(self, N: int, factor: int) -> slice:
         """The samples of a series of N, `factor` to a row, from the rows `low` to `high`."""
-        start = 0 if self.low == 0 else N - (self.rows - self.low) * factor
-        return slice(start, N - (self.rows - self.high) * factor)
+        return _samples(self.low, self.high, self.rows, N, factor)
+
+    def own_samples(self, N: int, factor: int) -> slice:
+        """Those of the rows `first` to `last`: blocks share none."""
+        return _samples(self.first, self.last, self.rows, N, factor)
+
+
+def _samples(first: int, last: int, rows: int, N: int, factor: int) -> slice:
+    return slice(0 if first == 0 else N - (rows - first) * factor, N - (rows - last) * factor)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -287,6 +305,15 @@ class MotionBlock(Motion):
     at: RowBlock
     decimation: Decimation
     stride: int = 1
+
+    def filtered(self, x: Array) -> Array:
+        """Return the rows (..., rows) of series x (..., N)."""
+        return self.decimation.filtered(x)[..., self.at.inside]
+
+    @property
+    def step_s(self) -> float:
+        """Return the time from sample to sample, s."""
+        return float(self.t_s[1] - self.t_s[0])
 
     def own(self, x: Array) -> Array:
         """Return the samples of x (N, n) that no other block has."""
@@ -317,15 +344,17 @@ def motion_of_block(problem: Problem, at: RowBlock) -> MotionBlock:
     """The recorded motion, low-passed, of the samples that a block needs."""
     settings, signals = problem.settings, problem.signals
     span = at.samples(settings.stop - settings.start, settings.decimation)
-    x = problem.motion.between(
-        settings.start + span.start, settings.start + span.stop, settings.cutoff_hz
-    )
+    start, stop = (settings.start + k for k in (span.start, span.stop))
+    x = problem.motion.between(start, stop, settings.cutoff_hz)
     # Beside columns that are not strided, such as those of drives, strided ones
     # are not exact enough.
     whole = problem.needs_drives or load_friction(problem.model, problem.base) is not None
     stride = settings.decimator.stride_behind(settings.cutoff_hz, signals.sample_rate_hz)
     return MotionBlock(
-        **vars(x), at=at, decimation=settings.decimator, stride=1 if whole else stride
+        **{**vars(x), "tau": problem.torque(start, stop)},
+        at=at,
+        decimation=settings.decimator,
+        stride=1 if whole else stride,
     )
 
 

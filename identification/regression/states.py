@@ -102,12 +102,16 @@ def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
 def fast_for_lag(
     problem: Problem, motion: Motion, decimation: Decimation, peak: Array
 ) -> NDArray[np.bool_]:
-    """Rows (n, T) in which a lag shows, by the `peak` speeds (c,) along the
+    """Rows (n, T) of a motion in which a lag shows, by the `peak` speeds (c,) along the
     directions of Coulomb friction.
     """
+    return fast_for_lag_by(problem, decimation.kept(motion.dq), peak)
+
+
+def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> NDArray[np.bool_]:
+    """Rows (n, T) in which a lag shows, by their speeds (T, n)."""
     percent = max(MIN_LAG_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
-    fast = fast_rows(decimation.kept(motion.dq), problem.model.coulomb_directions, percent, peak)
-    return _well_before_slow(fast.T)
+    return _well_before_slow(fast_rows(speed, problem.model.coulomb_directions, percent, peak).T)
 
 
 def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -9,17 +9,16 @@ from typing import Literal
 
 import numpy as np
 
-from acquisition.files import release_pages
-
 from .. import regression
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import SpanFactors, one_thread
+from ..estimation import one_thread
 from ..model import nearest_consistent
-from ..regression import MotionBlock, Rows, Term
+from ..regression import MotionBlock, Problem, Rows, Term
 from ..report import DirectModelResidual
 from .simulated_recording import SimulatedRecording
 
+MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
 # base parameters (b,) to simulate, their covariance (b, b), and the share (b,) of a payload in them
 Asked = tuple[Array, Array | None, Array]
@@ -37,13 +36,11 @@ class Simulated:
         reason: why it is not the robot asked; None if it is.
         gains: (n,) factors on the controller's gains.
         prior_known: whether the inertias that these were set for are known.
-        controller: `surrogate` for a PD of the stated bandwidth.
         motion: the motion, None once dropped; of a long recording at the instants of the rows.
         error: (N, n) its position less the measured one.
         percent: |q_sim - q| in percent of |q - mean|, all joints that move, and `by_joint`; None
             and empty if nothing was simulated.
-        Z: (r, b + n) instruments of base parameters and drives, or of a long recording the rows
-            [C Z W E Y] as QR factors by span.
+        rows: about the parameters asked, with instruments along the motion; None once dropped.
     """
 
     recording: str
@@ -51,29 +48,29 @@ class Simulated:
     reason: str | None
     gains: Array
     prior_known: bool
-    controller: Literal["described", "found", "surrogate"]
     motion: MotionBlock | None
     error: Array
     percent: float | None
     by_joint: tuple[DirectModelResidual, ...]
-    Z: Array | Rows
+    rows: Rows | None
 
     def without_rows(self) -> "Simulated":
         """Return the same without arrays of a recording's length."""
-        return replace(self, motion=None, error=self.error[:0], Z=self.error[:0])
+        return replace(self, motion=None, error=self.error[:0], rows=None)
 
 
 @one_thread
 def simulate(
     prepared: Callable[[float], SimulatedRecording],
     rate_per_bandwidth: float,
-    x: Array,
-    asked: Asked | None,
+    problem: Problem,
+    about: tuple[Array, Asked | None],
     further: Term | None = None,
-    columns: Callable[[Array], Array] = np.asarray,
+    before: Array | None = None,
 ) -> Simulated:
-    """Simulate a robot in a recording, and compute instruments about the base parameters x (b,);
-    rows of a long recording have `further` columns C, others the `columns` of these.
+    """Simulate a robot in a recording, and compute the rows of its `problem` about the base
+    parameters x (b,) with instruments; `about` has x and what is asked, `further` and `before` are
+    those of `rows_of_recording`.
 
     The robot is the physically consistent one nearest to what is asked, or without a covariance
     that of the very parameters. If nothing is asked, or the robot leaves its reference, instruments
@@ -83,7 +80,7 @@ def simulate(
     wildly long before its inertia matrix stops being positive, and the iteration then has no fixed
     point.
     """
-    robot, beta = prepared(rate_per_bandwidth), None
+    robot, beta, (x, asked) = prepared(rate_per_bandwidth), None, about
     kind: InstrumentKind = "reference"
     if asked is not None:
         beta, covariance, payload = asked
@@ -91,71 +88,56 @@ def simulate(
             with suppress(NoFitError):
                 of = robot.problem.model, robot.problem.base
                 beta = nearest_consistent(*of, beta - payload, covariance).beta + payload
-    along, gains, reason = robot.motion(beta, x)
+    along, reason = robot.motion(beta, x)
     if asked is not None and reason is None:
-        near = beta is not asked[0]
-        reason = robot.gains(asked[0])[1] if near else None
+        reason = robot.gains(asked[0])[1]
         kind = "simulated" if reason is None else "consistent"
-        if covariance is not None and not near:
+        if reason is None and covariance is not None and beta is asked[0]:
             reason = "no physically consistent robot is near: that of the estimate itself"
-    whole, q, torques, Z = _along(robot, along, x, further)
+    whole, q, torques = _compared(robot, along())
     percent, by_joint = _tracking(robot, (q, whole.q), torques)
     return Simulated(
         recording=robot.problem.signals.recording,
         kind=kind,
         reason=reason,
-        gains=gains,
+        gains=np.ones(len(robot.held)) if beta is None else robot.gains(beta)[0],
         prior_known=robot.prior_known,
-        controller=robot.controller,
         motion=whole,
         error=whole.q - q,
         percent=None if kind == "reference" else percent,
         by_joint=() if kind == "reference" else by_joint,
-        Z=Z if isinstance(Z, Rows) else columns(Z),
+        rows=regression.rows_of_recording(problem, x, further, along(), before),
     )
 
 
-def _along(
-    robot: SimulatedRecording, along: Iterator[MotionBlock], x: Array, further: Term | None
-) -> tuple[MotionBlock, Array, tuple[Array, Array], Array | Rows]:
-    """A motion at the samples that are kept, the measured positions (N, n) there, the torques
-    (T, n) of the rows, measured and of the motion, and Z of `Simulated` about x.
+def _compared(
+    robot: SimulatedRecording, along: Iterator[MotionBlock]
+) -> tuple[MotionBlock, Array, tuple[Array, Array]]:
+    """A motion at the samples that are kept, the measured positions (N, n) there, and the torques
+    (T, n) of the rows, measured and of the motion.
     """
-    problem, settings, effort = robot.problem, robot.problem.settings, robot.problem.signals.effort
-    kept, torques, columns = list[list[Array]](), list[list[Array]](), list[Array]()
-    share = regression.sample_weights(problem).of_rows
-    factors = SpanFactors(len(share), len(robot.held), robot.spans)
+    problem, kept, torques = robot.problem, list[list[Array]](), list[list[Array]]()
+    settings, few = problem.settings, problem.signals.q.size > MAX_SERIES
     for motion in along:
-        at, decimation, tau = motion.at, motion.decimation, motion.tau
+        at, decimation = motion.at, motion.decimation
         q = robot.low_passed(problem.motion, robot.samples(at)).q
-        own = [motion.own(y) for y in (motion.t_s, motion.q, motion.dq, motion.ddq, tau, q)]
+        series = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
+        own = [motion.own(x) for x in series]
         # A long recording keeps only the instants of the rows.
-        kept.append([decimation.kept(y) for y in own] if robot.spans else own)
+        kept.append([decimation.kept(x) for x in own] if few else own)
         used = at.samples(settings.stop - settings.start, settings.decimation)
-        measured = settings.decimator.filtered(effort[settings.start :][used].T)
-        torques.append([y[:, at.inside].T for y in (measured, decimation.filtered(tau.T))])
-        release_pages(effort)
-        if problem.needs_drives:
-            tau = regression.predicted_torque(motion, problem.model, problem.base, x)
-        columns.append(regression.columns_of_block(problem, replace(motion, tau=tau), x)[:, :-1])
-        if robot.spans:
-            Z = [columns.pop()]
-            if further is not None:
-                Z.insert(0, further.columns(problem, motion, decimation)[..., at.inside])
-            Z.append(
-                regression.columns_of_block(problem, regression.motion_of_block(problem, at), x)
-            )
-            factors.add(at.first, np.concatenate(Z, axis=1), share[at.first : at.last])
+        effort = problem.drives(settings.start + used.start, settings.start + used.stop)
+        tau = settings.decimator.filtered(effort.T)
+        of_model = decimation.filtered(motion.tau.T)
+        torques.append([x[:, at.inside].T for x in (tau, of_model)])
     t_s, q, dq, ddq, tau, measured = (np.concatenate(each) for each in zip(*kept, strict=True))
-    decimation = replace(decimation, factor=1) if robot.spans else decimation
-    recorded, of_model = (np.concatenate(each) for each in zip(*torques, strict=True))
-    at = replace(at, first=0, low=0)
+    decimation = replace(decimation, factor=1) if few else decimation
+    at, (recorded, of_model) = (
+        replace(at, first=0, low=0),
+        (np.concatenate(each) for each in zip(*torques, strict=True)),
+    )
     whole = MotionBlock(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau, at=at, decimation=decimation)
-    if robot.spans:
-        rows = regression.rows_of_factors(problem, factors, Z[-2].shape[1])
-        return whole, measured, (recorded, of_model), rows
-    held = np.concatenate(columns, axis=-1).transpose(0, 2, 1)
-    return whole, measured, (recorded, of_model), held.reshape(-1, held.shape[-1])
+    return whole, measured, (recorded, of_model)
 
 
 def _tracking(

@@ -124,7 +124,7 @@ def unstated_limits(problem: Problem) -> list[str]:
 def _motor_efforts(problem: Problem) -> Iterator[Array]:
     """The recorded efforts (K, n) of the motors in the span used, in blocks."""
     # corrected for a lag, an effort overshoots its limit
-    signals, settings = problem.recorded, problem.settings
+    signals, settings = problem.signals, problem.settings
     for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
         yield signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
         release_pages(signals.effort)

@@ -8,7 +8,7 @@ a long recording is on disk.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Literal
 
@@ -43,6 +43,9 @@ FINE = 100.0  # samples and steps per period of the bandwidth, at least
 COARSE = 25.0  # the same in early passes, whose estimate only starts the next ones
 CHUNK = 50_000  # instants of the controller that are simulated at a time
 
+# a motion, block by block, as often as it is asked for
+Along = Callable[[], Iterator[MotionBlock]]
+
 
 def controller_of(
     problem: Problem,
@@ -52,7 +55,7 @@ def controller_of(
 
     Raises `BadInputError` for an incomplete controller.
     """
-    robot, law = problem.signals.robot, problem.law
+    robot, law = problem.robot, problem.law
     loop = described = recorded_loop(robot)
     if loop is None and law is not None and law.reason is None:
         loop = recorded_loop(replace(robot, controller=law.controller(robot.controller)))
@@ -72,7 +75,6 @@ class SimulatedRecording:
 
     Attributes:
         problem: of the recording, with its samples.
-        spans: number of QR factors in place of the rows of a long recording; 0 for rows.
         blocks: of the rows; `decimation` leads from the samples to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
         loop: the control loop; None for a PD of the stated bandwidth.
@@ -91,7 +93,6 @@ class SimulatedRecording:
         rate_per_bandwidth: float = FINE,
         *,
         gain_update: bool = True,
-        spans: int = 0,
     ) -> None:
         """The recorded gains are assumed to suit the inertias of the base parameters `prior` (b,);
         with `gain_update`, equation (E), they follow each estimate's.
@@ -100,9 +101,9 @@ class SimulatedRecording:
         Raises `BadInputError` for an incomplete controller, one whose rate does not fit the
         recording, or a reference of another recording.
         """
-        self.problem, self._gain_update, self.spans = problem.with_samples(), gain_update, spans
+        self.problem, self._gain_update = problem.with_samples(), gain_update
         refuse_foreign_reference(self.problem)
-        signals, settings, robot = self.problem.signals, problem.settings, problem.signals.robot
+        signals, settings, robot = self.problem.signals, problem.settings, problem.robot
         fs, n_d, step_hz = (
             signals.sample_rate_hz,
             settings.decimation,
@@ -115,7 +116,7 @@ class SimulatedRecording:
         self.decimation = replace(settings.decimator, factor=n_d // self.stride)
         self.N = -(-(settings.stop - settings.start) // self.stride)
         self.first = settings.stop - 1 - (self.N - 1) * self.stride
-        self.loop, self.controller = controller_of(self.problem)
+        self.loop, _ = controller_of(self.problem)
         self.period_s = self.loop.period_s if self.loop else self.stride / fs
         self.substeps = max(1, math.ceil(self.period_s * step_hz - 1e-9))
         if self.loop is None:  # a continuous law: it acts at every step
@@ -137,22 +138,17 @@ class SimulatedRecording:
         if not self.prior_known:
             self.prior = self.loop.inertias(robot.bandwidth_hz) if self.loop else np.ones(robot.n)
 
-    def motion(
-        self, beta: Array | None, about: Array
-    ) -> tuple[Iterator[MotionBlock], Array, str | None]:
-        """Simulate the robot of base parameters beta (b,), and return its motion, block by
-        block, with the torque of its drives.
+    def motion(self, beta: Array | None, about: Array) -> tuple[Along, str | None]:
+        """Simulate the robot of base parameters beta (b,), and return its motion, with the torque
+        of its drives.
 
         If beta is None, the robot cannot be simulated or leaves its reference, the motion is that
-        which the reference predicts, with the torque of parameters `about` (b,). Returns also the
-        factors (n,) on the gains, and why beta was not simulated, or None.
+        which the reference predicts, with the torque of parameters `about` (b,). Returns also why
+        beta was not simulated, or None.
         """
-        gains, reason = (None, None) if beta is None else self.gains(beta)
-        path = None
-        if beta is not None and gains is not None and reason is None:
-            path, reason = self._simulated(beta, gains)
-        blocks = (self._block(at, path, about) for at in self.blocks)
-        return blocks, np.ones(len(self.held)) if gains is None else gains, reason
+        path, reason = (None, None) if beta is None else self._simulated(beta)
+        predicted = self.model(about)
+        return lambda: (self._block(at, path, predicted) for at in self.blocks), reason
 
     def gains(self, beta: Array) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of beta (b,), equation
@@ -198,7 +194,8 @@ class SimulatedRecording:
             paths = (sampled_at(at, path) for path in (x.q, x.dq, x.ddq))
             return Reference(*paths, known_torque=known)
         q = np.array(signals.q_ref[near])
-        release_pages(signals.q_ref)
+        if self.instants > CHUNK:
+            release_pages(signals.q_ref)
         dq, feedforward = differentiate(q, fs), None
         # before the span the reference stands
         paths = (sampled_at(at - late_s * fs, x) for x in (q, dq, differentiate(dq, fs)))
@@ -206,14 +203,17 @@ class SimulatedRecording:
             held = np.floor(np.clip(at, 0, len(q) - 1) + 1e-6).astype(np.intp)
             feedforward = signals.feedforward[near][held]
             if self.loop is None:  # a surrogate's output is torque at the joints
-                feedforward = signals.robot.joint_effort(feedforward)
+                feedforward = self.problem.robot.joint_effort(feedforward)
         return Reference(*paths, known_torque=known, feedforward=feedforward)
 
     def _chunks(self) -> Iterator[tuple[int, int]]:
         return ((a, min(self.instants, a + CHUNK)) for a in range(0, self.instants, CHUNK))
 
-    def _simulated(self, beta: Array, gains: Array) -> tuple[Array | None, str | None]:
+    def _simulated(self, beta: Array) -> tuple[Array | None, str | None]:
         """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or None and why."""
+        gains, reason = self.gains(beta)
+        if reason is not None:
+            return None, reason
         hz, rate_hz = self.problem.signals.robot.bandwidth_hz, 1 / self.period_s
         loop = (
             self.loop.scaled(gains)
@@ -233,15 +233,16 @@ class SimulatedRecording:
             if reason is not None:
                 return None, reason
             path[:, first * self.substeps : last * self.substeps] = part
-            release_pages(path)
+            if self.instants > CHUNK:
+                release_pages(path)
         return path, None
 
-    def _block(self, at: RowBlock, path: Array | None, about: Array) -> MotionBlock:
+    def _block(self, at: RowBlock, path: Array | None, predicted: DirectModel) -> MotionBlock:
         """A block of a simulated path, linear between steps, or of the predicted motion."""
         span, problem = self.samples(at), self.problem
         if path is None:
             x = self.low_passed(predicted_motion(problem), span)
-            given = {**vars(x), "tau": self.model(about).torque(x.q, x.dq, x.ddq)}
+            given = {**vars(x), "tau": predicted.torque(x.q, x.dq, x.ddq)}
             return MotionBlock(**given, at=at, decimation=self.decimation)
         k, fs, last = (
             np.arange(span.start, span.stop),
@@ -253,6 +254,7 @@ class SimulatedRecording:
         share, found = (steps - low)[:, None], path[:, low]
         if np.abs(share).max() > 1e-6:
             found += share * (path[:, np.minimum(low + 1, last)] - found)
-        release_pages(path)
+        if self.instants > CHUNK:
+            release_pages(path)
         (q, dq, ddq, tau), t_s = found, (self.first + self.stride * k) / fs
         return MotionBlock(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau, at=at, decimation=self.decimation)

@@ -21,7 +21,7 @@ from ..report import Document, Number, Row, Section, Table, columns, value_form
 CUTOFFS = {"2.5 x bandwidth": 2.5, "10 x bandwidth": 10.0, "none": 0.0}  # times the bandwidth
 DECIMATIONS = (0.5, 2.0)  # times that of the rules
 NOISES = (4e-6, 4e-5, 8e-5)  # of the position, times the travel of the joint that travels least
-STARTS = (0.001, 1000.0)  # inertias of the first pass, kg m² or kg
+STARTS = (0.001, 1000.0)  # inertias of a regular start, kg m² or kg
 # LS and its half-width of the 95 % interval, IV and its half-width
 Values = tuple[float, float, float, float]
 
@@ -31,7 +31,7 @@ class Variant:
     """A fit by the rules in which one thing is `changed`, to the value `to`.
 
     `noise` is white noise, rad or m rms, that is added to the recorded position after the control
-    loop; `start` are the inertias of the first pass, kg m² or kg. Without `gain_update` the
+    loop; `start` are the inertias of a regular start, kg m² or kg. Without `gain_update` the
     simulated robot keeps the recorded gains.
     """
 
@@ -39,7 +39,7 @@ class Variant:
     to: str
     overrides: Overrides = field(default_factory=Overrides)
     noise: float = 0.0
-    start: float = 1.0
+    start: float | None = None
     gain_update: bool = True
 
 
@@ -98,14 +98,12 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     signals = source.load()
     noise = np.random.default_rng(0).standard_normal(signals.q.shape)
     signals = replace(signals, q=signals.q + variant.noise * noise)
+    iteration = Iteration(gain_update=variant.gain_update)
+    if variant.start is not None:
+        inertias = np.full(signals.robot.n, variant.start)
+        iteration = replace(iteration, start="regular", inertias=inertias)
     try:
-        fit = identify_iv(
-            signals,
-            variant.overrides,
-            Iteration(
-                inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update
-            ),
-        )
+        fit = identify_iv(signals, variant.overrides, iteration)
     except RobotIdimError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
@@ -171,8 +169,8 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         "moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest "
         f"of {len(names)} essential "
         "parameters; own: in half-widths of the variant's own interval of the method",
-        "position noise is added to the recording, after the control loop; start: inertias of the "
-        "first pass",
+        "position noise is added to the recording, after the control loop; start: inertias of a "
+        "regular start",
     )
     table = Table(
         columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")),

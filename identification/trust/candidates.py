@@ -94,8 +94,7 @@ class Candidates:
     """Terms that are not in the model of a recording, asked for their columns along any motion.
 
     Attributes:
-        problem: of the recording, without samples; `beta`: (b,) its base parameters, about
-            which the columns are.
+        problem: of the recording; `beta`: (b,) its base parameters, about which the columns are.
         peak, sliding: (n,) and (c,) largest speeds of the joints, and along the
             directions of Coulomb friction.
         simulated: whether the motion has the torque of a simulated robot that
@@ -145,9 +144,23 @@ class Candidates:
         )
         return list(self._torques(self.problem, still, none, 1))
 
+    @cached_property
+    def weighs(self) -> NDArray[np.intp]:
+        """(g,) places of the base parameters of links that weigh."""
+        idm, columns = self.problem.model, self.problem.base.columns
+        q = np.sin(np.outer(np.arange(1, 6), np.arange(1, idm.robot.n + 1)))  # some poses
+        still = idm.regressor(q, 0 * q, 0 * q)[:, :, columns] * idm.of_links[columns]
+        return np.flatnonzero(np.abs(still).max(axis=(0, 1)) > 1e-12 * np.abs(still).max())
+
+    @property
+    def at_rest(self) -> slice:
+        """The columns (g,) of their torques at rest."""
+        first = int(self.places[0].max()) + 1
+        return slice(first, first + len(self.weighs))
+
     def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
-        """(n, k + 1, rows) torque per unit of the terms, weighted, decimated; last the rate of the
-        drives' torque, per s.
+        """(n, k + g + 1, rows) torque per unit of the terms, weighted, decimated; of the links at
+        rest, which changes slowly; and last the rate of the drives' torque, per s.
         """
         w, places, stride = (
             weights_at(problem, motion.t_s),
@@ -157,7 +170,10 @@ class Candidates:
         drives = self._drives(problem, motion, decimation.factor // DRIVES_A_ROW)
         # Near reversals, friction that rises smoothly looks like a lag.
         fast = fast_for_lag(problem, motion, decimation, self.sliding)
-        found = np.zeros((len(w), places.max() + 2, decimation.rows(len(motion.t_s))))
+        found = np.zeros((len(w), self.at_rest.stop + 1, decimation.rows(len(motion.t_s))))
+        q = decimation.kept(motion.q)
+        still = problem.model.regressor(q, 0 * q, 0 * q)[:, :, problem.base.columns[self.weighs]]
+        found[:, self.at_rest] = decimation.filtered(w)[:, None] * still.transpose(1, 2, 0)
         for place, (term, acts, torque) in zip(
             places, self._torques(problem, motion, drives, stride), strict=True
         ):

@@ -123,7 +123,7 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
             # In fast rows only: friction near reversals looks like a lag. And beside the common
             # lag, which its prior holds.
             among = (
-                (C[:, k] != 0) | ~acts[:, k],
+                evidence.observed.fast | ~acts[:, k],
                 rate if term.kind == candidates.CLOCKS else rate[:, :0],
             )
             again = _scored(evidence, [term], C[:, [k]], among).get(0, replace(term, t=0.0))
@@ -186,12 +186,8 @@ def _scored(
     size = np.where(independent, np.einsum("rk,rk->k", z, C), np.inf)
     g = z.T @ rho / size
     with_term = rho[:, None] - g * apart  # and beta solved again
-    n, spans, whole = (
-        evidence.observed.tau.shape[1],
-        evidence.observed.system.spans,
-        max(float(rho @ rho), 1e-300),
-    )
-    sigma = deviations_of_sums(z, with_term, Q, n, spans) / np.abs(size)
+    whole = max(float(rho @ rho), 1e-300)
+    sigma = deviations_of_sums(evidence.observed.system, z, with_term, Q) / np.abs(size)
     counts = np.array([name in evidence.essential for name in evidence.estimate.names])
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = (bread @ (Q.T @ C))[: len(counts)] * g

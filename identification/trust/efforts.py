@@ -63,7 +63,7 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
     """Mistakes, the motor of a sign, and the maps (n, n) of torques at joints and of positions,
     None for that of efforts.
     """
-    robot, one = problem.signals.robot, np.eye(problem.signals.robot.n)
+    robot, one = problem.robot, np.eye(problem.robot.n)
     by_motors, to_motors = robot.R.T * robot.gain, np.linalg.inv(robot.R.T * robot.gain)
     for i, j in combinations(range(robot.n), 2):
         S = one[[j if k == i else i if k == j else k for k in range(robot.n)]]
@@ -91,8 +91,9 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
         s.decimator.filtered(x.T).T / s.decimator.gain
         for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
     ]
-    known = np.zeros_like(signals.q) if signals.known_torque is None else signals.known_torque
-    drives, known = (s.decimator.filtered(x[s.start : s.stop].T) for x in (signals.effort, known))
+    drives = problem.drives(s.start, s.stop)
+    known = problem.torque(s.start, s.stop) - drives
+    drives, known = (s.decimator.filtered(x.T) for x in (drives, known))
     return moved, np.array([np.c_[drives.T, of_joint] for of_joint in known])
 
 

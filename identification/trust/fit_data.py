@@ -1,7 +1,6 @@
 """Inputs of the trust tests."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -15,23 +14,13 @@ from ..estimation import (
     Spans,
     scores_of_recordings,
     spans_of,
-    stacked_columns,
 )
-from ..regression import (
-    Arm,
-    KnownLag,
-    MotionBlock,
-    Problem,
-    Rows,
-    base_places,
-    motion_of_block,
-    row_blocks,
-)
+from ..regression import Arm, KnownLag, Problem, Rows, base_places
 from ..report import Method
 from .candidates import Candidates
 from .lines import HeldOut, TrustLine
 
-Span = tuple[slice, ...]  # of time: instants of the recordings in sequence
+Part = NDArray[np.bool_]  # of the time: which spans, counted through all recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +63,7 @@ class FitData:
         problems: the recordings, in the order of the rows, without samples where several are long;
             `arms`: their parameters.
         replays: by recording, the described control law against the recorded effort.
-        observed: W and Y of all decimated rows about the estimate; QR factors for long recordings.
+        observed: the rows of W and Y of all recordings about the estimate.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
         by_reference: why the instruments are along the motion that the reference predicts; None
@@ -139,16 +128,26 @@ class FitData:
         """Places of the base parameters in the estimate, which may have payloads and gains too."""
         return base_places(self.estimate.names)
 
-    def spans(self, count: int) -> list[Span]:
-        """Equal spans of time of the recordings together; of each recording, if a span alone must
-        determine drive gains.
+    def spans(self, count: int) -> list[Part]:
+        """Equal parts of the time of the recordings together; of each recording, if a part alone
+        must determine drive gains.
         """
         parts = spans_of(self.observed.parts) if self.gains else [slice(0, len(self.observed.tau))]
-        edges = [
-            np.linspace(one.start, one.stop, count + 1).round().astype(int).tolist()
-            for one in parts
+        return [
+            np.any([self.between(*_part(one, k, count)) for one in parts], axis=0)
+            for k in range(count)
         ]
-        return [tuple(slice(own[k], own[k + 1]) for own in edges) for k in range(count)]
+
+    def between(self, start: int, stop: int) -> Part:
+        """The spans of time from an instant to before another, rounded to the nearest borders."""
+        edges = np.concatenate([first + own.edges[:-1] for own, first in self._recordings])
+        ends = np.concatenate([first + own.edges[1:] for own, first in self._recordings])
+        low, high = (int(np.abs(np.r_[edges, ends[-1]] - at).argmin()) for at in (start, stop))
+        return (np.arange(len(edges)) >= low) & (np.arange(len(edges)) < high)
+
+    def instants(self, part: Part) -> NDArray[np.bool_]:
+        """(T,) the instants of some spans of time."""
+        return np.repeat(part, np.concatenate([np.diff(own.edges) for own, _ in self._recordings]))
 
     @property
     def Z(self) -> Array | None:
@@ -157,10 +156,8 @@ class FitData:
 
     @cached_property
     def weight(self) -> Array:
-        """(r,) 1/s_j of the rows of the system, zero where they do not count."""
-        return np.asarray(
-            self.estimate.weights[self.observed.system.joint_of_row] * self.observed.system.used
-        )
+        """(r,) 1/s_j of the rows of the system."""
+        return np.asarray(self.estimate.weights[self.observed.system.joint_of_row])
 
     @cached_property
     def W(self) -> Array:
@@ -181,81 +178,38 @@ class FitData:
         """(r,) weighted residuals."""
         return self.Y - self.W @ self.estimate.beta
 
-    def part(self, part: Span) -> tuple[Array, Array, Array, float]:
-        """Q, W (r_k, b) and Y (r_k,) of a span of time, and its number of rows: the sum of the
-        squares of their weights.
+    def part(self, part: Part) -> tuple[Array, Array, Array, float]:
+        """Q, W (r_k, b) and Y (r_k,) of some spans of time, and their number of rows: the sum of
+        the squares of their weights.
         """
-        instants, rows = self.aligned(part)
-        Q, W, Y = (
-            part_of(x, self.observed.tau.shape[1], rows) for x in (self.estimate.Q, self.W, self.Y)
-        )
-        return Q, W, Y, float(np.sum(self.observed.share[instants] ** 2))
+        rows = part[self.observed.system.span]
+        share = self.observed.share[self.instants(part)]
+        return self.estimate.Q[rows], self.W[rows], self.Y[rows], float(np.sum(share**2))
 
-    def error(self, part: Span, beta: Array) -> float:
-        """|Y - W beta| of a span of time, in the unit of the torque."""
+    def error(self, part: Part, beta: Array) -> float:
+        """|Y - W beta| of some spans of time, in the unit of the torque."""
         _, W, Y, _ = self.part(part)
-        weight = part_of(self.weight, self.observed.tau.shape[1], self.aligned(part)[1])
-        return float(np.linalg.norm((Y - W @ beta)[weight > 0] / weight[weight > 0]))
+        weight = self.weight[part[self.observed.system.span]]
+        return float(np.linalg.norm((Y - W @ beta) / weight))
 
-    def scores(self, part: Span, beta: Array, bread: Array, basis: Array) -> list[Scores]:
-        """Scores, by recording, of an estimate beta (b,) of a span of time with the
+    def scores(self, part: Part, beta: Array, bread: Array, basis: Array) -> list[Scores]:
+        """Scores, by recording, of an estimate beta (b,) of some spans of time with the
         orthonormal columns Q `basis`.
         """
-        Q, W, Y, _ = self.part(part)
-        each = [
-            own.between(self._rounded(one)[0], start) for one in part for own, start in self._spans
-        ]
-        rho = (Y - W @ beta).reshape(self.observed.tau.shape[1], -1)
-        return scores_of_recordings(Q @ basis, bread, rho, [own for own in each if own.count])
+        rho, Q = self.Y - self.W @ beta, self.estimate.Q @ basis
+        return scores_of_recordings(self.observed.system, Q, bread, rho, part)
 
-    def aligned(self, part: Span) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The instants of a span of time, rounded to the nearest borders of the recordings' spans,
-        and the rows of a joint.
-        """
-        each = zip(*map(self._rounded, part), strict=True)
-        instants, rows = (
-            np.concatenate([np.arange(one.start, one.stop) for one in slices]) for slices in each
-        )
-        return instants, rows
-
-    def _rounded(self, part: slice) -> tuple[slice, slice]:
-        edges = np.concatenate([start + own.edges for own, start in self._spans])
-        rows = np.cumsum(
-            np.concatenate([np.r_[0, np.full(own.count, own.rows)] for own, _ in self._spans])
-        )
-        first, last = (int(np.abs(edges - at).argmin()) for at in (part.start, part.stop))
-        return slice(int(edges[first]), int(edges[last])), slice(int(rows[first]), int(rows[last]))
-
-    @property
-    def _spans(self) -> list[tuple[Spans, int]]:
+    @cached_property
+    def _recordings(self) -> list[tuple[Spans, int]]:
         """By recording its spans and its first instant."""
         starts = [part.start for part in spans_of(self.observed.parts)]
         return list(zip(self.observed.system.spans, starts, strict=True))
 
 
-def measured_motion(problem: Problem) -> MotionBlock:
-    """The measured motion of a recording, in one block."""
-    last = row_blocks(problem)[-1]
-    return motion_of_block(problem, replace(last, first=0, low=0))
-
-
-def further_columns(
-    problems: Sequence[Problem], candidates: Sequence[Candidates], simulated: Sequence[MotionBlock]
-) -> Array:
-    """Columns (r, k + 1) of the candidates in the rows of the recordings: along the simulated
-    motion, or the measured one.
-    """
-    found = list[Array]()
-    for k, (problem, terms) in enumerate(zip(problems, candidates, strict=True)):
-        motion = simulated[k] if simulated else measured_motion(problem)
-        columns = terms.columns(problem, motion, motion.decimation)
-        found.append(columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]))
-    return stacked_columns(found, problems[0].signals.robot.n)
-
-
-def part_of(x: Array, n: int, part: slice | NDArray[np.intp]) -> Array:
-    """Rows of a span of time, of all joints: x (r, ...) -> (n T_k, ...)."""
-    return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
+def _part(of: slice, k: int, count: int) -> tuple[int, int]:
+    """Part k of `count` equal ones of some instants, its first and past its last, as spans end."""
+    T = of.stop - of.start
+    return of.start - (-k * T // count), of.start - (-(k + 1) * T // count)
 
 
 def covariance_of_all(

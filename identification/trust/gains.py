@@ -26,7 +26,7 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     """
     if not evidence.gains:
         return None
-    name, robot, names = "gains", evidence.problem.signals.robot, evidence.estimate.names
+    name, robot, names = "gains", evidence.problem.robot, evidence.estimate.names
     motors = [m for m, motor in enumerate(robot.motors) if f"K:{motor.name}" in evidence.gains]
     half = 100 * evidence.intervals.half[[names.index(f"K:{robot.motors[m].name}") for m in motors]]
     K, labels = robot.gain[motors], [robot.motors[m].name for m in motors]

@@ -2,7 +2,7 @@
 by a fit of the others.
 
 A block adds A_k = Q_kᵀW_k and Q_kᵀY_k to A = QᵀW and QᵀY, so that the estimate of the others solves
-(A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have these sums instead of rows. With several
+(A - A_k) beta = QᵀY - Q_kᵀY_k. With several
 recordings the others may leave parameters undetermined, so they are factored again.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import r_factor, relative_error_percent, spans_of, undetermined_parameters
-from .fit_data import FitData, part_of
+from .fit_data import FitData
 from .lines import Figure, HeldOut, TrustLine
 
 BLOCKS = 5
@@ -47,7 +47,7 @@ def held_out_parts(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
         _held_out(
             evidence,
             f"block {k}",
-            evidence.aligned(part)[0],
+            evidence.instants(part),
             by_others,
             held=evidence.error(part, beta),
             trained=evidence.error(part, estimate.beta),
@@ -86,7 +86,7 @@ def _recordings(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
 def _held_out(
     evidence: FitData,
     name: str,
-    part: slice | NDArray[np.intp],
+    part: slice | NDArray[np.bool_],
     predicted: Array | None,
     **known: Any,
 ) -> HeldOut:
@@ -197,17 +197,16 @@ def predictions_by_others(
 
 
 def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters; zero in
-    rows that do not count.
-    """
-    observed, n = evidence.observed, evidence.observed.tau.shape[1]
-    indices = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
-    system = observed.system
-    part = spans_of([own.count * own.rows for own in system.spans])[k]
-    instruments = system.W if evidence.Z is None else evidence.Z
-    W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, system.used))
-    joints = np.repeat(np.arange(n), part.stop - part.start)
-    return Z[:, indices] * used[:, None], W[:, indices] * used[:, None], Y * used, joints
+    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters."""
+    system, names = evidence.observed.system, evidence.estimate.names
+    indices, own = np.array([system.names.index(name) for name in names]), system.recording == k
+    Z = system.W if evidence.Z is None else evidence.Z
+    return (
+        Z[np.ix_(own, indices)],
+        system.W[np.ix_(own, indices)],
+        system.Y[own],
+        system.joint_of_row[own],
+    )
 
 
 def _solve(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:

@@ -1,43 +1,15 @@
-"""The lag of the recorded torque behind the motion: one per group of recordings,
-estimated with instruments.
-
-To first order, equation (G), tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the
-coefficient L. It is that of the simulated torque, as column and as instrument, so that position
-noise does not bias it; least squares would find a false lag. Rows slower than a fifth of the peak
-are left out: after a reversal friction rises smoothly where the model has a step, which looks like
-a lag. Residuals are whitened, as position noise grows with frequency and would hide a lag.
+"""The lag of the recorded torque behind the motion: one per group of recordings, estimated with
+instruments in rows of its own (`regression.Rows.late`).
 
 Prior information (effort timing of the recording, replay of the described controller) is
 combined with it by variances.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import NoFitError
-from ..estimation import (
-    LEVEL,
-    Estimate,
-    System,
-    instrumental_variables,
-    intervals,
-    t_quantile,
-    whitened,
-)
-from ..regression import (
-    LAG_ORDER,
-    KnownLag,
-    MotionBlock,
-    Problem,
-    Rows,
-    differentiate,
-    fast_for_lag,
-    weighted,
-)
+from ..estimation import LEVEL, Estimate, System, t_quantile
+from ..regression import KnownLag
 from ..report import Level
 from .fit_data import FitData, Lag
 from .lines import Figure, TrustLine
@@ -45,60 +17,6 @@ from .lines import Figure, TrustLine
 CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
-
-Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one lag
-
-
-def lags_in(
-    rows: Rows, along: tuple[Array, Array, Sequence[NDArray[np.bool_]]], weights: Array
-) -> tuple[Array, Array, int]:
-    """Lags (K,) of the torques in s besides those already corrected, deviations (K,) and
-    their degrees of freedom.
-
-    `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of
-    `by_group`, and by recording which rows (n, T) are fast. Raises `NoFitError` where the
-    instruments do not determine the lags.
-    """
-    Z, columns, fast = along
-    system, b, lengths = rows.system, len(rows.system.names), [one.shape[1] for one in fast]
-    names = (*system.names, *(f"lag {k}" for k in range(columns.shape[1])))
-    used = np.concatenate(fast, axis=1).reshape(-1).astype(float)
-    system, Z = (
-        replace(system, W=np.c_[system.W, columns], names=names).with_rows(used),
-        np.c_[Z, columns],
-    )
-    first = instrumental_variables(system, Z, weights)
-    system, Z = whitened(system, Z, system.Y - system.W @ first.beta, LAG_ORDER, tuple(lengths))
-    rho = (system.Y - system.W @ first.beta) * system.used
-    size = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
-    if not size.max() > 0:
-        raise NoFitError("the fit is exact")
-    found = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
-    w = found.weights[system.joint_of_row] * system.used
-    within = intervals(found, w * (system.Y - system.W @ found.beta), len(size), tuple(lengths))
-    return found.beta[b:], within.sigma[b:], within.freedom
-
-
-def by_group(rates: Sequence[Array], groups: Groups) -> Array:
-    """Torque per second of lag (r, K) of each group: -d/dt tau by the `rates` (n, rows) of
-    recordings, zero in other rows.
-    """
-    whole, recording = (
-        -np.concatenate(rates, axis=1),
-        np.repeat(range(len(rates)), [rate.shape[1] for rate in rates]),
-    )
-    return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
-
-
-def simulated_rates(problem: Problem, simulated: MotionBlock) -> tuple[Array, NDArray[np.bool_]]:
-    """d/dt of the simulated torque of a recording, per second, weighted; and which rows
-    are fast; (n, T) each.
-    """
-    decimation = simulated.decimation
-    rate = differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0]))
-    sliding = np.abs(decimation.kept(simulated.dq) @ problem.model.coulomb_directions.T)
-    fast = fast_for_lag(problem, simulated, decimation, sliding.max(axis=0))
-    return weighted(problem, simulated.t_s, rate, decimation), fast
 
 
 def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag:
@@ -126,7 +44,7 @@ def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
     """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
     that the estimate holds.
     """
-    weight = estimate.weights[system.joint_of_row] * system.used
+    weight = estimate.weights[system.joint_of_row]
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 

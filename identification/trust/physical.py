@@ -21,7 +21,7 @@ from ..errors import NoFitError
 from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
 from ..regression import base_name, base_places, friction_states, recorded_power, row_states
 from ..report import Level
-from .fit_data import FitData, covariance_of_all, measured_motion
+from .fit_data import FitData, covariance_of_all
 from .lines import LEVELS, TrustLine
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
@@ -206,27 +206,25 @@ def _inertia_findings(
 
 def _gravity_findings(evidence: FitData) -> list[Finding]:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
-    vertical or rows reduced.
+    vertical.
     """
-    problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
-    if evidence.observed.reduced:
-        return []
-    measured = [measured_motion(problem) for problem in evidence.problems]
-    q = np.concatenate([motion.decimation.kept(motion.q) for motion in measured])
-    at_rest = np.where(
-        idm.of_links[columns],
-        idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns],
-        0.0,
-    )
-    if np.abs(at_rest).max() <= MIN_ARM_M * np.linalg.norm(problem.signals.robot.gravity):
+    problem, idm, terms = evidence.problem, evidence.problem.model, evidence.candidates[0]
+    poses = np.concatenate([poses_of(problem.used_positions()) for problem in evidence.problems])
+    at_rest = idm.regressor(poses, 0 * poses, 0 * poses)[:, :, problem.base.columns[terms.weighs]]
+    if np.abs(at_rest).max(initial=0.0) <= MIN_ARM_M * np.linalg.norm(
+        problem.signals.robot.gravity
+    ):
         return []
     system = evidence.observed.system
-    # Gravity changes slowly: with the weights of the rows it is nearly that of
-    # the weighted samples.
-    weighted = (evidence.observed.share[..., None] * at_rest).transpose(2, 1, 0)
-    gravity = dict(zip(problem.base.names, weighted, strict=True))
-    weighs = [i for i, name in enumerate(system.names) if name in gravity and gravity[name].any()]
-    G = np.array([gravity[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
+    gravity = dict(
+        zip(
+            (problem.base.names[place] for place in terms.weighs),
+            evidence.observed.C[:, terms.at_rest].T,
+            strict=True,
+        )
+    )
+    weighs = [i for i, name in enumerate(system.names) if name in gravity]
+    G = np.array([gravity[system.names[i]] for i in weighs]).T
     # The small R factor has the same column products as the rows.
     R = estimation.r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
     W, left = R[:, : len(system.names)].copy(), list[float]()

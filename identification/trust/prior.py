@@ -142,13 +142,12 @@ def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
     whole, needed = ((both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]) ** 2).sum(
         axis=0
     ) + 1e-300
-    rows, names, share = (
-        0 * system.joint_of_row[own],
-        tuple(map(str, range(J.shape[1]))),
-        system.share[own],
-    )
     alone = replace(
-        system, W=J, Y=Y, joint_of_row=rows, names=names, share=share, rows=system.rows[[j]]
+        system.part(own),
+        W=J,
+        joint_of_row=np.zeros(own.sum(), dtype=np.intp),
+        names=tuple(map(str, range(J.shape[1]))),
+        rows=system.rows[[j]],
     )
     with suppress(NoFitError):
         found = instrumental_variables(alone, Z, np.ones(1))

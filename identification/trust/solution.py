@@ -17,7 +17,7 @@ from ..report import Assumed
 from .columns import added_columns_test
 from .control_law import control_law_test
 from .efforts import effort_test, positions_test, saturation_test, signs_and_order_test
-from .fit_data import FitData, Span
+from .fit_data import FitData, Part
 from .gains import centre_of_mass_test, gains_test, payload_assumptions
 from .held_out import held_out_test
 from .lag import lag_test
@@ -158,7 +158,8 @@ def halves_test(evidence: FitData) -> TrustLine:
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     # recordings are not cut
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)
-    parts = evidence.spans(2) if evidence.gains else [(slice(0, cut),), (slice(cut, T),)]
+    parts = evidence.spans(2) if evidence.gains else [evidence.between(0, cut)]
+    parts = [parts[0], ~parts[0]]
     first, second = (_solve_part(evidence, part) for part in parts)
     if first is None or second is None:
         return TrustLine(
@@ -186,7 +187,7 @@ def halves_test(evidence: FitData) -> TrustLine:
     return TrustLine(name, "ok", finding, wald)
 
 
-def _solve_part(evidence: FitData, part: Span) -> tuple[Array, Array, int] | None:
+def _solve_part(evidence: FitData, part: Part) -> tuple[Array, Array, int] | None:
     """Parameters (b,) of a span of time, covariance D R D (b, b), degrees of freedom; None where
     they are undetermined.
     """

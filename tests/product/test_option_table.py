@@ -90,7 +90,7 @@ FIT = [
     row("fit log.mcap --method wls --essential --consistent", "added chi²"),
     row("fit log.mcap --consistent --prior arm.urdf", "arm.urdf"),
     row("fit log.mcap --prior arm.urdf", "has no effect alone: expected --consistent", 1),
-    row("fit log.mcap --start ls", '"start": "ls"'),
+    row("fit log.mcap --start regular", '"start": "regular"'),
     row("fit log.mcap --start wls.json", "wls.json"),
     row("fit log.mcap --method wls --start ls", "expected --method iv", 1),
     row("fit noref.mcap --start ls", "expected iv", 1),

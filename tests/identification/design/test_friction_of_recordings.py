@@ -61,14 +61,14 @@ def chosen(own: tuple[str, ...] = ()):
     return select_friction(Recordings(sources=several(own)), WITHOUT_LAG)
 
 
-def weighted_regressor(problem) -> np.ndarray:
-    """W (n, rows, b) with every column computed at the recording's rate."""
+def weighted_rows(problem) -> tuple[np.ndarray, np.ndarray]:
+    """W (n, rows, b) and Y (n, rows), every column computed at the recording's rate."""
     s = problem.settings
     m = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     whole = problem.model.regressor(m.q, m.dq, m.ddq)[..., problem.base.columns]
-    return s.decimator.filtered(
-        weights_at(problem, m.t_s)[:, None] * whole.transpose(1, 2, 0)
-    ).transpose(0, 2, 1)
+    w = weights_at(problem, m.t_s)
+    W = s.decimator.filtered(w[:, None] * whole.transpose(1, 2, 0)).transpose(0, 2, 1)
+    return W, s.decimator.filtered(w * m.tau.T)
 
 
 @pytest.mark.parametrize(("count", "own"), [(1, ()), (3, ("Off",))])
@@ -86,13 +86,13 @@ def test_parts_are_held_out_one_by_one(count, own):
         np.concatenate([getattr(one, name) for one in plain]).T
         for name in ("tau", "speed", "counts")
     )
-    W = np.concatenate([weighted_regressor(problem) for problem in problems], axis=1)
-    Y = np.concatenate([one.system.Y.reshape(len(w), -1, 1) for one in plain], axis=1)
+    each = zip(*map(weighted_rows, problems), strict=True)
+    W, Y = (np.concatenate(x, axis=1) for x in each)
     if count > 1:
         assert choice.held_out == ("r1.mcap", "r2.mcap", "r3.mcap")
         part = np.repeat(range(count), [len(one.tau) for one in plain])
     else:
-        edges = np.round(np.arange(1, 5) * len(tau.T) / 5)
+        edges = np.ceil(np.arange(1, 5) * len(tau.T) / 5)
         part = np.searchsorted(edges, np.arange(len(tau.T)), side="right")
     moving = np.abs(speed) > 0.02 * np.abs(speed).max(axis=1, keepdims=True)
     off, fitted = np.array([name.startswith("Off") for name in plain[0].system.names]), []
@@ -103,15 +103,15 @@ def test_parts_are_held_out_one_by_one(count, own):
         )
         of_others, of_part = fast & (part != k), fast & (part == k)
         beta = np.zeros(len(off))
-        beta[~off] = np.linalg.lstsq((A * w[..., None])[of_others], (Y[..., 0] * w)[of_others])[0][
+        beta[~off] = np.linalg.lstsq((A * w[..., None])[of_others], (Y * w)[of_others])[0][
             : (~off).sum()
         ]
         if off.any():
-            rho = Y[..., 0] - W @ beta
+            rho = Y - W @ beta
             beta[off] = np.linalg.lstsq((W[..., off] * w[..., None])[of_part], (rho * w)[of_part])[
                 0
             ]
-        rho = Y[..., 0] - W @ beta
+        rho = Y - W @ beta
         assert choice.usual.scores[k] == pytest.approx((((rho * w)[of_part]) ** 2).sum(), rel=1e-6)
         fitted.append(beta)
     of_each = [

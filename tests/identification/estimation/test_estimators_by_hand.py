@@ -4,13 +4,14 @@ they stand in the papers.
 
 import numpy as np
 import pytest
+from rows_by_hand import collected, of_instants
 from scipy import stats
 
 from identification.errors import NoFitError
 from identification.estimation import (
+    SPANS,
     System,
     chi_squared_quantile,
-    condensed,
     essential_parameters,
     f_tail,
     instrument_tests,
@@ -31,16 +32,22 @@ def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return Z, W, W @ np.arange(1.0, b + 1) + rng.normal(size=r)
 
 
-def test_a_condensed_system_has_the_same_least_squares():
-    """Two joints, of which the second feels two of the parameters alone; some rows do not count."""
-    _, W, Y = system(8, 60, 4)
-    W[20:, :2] = 0.0
-    whole = System.whole(W, Y, np.repeat([0, 1], [20, 40]), tuple("abcd")).with_rows(
-        (np.arange(60) % 3 > 0).astype(float)
-    )
-    few = condensed(whole)
-    assert few.W.shape == (5 + 3, 4)
-    np.testing.assert_array_equal(few.joint_of_row, np.repeat([0, 1], [5, 3]))
+def test_factors_of_spans_have_the_same_least_squares():
+    """Two joints, of which the second feels two of the parameters alone; some rows do not count.
+
+    Of ten instants of a span seven or six count: more than the columns that a joint feels.
+    """
+    T, rng = 10 * SPANS, np.random.default_rng(8)
+    W, share = rng.normal(size=(2, 4, T)), np.ones((T, 2))
+    W[1, :2], share[::3] = 0.0, 0.0
+    Y = np.einsum("jbt,b->jt", W, np.arange(1.0, 5.0)) + rng.normal(size=(2, T))
+    few = collected(W, Y, share, [103])
+    for j, columns in enumerate((5, 3)):
+        np.testing.assert_array_equal(np.bincount(few.span[few.joint_of_row == j]), columns)
+    np.testing.assert_array_equal(few.rows, [2 * T / 3] * 2)
+    counts = (share > 0).T.ravel()
+    A = np.concatenate([W, Y[:, None]], axis=1).transpose(0, 2, 1).reshape(2 * T, 5)[counts]
+    whole = System.whole(A[:, :4], A[:, 4], np.repeat([0, 1], 2 * T // 3), tuple("abcd"))
     for solve in (ordinary_least_squares, weighted_least_squares):
         expected, found = solve(whole), solve(few)
         for name in (
@@ -54,15 +61,19 @@ def test_a_condensed_system_has_the_same_least_squares():
             np.testing.assert_allclose(
                 getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-14
             )
+    reduced, wanted = (
+        essential_parameters(one, weighted_least_squares(one), correlation=0.2)
+        for one in (few, whole)
+    )
+    assert reduced.estimate.names == wanted.estimate.names
+    np.testing.assert_allclose(reduced.estimate.beta, wanted.estimate.beta, rtol=1e-10)
 
 
 def test_instruments_with_weights_and_left_out_rows_are_the_formula():
     Z, W, Y = system(1, 40, 3)
     joints, weights = np.repeat([0, 1], 20), np.array([3.0, 0.2])
-    used = (np.arange(40) % 5 > 0).astype(float)
-    fit = instrumental_variables(
-        System.whole(W, Y, joints, tuple("abc")).with_rows(used), Z, weights
-    )
+    used = np.arange(40) % 5 > 0
+    fit = instrumental_variables(of_instants(W, Y, joints, (20,), used), Z[used], weights)
     D2 = np.diag(weights[joints] ** 2 * used)
     inverse = np.linalg.inv(Z.T @ D2 @ W)
     np.testing.assert_allclose(fit.beta, inverse @ Z.T @ D2 @ Y, rtol=1e-10)
@@ -72,7 +83,9 @@ def test_instruments_with_weights_and_left_out_rows_are_the_formula():
     # beta - beta_true = bread Qᵀ rho is what every robust deviation is made from.
     true = np.arange(1.0, 4.0)
     np.testing.assert_allclose(
-        fit.bread @ fit.Q.T @ (np.sqrt(np.diag(D2)) * (Y - W @ true)), fit.beta - true, atol=1e-10
+        fit.bread @ fit.Q.T @ (np.sqrt(np.diag(D2)) * (Y - W @ true))[used],
+        fit.beta - true,
+        atol=1e-10,
     )
     unweighted = np.linalg.solve(Z.T @ np.sqrt(D2) @ W, Z.T @ np.sqrt(D2) @ Y)
     # weights on Z too: it makes a difference here

@@ -27,8 +27,6 @@ COLUMNS = ("velocity", "known_torque", "feedforward", "reference", "payload")
 CONCERNS = ("load", "own", "gains")
 CARRIED = Payload(1.0, CENTRE["scara"])
 KNOWN = np.array([1.0, 0.05])  # N m, known torques
-LONG_S = 10.0  # two blocks of rows
-# else long ones take theirs from their beginnings
 STATED = {"decimation": 5, "ramp_rows": 0.5, "torque_lag_s": 0.0}
 
 
@@ -106,13 +104,9 @@ def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: 
 
 
 def as_long(fit: Callable[[], Fit]) -> Fit:
-    """`fit` where rows are QR factors of spans, come block by block, and no more than a beginning
-    of the recordings is held.
-    """
+    """`fit` where rows come block by block."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
         patch.setattr("identification.regression.problem._SERIES_BLOCK", 20_000)
-        patch.setattr("identification.methods.equations.SPAN_S", 5.0)
         found = fit()
         assert all(len(row_blocks(one.problem)) > 1 for one in found.recordings)
     return found

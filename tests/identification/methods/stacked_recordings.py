@@ -8,7 +8,7 @@ from identification.regression import Overrides, Problem
 
 
 def system_of(*problems: Problem) -> Equations:
-    observations = [observation_of(problem, None) for problem in problems]
+    observations = [observation_of(problem) for problem in problems]
     sources = tuple(problem.signals for problem in problems)
     return equations_of(
         Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems)))

@@ -16,7 +16,6 @@ import identification.methods.idim as idim
 from acquisition.robot import Payload, load_robot
 from identification.commands import main
 from identification.data import Recordings, load_signals
-from identification.errors import BadInputError
 from identification.methods import identify, identify_ls
 from identification.methods.equations import equations_of, read_equations
 from identification.model import (
@@ -28,11 +27,11 @@ from identification.model import (
 )
 from identification.model.physical import link_columns
 from identification.regression import (
+    FilteredMotion,
     Overrides,
     make_problem,
     make_unknowns,
     predicted_torque,
-    rows_of_recording,
 )
 from identification.simulation import SimulatedRecording
 from identification.study import write_signals
@@ -69,13 +68,8 @@ def exact(observed, case):
         torque = predicted_torque(motion, problem.model, problem.base, beta)
         effort = (np.linalg.solve(robot.R.T, torque.T).T * robot.gain / case.gains) @ robot.R
         signals = replace(signals, effort=effort)
-        problem = replace(
-            problem,
-            signals=signals,
-            recorded=signals,
-            motion=problem.motion.with_torque_of(signals),
-        )
-        found.append((problem, rows_of_recording(problem), replayed))
+        problem = replace(problem, signals=signals, motion=FilteredMotion(signals))
+        found.append((problem, replayed))
     return equations_of(observed.recordings, observed.overrides, found, observed.order)
 
 
@@ -427,20 +421,6 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
     told = ~found.from_prior
     assert told.sum() >= len(names) - 2
     assert (np.abs(found.values - true)[told] <= 2.5 * found.half[told] + 1e-6).all()
-
-
-def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, monkeypatch):
-    """By the measured motion, with rows that are held, only the beginnings would be fitted; and
-    gains below zero likewise.
-    """
-    free, loaded = with_reference(*pair)
-    exchanged = replace(free, payload=loaded.payload), replace(loaded, payload=None)
-    monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
-    for signals in (pair, exchanged):
-        with pytest.raises(
-            BadInputError, match="too long to identify gains without a simulated robot"
-        ):
-            fit_with_gains(*signals)
 
 
 @pytest.mark.parametrize(

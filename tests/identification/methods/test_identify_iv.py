@@ -63,7 +63,7 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     assert (fit.iv.reference, fit.iv.controller, fit.iv.start) == (
         "surrogate",
         "surrogate",
-        "regular",
+        "ls",
     )
     assert any("not strictly exogenous" in text for text in fit.warnings)
     inertial = [
@@ -74,13 +74,15 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
 
 
 def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the_reference(tx40):
-    fit = identify_iv(signals_of(tx40), Overrides(), Iteration(gain_update=False))
+    fit, updated = (
+        identify_iv(signals_of(tx40), Overrides(), Iteration(start="regular", gain_update=update))
+        for update in (False, True)
+    )
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference
     # does the method go on.
     first = fit.iv.passes[0]
     assert first.kind == "reference"
     assert "the simulated robot leaves its reference at joint 6" in first.reason
-    updated = iv_of(tx40)
     assert all(p.kind == "simulated" for p in updated.iv.passes)
     assert updated.iv.passes[0].tracking_percent < 5
     # Nor are the gains updated for the last simulation, that of the result.
@@ -146,7 +148,9 @@ def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_
     )
     assert why_not_positive(inertia) is None
     fit = identify_iv(
-        dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration()
+        dataclasses.replace(signals, effort=-signals.effort),
+        Overrides(),
+        Iteration(start="regular"),
     )
     assert fit.status == "not_confirmed"
     assert "inertia matrix is not positive" in fit.iv.reason
@@ -203,10 +207,15 @@ def test_a_controller_that_cannot_be_simulated_is_refused(line, key, value):
     assert (told.value.key, told.value.value) == (key, value)
 
 
+def test_inertias_are_those_of_a_regular_start():
+    with pytest.raises(BadInputError, match="start = 'ls': expected regular, for inertias"):
+        Iteration(inertias=np.ones(2))
+
+
 def test_command_line(capsys, tmp_path):
     out, again, other = (tmp_path / f"{name}.json" for name in ("iv", "again", "other"))
     assert main(["fit", str(SCARA), "--method", "iv", "--all", "--json", str(out)]) == 0
-    assert "passes from start: regular" in capsys.readouterr().out
+    assert "passes from start: ls" in capsys.readouterr().out
     fit = json.loads(out.read_text())
     assert (fit["status"], fit["reference"], fit["method"]) == ("converged", "recorded", "iv")
     keys = {

@@ -24,10 +24,10 @@ from identification.data import Recordings, Signals, load_signals
 from identification.methods import Fit, fit_file, identify_ls, validate_all
 from identification.methods import identify as identify_signals
 from identification.model import InverseModel, described_parameters
-from identification.regression import Overrides, make_problem, weights_at
+from identification.regression import Overrides, make_problem, row_blocks, weights_at
+from identification.regression.problem import motion_of_block
 from identification.study import write_signals
 from identification.trust.candidates import SPRING, Candidates, MissingTerm
-from identification.trust.fit_data import measured_motion
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m
 PULSE_V, EVERY, WIDTH = 2.0, 700, 60  # and samples
@@ -295,8 +295,9 @@ def test_rates_of_torques_are_those_of_the_drives():
         terms = Candidates(
             problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False
         )
-        motion = measured_motion(problem)
-        rates.append(terms.columns(problem, motion, motion.decimation)[:, -1, 5:-5])
+        (block,) = row_blocks(problem)
+        motion = motion_of_block(problem, block)
+        rates.append(terms.columns(problem, motion, settings.decimator)[:, -1, 5:-5])
     apart = rates[0] - rates[1]
     assert apart == pytest.approx(
         settings.decimator.filtered(w * spring.T)[:, 5:-5], abs=1e-6 * np.abs(spring).max()

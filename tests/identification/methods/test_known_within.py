@@ -13,7 +13,6 @@ from planned_pairs import planned_pair
 import identification
 from identification.data import Recordings
 from identification.estimation import (
-    Spans,
     System,
     combined,
     intervals_of,
@@ -57,7 +56,6 @@ def test_a_stated_value_is_combined_by_variances():
     W, names = rng.standard_normal((2, 300, 3)) @ np.triu(np.ones((3, 3))), ("a", "b", "c")
     Y = W @ [1.0, 2.0, 3.0] + 0.3 * rng.standard_normal((2, 300))
     system = System.whole(W.reshape(-1, 3), Y.reshape(-1), np.repeat([0, 1], 300), names)
-    system = replace(system, spans=(Spans(instants=300, count=300),))
     free = weighted_least_squares(system)
     found = intervals_of(system, free)
     both = combined(system, free, {"b": (2.01, 0.02)})

@@ -136,10 +136,13 @@ def test_every_tenth_sample_of_what_a_low_pass_leaves_decimates_as_all_samples_d
 
 
 def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept():
-    assert Decimation(factor=100).stride_behind(None, 5000.0) == 1
-    assert Decimation(factor=100).stride_behind(400.0, 5000.0) == 1
-    assert Decimation(factor=8).stride_behind(5.0, 5000.0) == 1  # one pass
-    assert Decimation(factor=100, smooth_ends=False).stride_behind(50.0, 5000.0) == 1
+    for decimation, cutoff_hz in (
+        (Decimation(factor=100), None),
+        (Decimation(factor=100), 400.0),
+        (Decimation(factor=8), 5.0),  # one pass
+        (Decimation(factor=100, smooth_ends=False), 50.0),
+    ):
+        assert decimation.stride_behind(cutoff_hz, 5000.0) == 1
 
 
 @pytest.mark.parametrize("by", [0.25, -0.7, 1.5])

@@ -19,18 +19,18 @@ GOOD = InstrumentTests(strength=0.9, first_stage_F=500.0)
 
 
 def verdict(tracking, errors, tests=GOOD):
+    settled = Pass(
+        x=None, z=(), estimate=None, asked=None, covariance=None,
+        change_sigma=0.1, change_percent=0.1, changed="M1",
+        residual_percent=0.1, residual_settled=True, parameters_settled=True,
+    )  # fmt: skip
     of = DirectModelResidual
     direct = [
         of(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0)
         for j, e in enumerate(errors)
     ]
     robot = SimpleNamespace(kind="simulated", percent=tracking, by_joint=direct)
-    settled = Pass(
-        x=None, z=(robot,), estimate=None, asked=None, covariance=None,
-        coarse=False,
-        change_sigma=0.1, change_percent=0.1, changed="M1",
-        residual_percent=0.1, residual_settled=True, parameters_settled=True,
-    )  # fmt: skip
+    settled = dataclasses.replace(settled, z=(robot,))
     # whether M is positive is asked of each recording
     none = SimpleNamespace(problems=(), unknowns=SimpleNamespace(arms=()), tasks=list)
     return status_of(none, (settled,), dataclasses.replace(settled, confirmed_by=(robot,)), tests)

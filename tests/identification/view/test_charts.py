@@ -136,12 +136,13 @@ def test_a_study_has_all_errors_by_method_and_the_medians_of_those_that_count():
     chart = study_chart(runs)
     assert [name for name, _ in chart.names if name] == ["LS: median 20", "IV: median 2"]
     (column,) = chart.columns
-    assert [m.value for m in found(column, shape="tick")] == [20.0] * STUDY_ROWS + [
-        2.0
-    ] * STUDY_ROWS
-    assert [m.value for m in found(column, shape="cross")] == [10.0, 20.0, 30.0, 90.0, 20.0]
-    assert [m.value for m in found(column, shape="dot")] == [1.0, 3.0, 2.0]
-    assert [m.value for m in found(column, shape="ring")] == [90.0]
+    marks = {
+        "tick": [20.0] * STUDY_ROWS + [2.0] * STUDY_ROWS,
+        "cross": [10.0, 20.0, 30.0, 90.0, 20.0],
+        "dot": [1.0, 3.0, 2.0],
+        "ring": [90.0],
+    }
+    assert {kind: [m.value for m in found(column, shape=kind)] for kind in marks} == marks
     assert all(-0.5 < m.row < STUDY_ROWS - 0.5 for m in found(column, shape="cross"))
     assert all(STUDY_ROWS - 0.5 < m.row < 2 * STUDY_ROWS - 0.5 for m in found(column, shape="dot"))
     assert (column.axis.low, column.axis.high) == (1.0, 100.0)
