@@ -20,7 +20,13 @@ from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import BadInputError
 from ..methods import stored_beta, terms_without_fit
-from ..regression import Overrides, decimation_rule, make_problem, rows_of_recording
+from ..regression import (
+    Overrides,
+    decimation_rule,
+    equation_alone,
+    make_problem,
+    rows_of_recording,
+)
 from ..report import read_fit
 from .limits import Motion
 
@@ -182,7 +188,8 @@ def earlier_information(
                 value=signals.robot.name,
                 expected="a recording of the described robot, with the same base parameters",
             )
-        W, _ = rows_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
+        of_links = equation_alone(replace(problem, base=own))
+        W, _ = rows_of_recording(*of_links).system.weighted(1 / noise)
         M += W.T @ W
     return M
 

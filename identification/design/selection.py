@@ -8,6 +8,7 @@ of its weighted rows, each divided by its joint's s_j of the fit with the usual 
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import msgspec
@@ -171,11 +172,11 @@ def select_friction(
     )
     # least squares with the weights of instruments
     given = replace(given, low_speed_percent=low_speed_by_method(low))
-    whole = methods.read_equations(
+    whole = methods.read_model(
         _with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say
     )
-    whole = methods.with_best_ramps(methods.correct_known_lags(whole), instruments=False)
-    trials = Trials(whole)
+    trials = Trials(*methods.with_best_ramps(whole, instruments=False))
+    whole = trials.whole
     for kinds in (
         chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)
     ):
@@ -234,17 +235,18 @@ class Trials:
             out, each with the reason.
     """
 
-    def __init__(self, whole: methods.Equations) -> None:
+    def __init__(self, whole: methods.Model, rows: Rows) -> None:
         robot, model, base = whole.problem.signals.robot, whole.problem.model, whole.problem.base
-        spans = whole.about().system.spans
-        self.widths = np.concatenate([np.diff(of.edges) for of in spans])
-        recording = np.repeat(np.arange(len(spans)), [of.count for of in spans])
+        self._rows, spans = rows, rows.system.spans
+        widths = [np.diff(of) for of in spans]
+        self.widths = np.concatenate(widths)
+        recording = np.repeat(np.arange(len(spans)), [len(of) for of in widths])
         self.whole, self._own = whole, [arm.own for arm in whole.unknowns.arms]
         self.names = [problem.signals.recording for problem in whole.problems]
         self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
         part_of = recording
         if not self.by_recording:
-            part_of = np.concatenate([np.arange(of.count) * FIFTHS // of.count for of in spans])
+            part_of = np.concatenate([np.arange(K) * FIFTHS // K for K in map(len, widths)])
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS
         self.parts = tuple(part_of == k for k in range(len(self.names)))
         self.added = {
@@ -256,9 +258,8 @@ class Trials:
             if isinstance(source, JointTerm) and source.kind == term
         }
         self.done, self.left_out = dict[TermSet, Trial](), dict[tuple[int, FrictionTerm], str]()
-        self.weights = self._fit(at_all_joints(robot, ()))[1].weights
-        every, estimate = self._fit(at_all_joints(robot, CANDIDATES))
-        last = every.about(estimate.values_of(every.names))
+        self.weights = self._fit(at_all_joints(robot, ())).estimate.weights
+        last = self._fit(at_all_joints(robot, CANDIDATES)).rows
         self.unpredicted = {
             name: f"{name} cannot be predicted by the others: {', '.join(lost[:8])} undetermined"
             for name, (_, lost) in zip(self.names, self._predictions(last), strict=True)
@@ -279,14 +280,15 @@ class Trials:
         """
         if terms in self.done:
             return self.done[terms]
-        settled, estimate = self._fit(terms)
-        rows = settled.about(estimate.values_of(settled.names))
+        settled = self._fit(terms)
+        estimate, rows = settled.estimate, settled.rows
+        predicted = partial(settled.model.predicted, settled.x)
         found = estimation.intervals_of(rows.system, estimate)
         moving, betas = (
             estimation.are_moving(rows.speed),
             [beta for beta, _ in self._predictions(rows)],
         )
-        by_others = settled.predicted(
+        by_others = predicted(
             *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
             by_recording=self.by_recording,
         )
@@ -317,7 +319,7 @@ class Trials:
         trial = Trial(
             terms=self._terms(estimate.names),
             significant_terms=self._terms(beyond),
-            fitted_error_percent=percent(settled.predicted(estimate), np.ones_like(self.parts[0])),
+            fitted_error_percent=percent(predicted(estimate), np.ones_like(self.parts[0])),
             held_out_percents=percents,
             scores=scores,
         )
@@ -330,13 +332,12 @@ class Trials:
             frozenset(term for i, term in added if i == j) for j in range(len(self.weights))
         )
 
-    def _fit(self, terms: TermSet) -> tuple[methods.Equations, estimation.Estimate]:
+    def _fit(self, terms: TermSet) -> methods.Solution:
         others = {name: "" for name, (j, term) in self.added.items() if term not in terms[j]}
-        settled, estimate = methods.least_squares(
-            self.whole.without(others) if others else self.whole
-        )
-        self.left_out |= {self.added[name]: text for name, text in settled.left_out.items() if text}
-        return settled, estimate
+        settled = methods.least_squares(self.whole.without(others), self._rows.without(others))
+        left_out = settled.model.left_out.items()
+        self.left_out |= {self.added[name]: text for name, text in left_out if text}
+        return settled
 
     def _predictions(self, settled: Rows) -> list[tuple[Array, list[str]]]:
         """By part the parameters (b,) by the others, and the names of those that
@@ -346,6 +347,4 @@ class Trials:
         rows = np.column_stack(system.weighted(self.weights))
         each = [estimation.r_factor(rows[part[system.span]]) for part in self.parts]
         found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], system.names, self._own)
-        return [
-            (np.zeros(len(system.names)) if beta is None else beta, lost) for beta, lost in found
-        ]
+        return [(np.zeros(len(system.names)) if lost else beta, lost) for beta, lost in found]

@@ -23,14 +23,13 @@ from .consistency import (
 )
 from .diagnostics import (
     MOVING,
-    InstrumentTests,
     are_moving,
     autocorrelation,
     autoregression,
     chi_squared_quantile,
     f_tail,
     f_tests,
-    instrument_tests,
+    first_stage,
     relative_error_percent,
     t_quantile,
     torque_errors,
@@ -45,9 +44,10 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
+from .spans import SpanRows
 from .system import (
+    FINE_SPANS,
     SPANS,
-    Spans,
     System,
     by_joint,
     r_factor,

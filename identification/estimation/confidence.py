@@ -151,11 +151,11 @@ def _of_recordings(
     """By recording its spans, of those `among`, and their instants; none if it has none there."""
     first = 0
     for own in system.spans:
-        spans = np.arange(first, first + own.count)
+        spans = np.arange(first, first + len(own) - 1)
         here = slice(None) if among is None else among[spans]
-        if (count := int(np.diff(own.edges)[here].sum())) > 0:
+        if (count := int(np.diff(own)[here].sum())) > 0:
             yield spans[here], count
-        first += own.count
+        first += len(own) - 1
 
 
 def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:

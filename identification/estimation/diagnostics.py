@@ -5,7 +5,6 @@ The distributions are written here because importing a library for them takes lo
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,28 +75,17 @@ def relative_error_percent(tau: Array, rho: Array) -> float | None:
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
-@dataclass(frozen=True, kw_only=True)
-class InstrumentTests:
-    """Tests of the instruments.
+def first_stage(Q: Array, W: Array, rows: float) -> tuple[float, float]:
+    """Test instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted and has
+    `rows` used rows.
 
-    Attributes:
-        strength: smallest canonical correlation of Z and W, 1 for W itself.
-        first_stage_F: of the least explained direction of W; weak below 10.
-    """
-
-    strength: float
-    first_stage_F: float
-
-
-def instrument_tests(Q: Array, W: Array, rows: float) -> InstrumentTests:
-    """Tests of instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted
-    and has `rows` used rows.
+    Returns the smallest canonical correlation of Z and W, 1 for W itself; and the first-stage F of
+    the least explained direction of W, weak below 10.
     """
     b = W.shape[1]
     Qw = orthonormal(W / np.linalg.norm(W, axis=0))
     strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
-    first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
-    return InstrumentTests(strength=strength, first_stage_F=float(first_stage))
+    return strength, float(strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b)
 
 
 def autoregression(x: Array, order: int) -> Array:

@@ -4,8 +4,8 @@ their documents and files.
 The path of a fit, stage by stage::
 
     Signals, Settings, Problem   a recording, the settings, the robot's model
-    Rows, Unknowns, Equations    W and Y of one recording; x of all recordings, and their
-                                 equations about x
+    Model, Unknowns, Equation    the recordings of a fit, x of all of them, and the terms of each
+    Rows                         [Z J r] about x, of equation (C)
     Simulated, Pass              Z of the simulated robot, and the estimate of one pass
     FitData, Trust               inputs and results of the trust tests
     Fit                          the result; `report.FitFile` is its JSON file
@@ -19,13 +19,13 @@ from .consistent import (
     urdf_prior,
     with_consistent,
 )
-from .equations import Equations, read_equations
 from .fit import Fit, FittedRecording, Pass
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
 from .gain_results import Gains
 from .idim import identify, identify_iv, identify_ls
 from .iteration import Iteration, regular_start
+from .model import Model, read_model
 from .parameters import (
     consistent_fit,
     fitted_parameters,
@@ -42,5 +42,4 @@ from .parameters import (
     with_stored_gains,
 )
 from .recording_report import Validated, main_figures, recording_document, validation_document
-from .settled import least_squares, with_best_ramps
-from .timing import correct_known_lags
+from .start import Solution, least_squares, with_best_ramps

@@ -4,6 +4,7 @@ the status of the passes.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -11,50 +12,47 @@ from ..arrays import Array
 from ..errors import NoFitError
 from ..estimation import (
     Estimate,
-    InstrumentTests,
     autocorrelation,
     f_tests,
     spans_of,
     torque_errors,
 )
-from ..regression import ROWS, Problem, Rows, base_name, sample_weights
+from ..regression import ROWS, KnownLag, Lag, Problem, Rows, base_name, sample_weights
 from ..report import FTest, Method
 from ..simulation import Simulated, controller_of, saturated_percents
-from ..trust import Candidates, FitData, held_out_parts, trust_in, with_prior
-from .equations import Equations
+from ..trust import FitData, held_out_parts, moves_of, trust_in, with_prior
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
-from .iteration import direct_errors, largest, status_of, tests_of
+from .iteration import Loop
+from .model import Model
 from .recording_report import gain_warnings, recording_warnings
-from .timing import lags_of
+from .status import direct_errors, largest, status_of, tests_of
 
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 MIN_FIRST_STAGE_F = 10.0
 
 
 def evidence_of(
-    equations: Equations,
+    model: Model,
     method: Method,
     solved: LeastSquares,
-    each: Sequence[Rows],
-    *,
-    tau: Array | None = None,
-    z: Sequence[Simulated] = (),
+    rows: Rows,
+    x: Array,
+    lags: Sequence[Lag],
 ) -> FitData:
-    """Inputs of the trust tests of an estimate from its rows, of each recording, with the columns
-    of candidates; `tau` (rows, n) replaces their torques.
+    """Inputs of the trust tests of an estimate and its x (p,) from its rows, with the columns of
+    candidates.
     """
-    estimate, rows = solved.estimate, equations.stacked(each)
-    if tau is not None:
-        rows = replace(rows, tau=tau)
-    # Rows have the columns of before their simulation.
-    candidates = candidates_of(equations, estimate.values_of(equations.names), simulated=bool(z))
-    lags = lags_of(equations, rows, estimate)
-    within = held_and_counted(equations, estimate, each, rows.system, lags)
+    estimate, unknowns = solved.estimate, model.unknowns
+    simulated = method == "iv" and not rows.recorded
+    candidates = model.candidates(x, rows.speed, simulated=simulated)
+    replayed = [known for _, known in model.replays]
+    lags = counted_lags(lags, rows, estimate, replayed, model.problems, unknowns.groups)
+    within = held_and_counted(model, estimate, rows, lags)
     return FitData(
-        problems=tuple(equations.with_sources()),
-        arms=equations.unknowns.arms,
-        replays=tuple(line for line, _ in equations.replays),
+        problems=model.concluded(x),
+        arms=unknowns.arms,
+        replays=tuple(line for line, _ in model.replays),
         observed=rows,
         method=method,
         fixed_point=True,
@@ -68,51 +66,56 @@ def evidence_of(
     )
 
 
-def candidates_of(
-    equations: Equations, x: Array, *, simulated: bool = False
-) -> tuple[Candidates, ...]:
-    """By recording the terms that are not in the model, about x, along the measured or the
-    simulated motion.
-    """
-    simulated &= all(problem.signals.q_ref is not None for problem in equations.problems)
-    speed = equations.speed
-    sliding = np.abs(speed @ equations.problem.model.coulomb_directions.T)
-    return tuple(
-        Candidates(
-            problem=problem,
-            beta=equations.unknowns.beta(x, k),
-            peak=np.abs(speed).max(axis=0),
-            sliding=sliding.max(axis=0),
-            simulated=simulated,
-            gains=bool(equations.unknowns.motors),
+def counted_lags(
+    lags: Sequence[Lag],
+    rows: Rows,
+    estimate: Estimate,
+    replayed: Sequence[KnownLag | None],
+    problems: Sequence[Problem],
+    groups: Sequence[Sequence[int]],
+) -> tuple[Lag, ...]:
+    """The lags with their recordings, and the moves of an estimate by one deviation of each."""
+    moves, found = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), []
+    for lag, group, move in zip(lags, groups, moves.T, strict=True):
+        known = next((x for k in group if (x := replayed[k]) is not None), None)
+        delay = (
+            (known.value_s - lag.found[0], lag.reach * lag.found[1])
+            if known is not None and lag.found is not None
+            else None
         )
-        for k, problem in enumerate(equations.tasks())
-    )
+        names = tuple(problems[k].signals.recording for k in group)
+        found.append(replace(lag, delay_s=delay, moved=lag.sd_s * np.abs(move), recordings=names))
+    return tuple(found)
 
 
 def fit_of(
-    equations: Equations, evidence: FitData, solved: LeastSquares, z: Sequence[Simulated] = ()
+    model: Model,
+    evidence: FitData,
+    solved: LeastSquares,
+    x: Array,
+    ls: LeastSquares,
+    z: Sequence[Simulated] = (),
 ) -> Fit:
-    """The fit of an estimate and its assessment; `z`: the robot simulated in each recording,
-    if it was.
+    """The fit of an estimate and its x (p,), and its assessment; `ls`: least squares; `z`: the
+    robot simulated in each recording, if it was.
     """
-    rows, predicted = evidence.observed, solved.tau_predicted
-    names = tuple(joint.name for joint in equations.problem.signals.robot.joints)
-    evidence = replace(evidence, held_out=held_out_parts(evidence, equations.predicted))
-    evidence = with_prior(evidence, equations.predicted)
-    filtered, warnings = equations, _warnings(equations)
+    rows, predicted, predict = evidence.observed, solved.tau_predicted, partial(model.predicted, x)
+    names = tuple(joint.name for joint in model.problem.signals.robot.joints)
+    evidence = replace(evidence, held_out=held_out_parts(evidence, predict))
+    evidence = with_prior(evidence, predict)
+    filtered, warnings = model, _warnings(model)
     measured, of_model, speed = rows.tau, predicted, rows.speed
     try:  # errors of the model, without the noise that passes the cut-off of the fit
-        if (behind := equations.behind_rule()) is not None:
-            filtered, (measured, of_model, speed) = behind, behind.torques(solved.estimate)
+        if (behind := model.behind_rule()) is not None:
+            filtered, (measured, of_model, speed) = behind, behind.torques(x, solved.estimate)
     except NoFitError as error:
         warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
     of_filtered = spans_of([len(problem.settings.instants) for problem in filtered.problems])
-    parts = zip(equations.problems, spans_of(rows.parts), of_filtered, strict=True)
+    parts = zip(evidence.problems, spans_of(rows.parts), of_filtered, strict=True)
     fitted = [
         FittedRecording(
             problem=problem,
-            arm=equations.unknowns.arms[k].settled(solved.estimate),
+            arm=model.unknowns.arms[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(
                 measured[own],
@@ -122,20 +125,20 @@ def fit_of(
                 names,
             ),
             held_out=evidence.held_out[k]
-            if len(equations.problems) > 1 and not evidence.gains
+            if len(model.problems) > 1 and not evidence.gains
             else None,
             simulated=z[k] if z else None,
         )
         for k, (problem, part, own) in enumerate(parts)
     ]
     fit = Fit(
-        recordings=tuple(fitted[k] for k in equations.order),
+        recordings=tuple(fitted[k] for k in model.order),
         method=evidence.method,
         status="solved",
         estimate=solved.estimate,
         intervals=solved.intervals,
-        least_squares=solved.of_base(),
-        t_s=np.concatenate([problem.row_times_s() for problem in equations.tasks()]),
+        least_squares=ls.of_base(),
+        t_s=np.concatenate([one.problem.row_times_s() for one in model.equations]),
         tau=rows.tau,
         tau_predicted=predicted,
         speed=rows.speed,
@@ -149,30 +152,31 @@ def fit_of(
         warnings=warnings,
         trust=trust_in(evidence),
         data=evidence,
-        own=own_test(equations.with_motors(()), solved.full),
+        own=own_test(model, x, ls),
     )
-    if equations.unknowns.plain:
+    if model.unknowns.plain:
         return fit
-    fit = replace(fit, **results_of(equations, evidence))
+    fit = replace(fit, **results_of(model, evidence))
     far = [one.recording for one in fit.payloads if not one.near]
     text = "no body of positive density is near: its values are stated or a ball's"
     return replace(fit, warnings=(*fit.warnings, *(f"payload of {name}: {text}" for name in far)))
 
 
-def own_test(equations: Equations, full: Estimate) -> FTest | None:
+def own_test(model: Model, x: Array, ls: LeastSquares) -> FTest | None:
     """F test, by least squares, of the recordings' own parameters against shared ones;
     None if there are none.
     """
-    names, own = equations.names, equations.unknowns.own
+    full, own = ls.full, model.unknowns.own
     if not own:
         return None
-    rows = equations.about(full.values_of(names))
-    W, Y = rows.system.weighted(full.weights)
+    names, x = full.names, model.x_of(full, x)
+    rows = model.rows(x)
+    W, Y = rows.of(model.unknowns.arm).weighted(full.weights)
     shared = list(dict.fromkeys(map(base_name, names)))
     merge = np.array([[float(base_name(name) == one) for one in shared] for name in names])
     scaled = [A / np.linalg.norm(A, axis=0) for A in (W, W @ merge)]
     norm, left = (float(np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y)[0])) for A in scaled)
-    rho = (rows.tau - equations.predicted(full)) * full.weights * rows.counts
+    rho = (rows.tau - model.predicted(x, full)) * full.weights * rows.counts
     extra, freedom = len(names) - len(shared), full.rows - len(names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
     F, p, F_effective, p_effective = f_tests(
@@ -181,9 +185,9 @@ def own_test(equations: Equations, full: Estimate) -> FTest | None:
     return FTest(names=own, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
-def _warnings(equations: Equations) -> tuple[str, ...]:
+def _warnings(model: Model) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
-    problems = [equations.problems[k] for k in equations.order]
+    problems = [model.problems[k] for k in model.order]
     of_settings = [
         [*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems
     ]
@@ -208,35 +212,36 @@ def _short_moves(problem: Problem) -> list[str]:
     ]
 
 
-def assess_iv(
-    equations: Equations, best: Pass, ls: LeastSquares, passes: Sequence[Pass], start: str
-) -> Fit:
+def assess_iv(loop: Loop, best: Pass, passes: Sequence[Pass], start: str) -> Fit:
     """The fit of the pass that is returned; the robot simulated with its estimate
     validates the direct model.
     """
-    estimate, z = best.estimate, best.confirmed_by
-    tau, predicted, _ = equations.torques(estimate)
+    model, ls, estimate, z, rows = loop.model, loop.ls, best.estimate, best.confirmed_by, best.rows
+    assert rows is not None
+    x = model.x_of(estimate, best.x)
+    tau, predicted, _ = model.torques(x, estimate)
     solved = replace(ls, estimate=estimate, tau_predicted=predicted)
-    evidence = evidence_of(equations, "iv", solved, equations.rows_with(best.z), tau=tau, z=z)
-    tests = tests_of(evidence.observed.system, estimate)
-    status, reason = status_of(equations, passes, best, tests)
+    evidence = evidence_of(model, "iv", solved, replace(rows, tau=tau), x, best.lags)
+    strength, F = tests_of(evidence.observed.system, estimate)
+    status, reason = status_of(model, passes, best, F)
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half
         contrast = np.nan_to_num(np.where(np.isin(estimate.names, ls.full.names), off, 0.0))
-    saturated = [saturated_percents(problem.with_samples()) for problem in equations.tasks()]
-    controllers = [controller_of(problem)[1] for problem in equations.problems]
+    saturated = [saturated_percents(one.problem.with_samples()) for one in model.equations]
+    controllers = [controller_of(problem)[1] for problem in model.problems]
     iv = InstrumentEvidence(
         start=start,
         reference="recorded"
-        if all(problem.signals.q_ref is not None for problem in equations.problems)
+        if all(problem.signals.q_ref is not None for problem in model.problems)
         else "surrogate",
         controller=max(controllers, key=("described", "found", "surrogate").index),
         passes=tuple(passes),
         returned=best.number,
         reason=reason,
-        tests=tests,
+        strength=strength,
+        first_stage_F=F,
         contrast=float(contrast.max()),
         contrast_at=estimate.names[int(contrast.argmax())],
         rows_used_percent=float(100 * evidence.observed.counts.mean()),
@@ -246,23 +251,24 @@ def assess_iv(
     evidence = replace(
         evidence,
         fixed_point=status in ("converged", "not_confirmed"),
-        first_stage_F=tests.first_stage_F,
+        first_stage_F=F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         by_reference=reason if status == "converged" else None,
     )
-    fit = fit_of(equations, evidence, replace(solved, intervals=evidence.intervals), z)
-    warnings = (*fit.warnings, *_iv_warnings(equations, z, controllers, saturated, tests))
-    return replace(fit, status=status, iv=iv, least_squares=ls.of_base(), warnings=warnings)
+    solved = replace(solved, intervals=evidence.intervals)
+    fit = fit_of(model, evidence, solved, x, ls, z)
+    warnings = (*fit.warnings, *_iv_warnings(model, z, controllers, saturated, F))
+    return replace(fit, status=status, iv=iv, warnings=warnings)
 
 
 def _iv_warnings(
-    equations: Equations,
+    model: Model,
     z: Sequence[Simulated],
     controllers: Sequence[str],
     saturated: Sequence[dict[str, float]],
-    tests: InstrumentTests,
+    first_stage_F: float,
 ) -> tuple[str, ...]:
-    warnings, robots = [], [problem.signals.robot for problem in equations.problems]
+    warnings, robots = [], [problem.signals.robot for problem in model.problems]
     each = list(zip(robots, controllers, z, strict=True))
     without = [robot for robot, controller, _ in each if controller == "surrogate"]
     unknown = [
@@ -270,7 +276,7 @@ def _iv_warnings(
         for robot, controller, one in each
         if controller != "surrogate" and not one.prior_known
     ]
-    if any(problem.signals.q_ref is None for problem in equations.problems):
+    if any(problem.signals.q_ref is None for problem in model.problems):
         warnings.append(
             "surrogate reference: none recorded, the measured position is used instead; the "
             "instruments are not "
@@ -292,9 +298,8 @@ def _iv_warnings(
         )
         if found := ", ".join(at_limit):
             warnings.append(f"drives at their limit: {found} of the samples")
-    if tests.first_stage_F < MIN_FIRST_STAGE_F:
+    if first_stage_F < MIN_FIRST_STAGE_F:
         warnings.append(
-            f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below "
-            f"{MIN_FIRST_STAGE_F:g}"
+            f"weak instruments: first-stage F = {first_stage_F:.2g}, below {MIN_FIRST_STAGE_F:g}"
         )
     return tuple(warnings)

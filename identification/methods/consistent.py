@@ -14,7 +14,7 @@ from ..arrays import Array
 from ..errors import BadInputError
 from ..estimation import consistent_parameters, one_thread, parameter_certainty, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
-from ..regression import recorded_power, torque_of_recording
+from ..regression import equation_alone, recorded_power, torque_of_recording
 from ..trust import covariance_of_all
 from .fit import ConsistentSet, Fit
 
@@ -68,12 +68,6 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     first = np.array([full.names.index(name) for name in fit.recordings[0].arm.names])
     covariance = covariance[np.ix_(first, first)]
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
-    # several, too long to be held
-    if any(not len(one.problem.signals.q) for one in fit.recordings):
-        text = "the recordings together are too long for the torque errors of a consistent set"
-        raise BadInputError(
-            text, place=problem.signals.robot.name, expected="a larger decimation, or one recording"
-        )
     alike = [one for one in fit.recordings if one.arm.names == fit.recordings[0].arm.names]
     power = recorded_power([one.problem for one in alike], fit.beta)
     found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
@@ -81,7 +75,8 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     each = [
         (
             *torque_of_recording(
-                one.problem, found.beta if payload is None else found.beta + payload.known
+                *equation_alone(one.problem),
+                found.beta if payload is None else found.beta + payload.known,
             ),
             one.problem.measured_rows(),
         )

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from acquisition.robot import ripple_notes
 
 from ..arrays import Array
-from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
+from ..estimation import Estimate, Intervals, Reduction
 from ..model import BaseParameters
-from ..regression import Arm, Problem, Settings, base_places
+from ..regression import Arm, Lag, Problem, Rows, Settings, base_places
 from ..report import DirectModelResidual, FTest, Method, Status, TorqueResidual
 from ..simulation import InstrumentKind, Simulated
-from ..trust import FitData, HeldOut, Lag, Trust
+from ..trust import FitData, HeldOut, Trust
 from .gain_results import EstimatedPayload, Gains
 
 WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
@@ -33,11 +33,12 @@ class Pass:
     """One pass of the instrumental variable method; only the last one keeps arrays as large as W.
 
     Attributes:
-        x: values about which its instruments are.
-        z: by recording, the simulated robot and its instruments.
-        robot: values simulated in place of `x`; None for these.
-        asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values
-            to simulate (None for a regular start), and of the estimate.
+        x: (p,) values, with the lags found.
+        z: by recording, the simulated robot; `rows`: with its instruments, about x.
+        estimate: of the free unknowns; `covariance`: (f, f) corrected for correlation.
+        lags: found, with what is known; `lags_settled`: whether they are those of the rows.
+        asked: values (p,) simulated, and their covariance (f, f), None for a regular start; of
+            `other` values than x.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations; in
             percent of those larger than two deviations; the parameter of the former.
         residual_percent: change of the residual norm by the pass, over the same rows.
@@ -53,18 +54,20 @@ class Pass:
 
     x: Array
     z: tuple[Simulated, ...]
+    rows: Rows | None
     estimate: Estimate
-    asked: Array | None
     covariance: Array
+    lags: tuple[Lag, ...]
+    lags_settled: bool
+    asked: tuple[Array, Array | None]
+    other: bool
     change_sigma: float
     change_percent: float
     changed: str
     residual_percent: float
     residual_settled: bool
     parameters_settled: bool
-    robot: Array | None = None
     number: int = 1
-    lags_settled: bool = True
     by_reference: str | None = None
     failure: str | None = None
     confirmed_by: tuple[Simulated, ...] = ()
@@ -72,7 +75,7 @@ class Pass:
     def without_rows(self) -> "Pass":
         """The same without arrays as large as W."""
         z, estimate = tuple(one.without_rows() for one in self.z), self.estimate.without_rows()
-        return replace(self, z=z, estimate=estimate, confirmed_by=())
+        return replace(self, z=z, rows=None, estimate=estimate, confirmed_by=())
 
     @property
     def kind(self) -> InstrumentKind:
@@ -103,7 +106,7 @@ class Pass:
     @property
     def is_last(self) -> bool:
         """Whether it and its lags settled, at the robot that was simulated."""
-        return self.settled and self.lags_settled and self.robot is None
+        return self.settled and self.lags_settled and not self.other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,6 +121,7 @@ class InstrumentEvidence:
         passes: in order; `returned` is the number, counted from 1, of the one
             whose estimate this is.
         reason: of the status; None for `converged` with instruments of a simulated robot.
+        strength, first_stage_F: of the instruments, as of `estimation.first_stage`.
         contrast, contrast_at: largest difference of least squares from the estimate, in
             half-widths, and its parameter.
         saturated_percent: share of recorded samples at a drive's limit; None if no limit is stated.
@@ -131,7 +135,8 @@ class InstrumentEvidence:
     passes: tuple[Pass, ...]
     returned: int
     reason: str | None
-    tests: InstrumentTests
+    strength: float
+    first_stage_F: float
     contrast: float
     contrast_at: str
     rows_used_percent: float
@@ -144,6 +149,7 @@ class LeastSquares:
     """The least squares solution that every fit has.
 
     Attributes:
+        of_full: intervals of `full`.
         estimate: `full`, or that of the essential parameters if only these were requested.
         full, essential: the estimate of all base parameters, and the reduction
             to the essential ones.
@@ -153,6 +159,7 @@ class LeastSquares:
     estimate: Estimate
     intervals: Intervals
     full: Estimate
+    of_full: Intervals
     essential: Reduction
     tau_predicted: Array
 
@@ -168,6 +175,7 @@ class LeastSquares:
             estimate=self.estimate.part(one),
             intervals=self.intervals.part(one),
             full=self.full.part(all_),
+            of_full=self.of_full.part(all_),
             essential=replace(self.essential, estimate=essential),
         )
 

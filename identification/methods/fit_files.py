@@ -304,7 +304,7 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
             )
             for p in iv.passes
         ],
-        "instrument_tests": vars(iv.tests),
+        "instrument_tests": {"strength": iv.strength, "first_stage_F": iv.first_stage_F},
         "contrast_half_widths": iv.contrast,
         "rows_used_percent": iv.rows_used_percent,
         "saturated_percent": iv.saturated_percent,

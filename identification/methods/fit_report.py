@@ -334,15 +334,14 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
 
 def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
     """Tests of the instruments, and why a pass could not be simulated."""
-    t = iv.tests
     return (
         *(
             f"pass {k}: instruments {p.kind}: {p.reason}"
             for k, p in enumerate(iv.passes, 1)
             if p.reason
         ),
-        f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F "
-        f"{t.first_stage_F:.3g}",
+        f"instruments: smallest correlation with W {iv.strength:.3f}, first-stage F "
+        f"{iv.first_stage_F:.3g}",
         f"least squares differs by {iv.contrast:.2g} half-widths, at {iv.contrast_at}",
         f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller "
         f"{iv.controller}",

@@ -5,23 +5,29 @@ simulate, end, and its status.
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import BadInputError, NoFitError
-from ..estimation import Estimate, InstrumentTests, System, instrument_tests, intervals_of
-from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
-from ..regression import Term
-from ..report import DirectModelResidual, Status
-from ..simulation import Simulated, controller_of
+from ..estimation import (
+    Estimate,
+    instrumental_variables,
+    intervals_of,
+    weighted_least_squares,
+)
+from ..model import BaseParameters, InverseModel
+from ..regression import Lag, Rows, base_places, lags_in
+from ..simulation import Simulated
 from ..trust import covariance_of_all
-from .equations import Equations, Robots, simulate_all
 from .fit import LeastSquares, Pass, join_reasons
-from .settled import least_squares
+from .model import Model
+from .start import Solution
+from .status import why_by_reference
 
-# a larger error of the simulated position does not confirm the estimate
-MAX_TRACKING_PERCENT = 20.0
+# samples; the column of the lag is of first order, not exact for many
+MAX_LAST_LAG = 0.25
 # passes; later ones simulate the mean of the last two values, which damps oscillation
 MAX_FULL_STEPS = 4
 
@@ -48,72 +54,138 @@ class Iteration:
             raise BadInputError(key="start", value=self.start, expected="regular, for inertias")
 
 
-def start_values(
-    equations: Equations, iteration: Iteration, ls: LeastSquares
-) -> tuple[Array, Array | None, Array | None]:
-    """Values of x to start from, least squares, their covariance, and what is simulated first in
-    their place: neither a regular start nor given values give the torques by which a lag is found.
+class Loop:
+    """The passes of a fit, prepared: they start at a solution by least squares.
+
+    Attributes:
+        model: recordings and unknowns; `x`: (p,) of least squares.
+        ls: least squares, whose weights are used.
+        robots: prepared for simulations.
+        speed: (rows, n) measured, of all recordings.
+        fitted: places of the unknowns that are estimated.
+        most, tolerance_percent: of the passes.
     """
-    problem, repeated = equations.problem, equations.unknowns.repeated
-    x = ls.full.values_of(equations.names)
-    if iteration.start == "regular" and iteration.values is None:
-        return x, None, repeated(regular_start(problem.model, problem.base, iteration.inertias))
-    C = covariance_of_all(
-        equations.names, ls.full, intervals_of(equations.about(x).system, ls.full), ls.full
-    )
-    return x, C, None if iteration.values is None else repeated(iteration.values(problem.base))
 
+    def __init__(
+        self, found: Solution, ls: LeastSquares, iteration: Iteration, *, essential: bool
+    ) -> None:
+        """From `found` and its evidence `ls`; `essential`: only such parameters are estimated."""
+        self.model, self.x, self.speed = found.model, found.x, found.rows.speed
+        self.ls = ls.without_rows()
+        stored, names = self.model.problem.signals.robot.identification, self.model.names
+        self.most = iteration.max_iterations or stored.max_iterations
+        self.tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
+        prior = inertia_prior(self.model, self.x)
+        self.robots = self.model.robots(prior, gain_update=iteration.gain_update)
+        self.fitted = np.arange(len(names))
+        if essential:
+            others = np.delete(self.fitted, base_places(names))
+            self.fitted = np.union1d(ls.essential.kept, others)
 
-def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
-    """Parameters (b,) to simulate next: the estimate, or in later passes its
-    mean with the last values.
-    """
-    beta = passes[-1].estimate.values_of(names)
-    return 0.5 * (beta + passes[-1].x) if len(passes) >= MAX_FULL_STEPS else beta
-
-
-@np.errstate(over="ignore", invalid="ignore")  # a start may be anything
-def assess_pass(
-    x: Array,
-    z: tuple[Simulated, ...],
-    estimate: Estimate,
-    system: System,
-    covariances: tuple[Array | None, Array],
-    *,
-    tolerance_percent: float,
-) -> Pass:
-    """The pass that gave `estimate` with instruments `z` about x, its changes, and whether it
-    settled; `system` has all parameters, `covariances` are those of the values simulated and the
-    estimate.
-    """
-    # Compared with the values asked for, not with the consistent ones simulated instead. Parameters
-    # near zero never settle in percent: half a deviation is enough.
-    tolerance = 0.01 * tolerance_percent
-    old = np.array([x[system.names.index(name)] for name in estimate.names])
-    change = np.abs(estimate.beta - old)
-    w = estimate.weights[system.joint_of_row]
-    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x)))
-    norm_change = abs(estimate.residual_norm - norm_before)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
-        in_percent = np.where(
-            np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0
+    def simulated(
+        self, x: Array, asked: tuple[Array, Array | None] | None, *, of_lag: bool
+    ) -> tuple[Simulated, ...]:
+        """The robot simulated with what is asked, as of `Model.simulated`, and rows about x with
+        the columns of terms that are not in the model.
+        """
+        model = self.model
+        further, of_lag = (
+            model.candidates(x, self.speed, simulated=True),
+            of_lag and model.exogenous,
         )
-    return Pass(
-        x=x,
-        z=z,
-        estimate=estimate,
-        asked=covariances[0],
-        covariance=covariances[1],
-        change_sigma=float(in_sigma.max()),
-        change_percent=float(in_percent.max()),
-        changed=estimate.names[int(in_sigma.argmax())],
-        residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
-        residual_settled=norm_change <= tolerance * norm_before,
-        parameters_settled=bool(
-            (change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all()
-        ),
-    )
+        return model.simulated(self.robots, x, asked, further, of_lag=of_lag)
+
+    def step(self, rows: Rows) -> Estimate:
+        """Equations (C), (D): (Z'J)⁻¹ Z'r."""
+        system = rows.system.with_columns(self.fitted)
+        Z, weights = rows.Z[:, self.fitted], self.ls.full.weights
+        return self.model.combined(system, instrumental_variables(system, Z, weights))
+
+    @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
+    def next_pass(
+        self,
+        x: Array,
+        lags: Sequence[Lag],
+        asked: tuple[Array, Array | None] | None,
+        before: Pass | None,
+    ) -> Pass:
+        """The pass about x with what is simulated: its estimate, changes, whether it settled."""
+        names, other = self.model.names, asked is not None and asked[0] is not x
+        z = self.simulated(x, asked, of_lag=not other)  # q_s, dq_s, ddq_s, with (E)
+        rows = self.model.along(z)  # (6)
+        rows, lags, settled = with_lags_found(rows, lags, first=before is None)  # (G)
+        try:
+            estimate = self.step(rows)  # (C), (D)
+        except NoFitError as error:
+            reasons = [(one.recording, one.reason) for one in z]
+            raise NoEstimateError(join_reasons(reasons)) from error
+        found = intervals_of(rows.system, estimate)  # C = D R D
+        # Compared with the values asked for, not with the consistent ones simulated instead.
+        # Parameters near zero never settle in percent: half a deviation is enough.
+        tolerance, (x, system) = 0.01 * self.tolerance_percent, (rows.x, rows.system)
+        change = np.abs(estimate.beta - [x[names.index(name)] for name in estimate.names])
+        w = estimate.weights[system.joint_of_row]
+        norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(names)])))
+        norm_change, size = abs(estimate.residual_norm - norm_before), np.abs(estimate.beta)
+        with np.errstate(divide="ignore"):
+            in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
+            in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
+        return Pass(
+            x=x,
+            z=z,
+            rows=rows,
+            estimate=estimate,
+            covariance=covariance_of_all(names, estimate, found, self.ls.full),
+            lags=lags,
+            lags_settled=settled,
+            asked=asked or (x, None),
+            other=other,
+            change_sigma=float(in_sigma.max()),
+            change_percent=float(in_percent.max()),
+            changed=estimate.names[int(in_sigma.argmax())],
+            residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
+            residual_settled=norm_change <= tolerance * norm_before,
+            parameters_settled=bool(
+                (change <= np.maximum(tolerance * size, estimate.sigma / 2)).all()
+            ),
+            number=1 if before is None else before.number + 1,
+        )
+
+
+def start_values(loop: Loop, iteration: Iteration) -> tuple[Array, Array | None]:
+    """What is simulated first, and its covariance: x of least squares; or a regular start or given
+    values, which do not give the torques by which a lag is found.
+    """
+    problem, repeated = loop.model.problem, partial(loop.model.unknowns.repeated, loop.x)
+    if iteration.start == "regular" and iteration.values is None:
+        return repeated(regular_start(problem.model, problem.base, iteration.inertias)), None
+    full = loop.ls.full
+    C = covariance_of_all(loop.model.names, full, loop.ls.of_full, full)
+    return loop.x if iteration.values is None else repeated(iteration.values(problem.base)), C
+
+
+def next_values(model: Model, passes: Sequence[Pass]) -> Array:
+    """x (p,) to simulate next: the estimate, or in later passes its mean with the last values."""
+    last = passes[-1]
+    x = model.x_of(last.estimate, last.x)
+    return 0.5 * (x + last.x) if len(passes) >= MAX_FULL_STEPS else x
+
+
+def with_lags_found(
+    rows: Rows, lags: Sequence[Lag], *, first: bool
+) -> tuple[Rows, tuple[Lag, ...], bool]:
+    """The rows about the lags that the rows of the lag find together with what is known, these, and
+    whether they have settled: not in the `first` pass, as the residuals of least squares, by which
+    its rows are whitened, have the lag in them. Unchanged where there are no such rows.
+    """
+    if rows.late is None:
+        return rows, tuple(lags), True
+    lags = tuple(lags_in(rows.late, rows.x[-len(lags) :], lags))
+    x = rows.x.copy()
+    x[-len(lags) :] = [lag.value_s for lag in lags]
+    small = (np.abs(x - rows.x)[-len(lags) :] < MAX_LAST_LAG * rows.period_s).all()
+    stated = all(lag.prior.stated for lag in lags)
+    return rows.about(x), lags, bool(small) and (stated or not first)
 
 
 class NoEstimateError(Exception):
@@ -138,38 +210,50 @@ def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]
     return [*passes[:-1], replace(passes[-1], failure=text)]
 
 
-def conclude(
-    equations: Equations,
-    robots: Robots,
-    passes: Sequence[Pass],
-    further: Callable[[Array], Sequence[Term]],
-    solve: Callable[[Sequence[Simulated]], Estimate],
-) -> Pass:
+def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks
     best at its worst joint.
 
-    It has its instruments, and the robot simulated with its estimate, or with the values that it
-    settled at. `further`: as of `simulate_all`, about given values.
+    It has its rows, about the last lags, and the robot simulated with its estimate, or with the
+    values that it settled at.
     """
-    last = passes[-1]
+    last, model = passes[-1], loop.model
     if last.is_last and last.failure is None:
         return replace(last, confirmed_by=last.z)
 
-    def simulated(estimate: Estimate, covariance: Array) -> tuple[Simulated, ...]:
-        x = estimate.values_of(equations.names)
-        return simulate_all(equations, robots, x, (x, covariance))
+    def confirmed(estimate: Estimate, covariance: Array) -> tuple[Simulated, ...]:
+        x = model.x_of(estimate, last.x)
+        return model.simulated(loop.robots, x, (x, covariance))
 
-    after = simulated(last.estimate, last.covariance)
+    after = confirmed(last.estimate, last.covariance)
     tracked = [_tracking(one.z) for one in passes[1:]] + [_tracking(after)]
     best = passes[int(np.argmin(tracked)) if min(tracked) < np.inf else -1]
     if best is last and last.failure is None:
         return replace(last, confirmed_by=after)
-    x, asked = best.x, (best.x if best.robot is None else best.robot, best.asked)
-    z = simulate_all(equations, robots, x, asked, further=further(x))
-    estimate = solve(z)
+    x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
+    z = loop.simulated(x, best.asked, of_lag=False)
+    rows = model.along(z)
+    estimate = loop.step(rows)
     if best is not last:
-        after = simulated(estimate, best.covariance)
-    return replace(best, z=z, estimate=estimate, confirmed_by=after)
+        after = confirmed(estimate, best.covariance)
+    return replace(best, x=x, z=z, rows=rows, estimate=estimate, lags=last.lags, confirmed_by=after)
+
+
+def by_reference(loop: Loop, passes: Sequence[Pass], best: Pass) -> Pass | None:
+    """A pass along the motion that the reference predicts, where the simulated robot confirms no
+    other, its control law is not described, and these instruments stand alone; else None.
+    """
+    if (why := why_by_reference(loop.model, passes, best)) is None:
+        return None
+    x, lags, last = loop.x, loop.model.lags, passes[-1]
+    with suppress(NoEstimateError):
+        for _ in range(2):  # residuals of least squares have the lag in them
+            last = loop.next_pass(x, lags, None, passes[-1])
+            x, lags = next_values(loop.model, [last]), last.lags
+        last = replace(last, by_reference=why, confirmed_by=last.z)
+        if why_by_reference(loop.model, [last], last) is None:
+            return last
+    return None
 
 
 def _tracking(z: Sequence[Simulated]) -> float:
@@ -182,124 +266,18 @@ def _tracking(z: Sequence[Simulated]) -> float:
     return max((x for x in joints if x is not None), default=0.0)
 
 
-def status_of(
-    equations: Equations, passes: Sequence[Pass], best: Pass, tests: InstrumentTests
-) -> tuple[Status, str | None]:
-    """`converged` needs settled passes, simulated instruments that explain W, and a simulation
-    that tracks the recording; or instruments along the motion that the reference predicts which
-    stand alone, and explain W.
-
-    Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot
-    would hide a joint of small travel.
-    """
-    last = passes[-1]
-    unconfirmed = None if best.by_reference else _unconfirmed(equations, best)
-    if last.failure is not None:
-        return "diverged", last.failure
-    if not tests.first_stage_F >= 1.0:
-        return (
-            "diverged",
-            "the simulated motion does not resemble the measured one: first-stage "
-            f"F = {tests.first_stage_F:.2g}",
-        )
-    if best.by_reference:
-        return "converged", f"instruments: reference; {best.by_reference}"
-    if last.is_last:
-        if unconfirmed is None and last.kind != "simulated":
-            unconfirmed = f"settled without simulated instruments: {last.reason}"
-        return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
-    if unconfirmed is not None:
-        return "diverged", unconfirmed
-    moving = []
-    if not last.parameters_settled:
-        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
-    if not last.residual_settled:
-        moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
-    still = " and ".join(moving) or "only the start is known"
-    return "max_iterations", f"after {len(passes)} passes {still}"
-
-
-def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -> str | None:
-    """Why instruments have to be along the motion that the reference predicts; None where those of
-    the pass are enough, the control law is described, or the reference is not recorded.
-    """
-    if any(
-        problem.signals.q_ref is None or controller_of(problem)[1] == "described"
-        for problem in equations.problems
-    ):
-        return None
-    system = equations.along(best.z).system
-    status, why = status_of(equations, passes, best, tests_of(system, best.estimate))
-    return (
-        None
-        if status == "converged"
-        else f"by a simulated robot, whose control law is not described, {status}: {why}"
-    )
-
-
-def _unconfirmed(equations: Equations, best: Pass) -> str | None:
-    """Why the simulation with the final estimate does not confirm it; None if it does."""
-    reasons = list[tuple[str, str | None]]()
-    for problem, arm in zip(equations.tasks(), equations.unknowns.arms, strict=True):
-        chi = problem.base.standard_parameters(arm.values(best.estimate))
-        M = direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))
-        reasons.append((problem.signals.recording, why_not_positive(M)))
-    if (reason := join_reasons(reasons)) is not None:
-        return f"the final estimate cannot be simulated: {reason}"
-    percents = [np.inf if one.percent is None else one.percent for one in best.confirmed_by]
-    if not max(percents) <= MAX_TRACKING_PERCENT:
-        return "the simulated position does not follow the measured one"
-    for d in direct_errors(best.confirmed_by):
-        if (
-            d.position_error_percent is not None
-            and not d.position_error_percent <= MAX_TRACKING_PERCENT
-        ):
-            return (
-                f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from "
-                "the measured one"
-            )
-    return None
-
-
-def tests_of(system: System, estimate: Estimate) -> InstrumentTests:
-    """Tests of the instruments of an estimate."""
-    indices = np.array([system.names.index(name) for name in estimate.names])
-    W, _ = system.with_columns(indices).weighted(estimate.weights)
-    return instrument_tests(estimate.Q, W, estimate.rows)
-
-
-def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
-    """Largest errors of the simulated robot in any recording, by joint; none if one
-    could not be simulated.
-    """
-    if any(not one.by_joint for one in z):
-        return ()
-    return tuple(
-        DirectModelResidual(
-            name=joint[0].name,
-            position_error_percent=largest([d.position_error_percent for d in joint]),
-            torque_error_percent=largest([d.torque_error_percent for d in joint]),
-        )
-        for joint in zip(*(one.by_joint for one in z), strict=True)
-    )
-
-
-def largest(percents: list[float | None]) -> float | None:
-    """The largest that is not None: a joint may stand in one recording, or have no torque."""
-    return max((x for x in percents if x is not None), default=None)
-
-
-def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:
-    """Values of x for whose inertias the controller gains are assumed to be set: least squares
-    at the rule's cut-off.
+def inertia_prior(model: Model, x: Array) -> Array:
+    """x for whose inertias the controller gains are assumed to be set: least squares at the rule's
+    cut-off.
 
     Without that filter the inertias are poorly determined; it is left out if the
     recording is too short.
     """
     with suppress(NoFitError):
-        if (behind := equations.behind_rule()) is not None:
-            return least_squares(behind)[1].values_of(equations.names)
-    return ls.full.values_of(equations.names)
+        if (behind := model.behind_rule()) is not None:
+            rows = behind.rows(x).of(behind.unknowns.arm)
+            return behind.x_of(behind.combined(rows, weighted_least_squares(rows)), x)
+    return x
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:

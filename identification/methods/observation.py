@@ -18,6 +18,7 @@ from ..estimation import (
 )
 from ..regression import (
     MAX_CACHED_NUMBERS,
+    Equation,
     FilteredMotion,
     KnownLag,
     Overrides,
@@ -85,9 +86,9 @@ def with_common_rate(
 
 
 @one_thread
-def settings_at(problem: Problem, overrides: Overrides) -> Settings:
+def settings_at(equation: Equation, overrides: Overrides) -> Settings:
     """Settings of a recording with other overrides."""
-    problem = problem.with_samples()
+    problem = equation.problem.with_samples()
     return regression.make_settings(problem.signals, overrides, problem.motion)
 
 
@@ -192,18 +193,16 @@ def _noise_like(problem: Problem) -> Array:
 
 def _with_noise(problem: Problem, noise: Array) -> Problem:
     """With the weights of samples as they are."""
-    regression.sample_weights(problem)
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
     signals = replace(problem.signals, q=q)
-    motion = FilteredMotion(signals)
-    motion.weights = problem.motion.weights
-    return replace(problem, signals=signals, motion=motion)
+    noisy = replace(problem, signals=signals, motion=FilteredMotion(signals))
+    return regression.with_weights_of(noisy, problem)
 
 
 def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
     """Least squares of the recording with the parameters of `ls`, without load friction."""
-    system = regression.rows_of_recording(problem).system
+    system = regression.rows_of_recording(*regression.equation_alone(problem)).system
     asked = set(map(regression.base_name, ls.estimate.names))
     columns = np.array(
         [k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()]

@@ -23,6 +23,7 @@ from ..regression import (
     Overrides,
     Problem,
     base_name,
+    equation_alone,
     make_problem,
     payload_of,
     torque_of_recording,
@@ -310,7 +311,8 @@ def validate_all(
     for signals, overrides in recordings:
         problem = make_problem(signals, overrides)
         beta = stored_beta(stored, problem.base, place) + payload_beta(stored, problem)
-        parts.append((*torque_of_recording(problem, beta), problem.measured_rows()))
+        torques = torque_of_recording(*equation_alone(problem), beta)
+        parts.append((*torques, problem.measured_rows()))
         errors = torque_errors(*parts[-1], names)
         each.append(Validated(signals, problem.settings, errors, *parts[-1][:2]))
     tau, predicted, speed, measured = (np.concatenate(x) for x in zip(*parts, strict=True))

@@ -1,38 +1,32 @@
-"""From signals to W and Y: settings, filters, regressor, weights of samples, load friction."""
+"""From signals to W and Y: settings, filters, motions, terms, weights of samples, rows."""
 
 from .bandwidth import with_bandwidth
-from .equations import (
-    Rows,
-    Term,
-    predicted_torque,
-    rows_by_measured_motion,
-    rows_of_recording,
-    torque_of_drives,
-    torque_of_recording,
-)
+from .blocks import Along, MotionBlock, motion_blocks, predicted_torque
 from .filtering import Decimation, forward_backward_3db_hz, lowpass_reach
-from .law import Law, described_gains, law_of
-from .load import LoadFriction, load_friction
+from .lag import Lag, combined_lag, lags_in
+from .law import SPEED_DELAYS, Law, described_gains, law_of
 from .motion import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
     FilteredMotion,
     Motion,
     differentiate,
-    later,
     motion_between,
     sampled_at,
     smooth,
 )
 from .payload import payload_of
-from .problem import (
-    MAX_CACHED_NUMBERS,
-    MotionBlock,
-    Problem,
-    RowBlock,
-    make_problem,
-    motion_of_block,
-    row_blocks,
+from .problem import MAX_CACHED_NUMBERS, Problem, RowBlock, make_problem, row_blocks
+from .rows import (
+    Candidate,
+    Equation,
+    Rows,
+    equation_alone,
+    equation_of,
+    residuals,
+    rows_of_recording,
+    stacked_rows,
+    torque_of_recording,
 )
 from .settings import (
     NOTHING,
@@ -48,12 +42,7 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
-from .states import (
-    fast_for_lag,
-    friction_states,
-    recorded_power,
-    rigid_torque_at_rows,
-    row_states,
-)
+from .states import fast_for_lag, friction_states, recorded_power, rigid_torque_at_rows, row_states
+from .terms import LoadFriction, Term, load_friction
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
-from .weights import refuse_standing_joints, sample_weights, weighted, weights_at
+from .weights import refuse_standing_joints, sample_weights, weights_at, with_weights_of

@@ -263,19 +263,15 @@ def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
     return _butterworth(cutoff_hz, sample_rate_hz).reach
 
 
-@dataclass(frozen=True, eq=False)
 class _Filter:
-    """A discrete low-pass: the analogue one with cut-off 1 and these poles
-    (n,), frequencies warped.
+    """A discrete low-pass: the analogue one with cut-off 1 and these poles (n,), frequencies
+    warped.
     """
 
-    poles: NDArray[np.complexfloating]
-    cutoff: float  # share of half the rate
-    dc: float = 1.0  # gain at frequency 0
-
-    @property
-    def warp(self) -> float:
-        return float(np.tan(0.5 * np.pi * self.cutoff))
+    def __init__(self, poles: NDArray[np.complexfloating], cutoff: float, dc: float = 1.0) -> None:
+        """With a cut-off as share of half the rate, and a gain at frequency 0."""
+        self.poles, self.dc = poles, dc
+        self.warp = float(np.tan(0.5 * np.pi * cutoff))
 
     @cached_property
     def reach(self) -> int:

@@ -1,13 +1,11 @@
 """Joint motion and torque on one time grid; the low-passed motion of a recording."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from acquisition.files import allocate, release_pages
+from acquisition.files import release_pages
 
 from ..arrays import Array
 from ..data import Signals
@@ -55,12 +53,6 @@ class FilteredMotion:
     def __init__(self, signals: Signals) -> None:
         self._signals = signals
         self._filtered: dict[float, Array] = {}
-        # of samples, by settings: `weights.sample_weights`
-        self.weights: dict[tuple[Any, ...], Any] = {}
-        # by span: `simulation.predicted`
-        self.predicted: dict[tuple[int, int], FilteredMotion] = {}
-        # by block: `equations.torque_of_model`
-        self.torques: dict[tuple[Any, ...], tuple[bytes, Array]] = {}
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
@@ -147,25 +139,6 @@ def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
         stride, count, -1
     )
     return np.concatenate([between.swapaxes(0, 1).reshape(last, *x.shape[1:]), x[count:]])
-
-
-def later(x: Array, by: float) -> Array:
-    """Samples x (N, n) `by` samples later, as `sampled_at`; block by block, on
-    disk for a long recording.
-    """
-    moved = allocate(x.shape)
-    for first in range(0, len(x), BLOCK_SAMPLES):
-        last = min(len(x), first + BLOCK_SAMPLES)
-        low, high = (
-            max(0, math.floor(first + by) - SPLINE_REACH),
-            min(len(x), math.ceil(last + by) + SPLINE_REACH),
-        )
-        moved[first:last] = sampled_at(
-            np.arange(first - low, last - low, dtype=np.float64) + by, x[low:high]
-        )
-        release_pages(x)
-        release_pages(moved)
-    return moved
 
 
 def motion_between(

@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,10 +18,9 @@ from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
 from .bandwidth import with_bandwidth
-from .filtering import Decimation, decimation_reach, nearby
+from .filtering import decimation_reach, nearby
 from .law import Law
-from .load import load_friction
-from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, sampled_at
+from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff_hz
 
 # of positions in the cache of a process: 64 MB, a few times as much in all
@@ -40,7 +39,7 @@ class Problem:
         motion: low-passed motion of the recording.
         source: where a task reads the recording, if the samples are left out.
         law: the control law of its drives, once looked for.
-        gains: (n,) factors on the described drive gains; None for those described.
+        gains: (n,) factors on the described drive gains that a fit found; None before.
     """
 
     signals: Signals
@@ -60,16 +59,11 @@ class Problem:
             robot if self.gains is None else replace(robot, identified_gain=robot.gain * self.gains)
         )
 
-    def torque(self, start: int, stop: int) -> Array:
-        """(N, n) torque of the inverse dynamic model at the samples `start` to `stop`."""
-        drives, known = self.drives(start, stop), self.signals.known_torque
-        return drives if known is None else drives + known[start:stop]
-
-    def drives(self, start: int, stop: int) -> Array:
-        """(N, n) torque of the drives at the samples `start` to `stop`, by their gains; it is
-        recorded a lag later.
+    def drives(self, start: int, stop: int, lag_s: float) -> Array:
+        """(N, n) torque of the drives by their gains that is recorded `lag_s` behind the samples
+        `start` to `stop`.
         """
-        s, by = self.signals, self.settings.torque_lag_s * self.signals.sample_rate_hz
+        s, by = self.signals, lag_s * self.signals.sample_rate_hz
         low = max(0, math.floor(start + by) - SPLINE_REACH)
         high = min(len(s.effort), math.ceil(stop + by) + SPLINE_REACH)
         tau, R = s.torque[low:high], s.robot.R
@@ -79,6 +73,13 @@ class Problem:
         if len(s.effort) > BLOCK_SAMPLES:
             release_pages(s.effort)
         return tau if self.gains is None else np.linalg.solve(R.T, tau.T).T * self.gains @ R
+
+    def known(self, t_s: Array) -> Array | None:
+        """The known torque (K, n) at samples of the recording at `t_s` (K,); None for none."""
+        known = self.signals.known_torque
+        if known is None:
+            return None
+        return np.asarray(known[np.rint(t_s * self.signals.sample_rate_hz).astype(np.intp)])
 
     @cached_property
     def series(self) -> int:
@@ -105,13 +106,16 @@ class Problem:
         """The name of its joint, of the last one if it acts at several."""
         return self.signals.robot.joints[int(self.term_of(name).rows[-1])].name
 
-    @property
-    def needs_drives(self) -> bool:
-        """Whether rows have the torque of each motor beside their sum: a gain is unknown,
-        or known within limits.
+    @cached_property
+    def exact(self) -> bool:
+        """Whether columns are computed at every sample: beside those of drives and of load
+        friction, others are not exact enough.
         """
-        return self.gains is not None or any(
-            motor.drive_gain_half_width for motor in self.signals.robot.motors
+        robot, sources = self.signals.robot, [self.model.sources[c] for c in self.base.columns]
+        return (
+            robot.identified_gain is not None
+            or any(motor.drive_gain_half_width for motor in robot.motors)
+            or any(getattr(source, "kind", "") == "load" for source in sources)
         )
 
     @property
@@ -158,7 +162,7 @@ class Problem:
             return self
         if isinstance(self.source, Signals):
             return self._of(self.source)
-        key = f"{self.source.key} {self.gains is None}"
+        key = f"{self.source.key} {self.signals.robot.identified_gain is None}"
         if key not in _cache:
             _cache[key] = self._of(self.source.load())
             while (
@@ -187,15 +191,9 @@ class Problem:
     def _of(self, signals: Signals) -> "Problem":
         # with its bandwidth
         robot = replace(signals.robot, controller=self.signals.robot.controller)
-        if self.gains is not None:
-            robot = replace(robot, identified_gain=robot.gain)
+        robot = replace(robot, identified_gain=self.signals.robot.identified_gain)
         signals = replace(signals, robot=robot, motion_hz=self.signals.motion_hz)
         return replace(self, signals=signals, motion=FilteredMotion(signals))
-
-    def with_gains(self, factors: Array) -> "Problem":
-        """The same with drive gains times `factors` (n,)."""
-        gains = factors if self.gains is None else self.gains * factors
-        return replace(self, gains=gains)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
         """The same without friction terms that are regrouped with nothing;
@@ -204,9 +202,9 @@ class Problem:
         settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
         return replace(self, base=self.base.without(left_out), settings=settings)
 
-    def corrected(self, lag_s: float) -> "Problem":
-        """The same with another lag of the torque, s, positive where it is late."""
-        return replace(self, settings=replace(self.settings, torque_lag_s=lag_s))
+    def with_results(self, lag_s: float, gains: Array | None) -> "Problem":
+        """The same with the lag and the factors (n,) on drive gains that a fit found."""
+        return replace(self, settings=replace(self.settings, torque_lag_s=lag_s), gains=gains)
 
 
 _cache: OrderedDict[str, Problem] = OrderedDict()  # of this process, in order of use
@@ -238,11 +236,9 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     Raises `BadInputError` if the settings do not suit the recording, or the
     robot cannot be modelled.
     """
-    gains = None
     if overrides.gains:
         if "all" not in overrides.gains:
             _refuse_unknown_motors(signals, overrides.gains)
-        gains = np.ones(signals.robot.n)
         robot = replace(signals.robot, identified_gain=signals.robot.gain)
         signals = replace(signals, robot=robot)
     signals = with_bandwidth(signals)
@@ -254,7 +250,6 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         model=model,
         base=base_parameters(model),
         motion=motion,
-        gains=gains,
         law=overrides.law,
     )
 
@@ -281,45 +276,8 @@ class RowBlock:
 
     def samples(self, N: int, factor: int) -> slice:
         """The samples of a series of N, `factor` to a row, from the rows `low` to `high`."""
-        return _samples(self.low, self.high, self.rows, N, factor)
-
-    def own_samples(self, N: int, factor: int) -> slice:
-        """Those of the rows `first` to `last`: blocks share none."""
-        return _samples(self.first, self.last, self.rows, N, factor)
-
-
-def _samples(first: int, last: int, rows: int, N: int, factor: int) -> slice:
-    return slice(0 if first == 0 else N - (rows - first) * factor, N - (rows - last) * factor)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MotionBlock(Motion):
-    """A block of a motion, measured or simulated, with the margins that the filters of its rows
-    need.
-
-    Attributes:
-        at: its rows; `decimation` leads from its samples to the rows.
-        stride: step between samples that tell what links need: more than 1 for a low-passed motion.
-    """
-
-    at: RowBlock
-    decimation: Decimation
-    stride: int = 1
-
-    def filtered(self, x: Array) -> Array:
-        """Return the rows (..., rows) of series x (..., N)."""
-        return self.decimation.filtered(x)[..., self.at.inside]
-
-    @property
-    def step_s(self) -> float:
-        """Return the time from sample to sample, s."""
-        return float(self.t_s[1] - self.t_s[0])
-
-    def own(self, x: Array) -> Array:
-        """Return the samples of x (N, n) that no other block has."""
-        at, factor = self.at, self.decimation.factor
-        stop = len(x) - (at.high - at.last) * factor
-        return x[stop - (at.last - at.first) * factor if at.first else 0 : stop]
+        start = N - (self.rows - self.low) * factor if self.low else 0
+        return slice(start, N - (self.rows - self.high) * factor)
 
 
 def row_blocks(problem: Problem) -> list[RowBlock]:
@@ -338,27 +296,3 @@ def row_blocks(problem: Problem) -> list[RowBlock]:
         low, high = max(0, first - margin), min(rows, last + margin)
         found.append(RowBlock(first=first, last=last, low=low, high=high, rows=rows))
     return found
-
-
-def motion_of_block(problem: Problem, at: RowBlock) -> MotionBlock:
-    """The recorded motion, low-passed, of the samples that a block needs."""
-    settings, signals = problem.settings, problem.signals
-    span = at.samples(settings.stop - settings.start, settings.decimation)
-    start, stop = (settings.start + k for k in (span.start, span.stop))
-    x = problem.motion.between(start, stop, settings.cutoff_hz)
-    # Beside columns that are not strided, such as those of drives, strided ones
-    # are not exact enough.
-    whole = problem.needs_drives or load_friction(problem.model, problem.base) is not None
-    stride = settings.decimator.stride_behind(settings.cutoff_hz, signals.sample_rate_hz)
-    return MotionBlock(
-        **{**vars(x), "tau": problem.torque(start, stop)},
-        at=at,
-        decimation=settings.decimator,
-        stride=1 if whole else stride,
-    )
-
-
-def motion_blocks(problem: Problem) -> Iterator[tuple[MotionBlock, slice]]:
-    """The span used in blocks: motion, and own rows in those of the motion."""
-    for block in row_blocks(problem):
-        yield motion_of_block(problem, block), block.inside

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..model import SHAPES, friction_power, shaped_states
-from .filtering import Decimation
-from .load import torque_of_links
-from .motion import Motion
-from .problem import Problem, motion_blocks
+from .blocks import MotionBlock, motion_blocks
+from .problem import Problem
+from .terms import torque_of_links
 
 MIN_LAG_SPEED_PERCENT = 20.0  # of the peak speed; a lag is looked for in faster rows
 # of its whitening filter: shorter, model error looks like a lag; longer, few rows are left
@@ -50,20 +49,12 @@ def row_states(problem: Problem, *, always: bool = False) -> RowStates | None:
         joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints
     ):
         return None
-    settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
-    rows = settings.decimator.rows(settings.stop - settings.start)
+    parts, rows = list[tuple[Array, ...]](), len(problem.settings.instants)
     rows_wanted = np.arange(0, rows, max(1, rows // STATES))
-    for motion, inside in motion_blocks(problem):
-        here = (
-            rows_wanted[(rows_wanted >= first) & (rows_wanted < first + inside.stop - inside.start)]
-            - first
-        )
-        parts.append(
-            tuple(
-                settings.decimator.kept(x)[inside][here] for x in (motion.q, motion.dq, motion.ddq)
-            )
-        )
-        first += inside.stop - inside.start
+    for motion in motion_blocks(problem):
+        at = motion.at
+        here = rows_wanted[(rows_wanted >= at.first) & (rows_wanted < at.last)] - at.first
+        parts.append(tuple(motion.kept(x)[here] for x in (motion.q, motion.dq, motion.ddq)))
     q, dq, ddq = (np.concatenate([part[i] for part in parts]) for i in range(3))
     return RowStates(rows=rows_wanted, q=q, dq=dq, ddq=ddq)
 
@@ -92,20 +83,17 @@ def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
 
 def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
-    motion, inside = next(motion_blocks(problem))
-    q, dq, ddq = (
-        problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq)
-    )
+    motion = next(motion_blocks(problem))
+    q, dq, ddq = (motion.kept(x) for x in (motion.q, motion.dq, motion.ddq))
     return dq, torque_of_links(problem.model, problem.base, beta, q, dq, ddq)
 
 
-def fast_for_lag(
-    problem: Problem, motion: Motion, decimation: Decimation, peak: Array
-) -> NDArray[np.bool_]:
+def fast_for_lag(motion: MotionBlock, peak: Array) -> NDArray[np.bool_]:
     """Rows (n, T) of a motion in which a lag shows, by the `peak` speeds (c,) along the
     directions of Coulomb friction.
     """
-    return fast_for_lag_by(problem, decimation.kept(motion.dq), peak)
+    fast = fast_for_lag_by(motion.problem, motion.decimation.kept(motion.dq), peak)
+    return fast[:, motion.at.inside]
 
 
 def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> NDArray[np.bool_]:

@@ -2,15 +2,14 @@
 
     beta_k = P_k x + known_k
 
-    columns of x in recording k: W P_k, and -E_m for the gain kappa_m of a drive
-
 P_k and known_k are constant. A shared base parameter, or one of recording k alone (Off1@A), is a
 unit column of P_k; the free part of a payload K_n phi are further columns, its known part is in
-known_k. E_m is the torque of motor m at the joints by its described gain: with the gain as an
-unknown its torque goes from Y to the columns.
+known_k. x has, one after the other: the free unknowns, which rows determine, gains of motors last;
+what is stated with a half-width, which is held at its value; and the lags, which have rows of their
+own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,11 +17,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.robot import Robot
+
 from ..arrays import Array
 from ..errors import BadInputError
 from ..estimation import Estimate
+from .blocks import MotionBlock
 from .payload import PayloadColumns, payload_columns
 from .problem import Problem
+from .terms import times
 
 # of `own`, and of the terms of the model
 KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
@@ -42,7 +45,8 @@ def base_name(name: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arm:
-    """The base parameters of one recording, beta = P x + known, of the robot with what it carries.
+    """The base parameters of one recording, beta = P x + known, of the robot with what it carries:
+    the term W beta.
 
     Attributes:
         names: (b,) of its base parameters without payload, in x.
@@ -56,6 +60,18 @@ class Arm:
     P: Array
     known: Array
     payload: PayloadColumns | None = None
+
+    def beta(self, x: Array) -> Array:
+        """(b,) base parameters."""
+        return np.asarray(self.P @ x + self.known)
+
+    def torque(self, x: Array, motion: MotionBlock) -> Array:
+        """F[w IDM] beta, without load friction."""
+        return np.asarray(self.beta(x) @ motion.W)
+
+    def columns(self, x: Array, motion: MotionBlock) -> Array:
+        """W P."""
+        return times(motion.W, self.P)
 
     @property
     def own(self) -> set[str]:
@@ -82,25 +98,77 @@ class Arm:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unknowns:
-    """The unknowns x of several recordings: base parameters, those of an own kind in sequence;
-    payloads; gains of motors.
+class Held:
+    """Something stated of a recording or a drive, which an estimate holds.
 
     Attributes:
-        names: (p,) of x.
+        name: in x.
+        value: in x; `half`: half-width of its 95 % interval.
+        stated: moves of what is stated of the free unknowns (f,) per unit.
+    """
+
+    name: str
+    value: float
+    half: float
+    stated: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unknowns:
+    """The unknowns x of several recordings.
+
+    Attributes:
+        names: (f,) of the free ones: base parameters, those of an own kind in sequence; payloads;
+            gains of motors.
         arms: by recording.
-        motors: whose gains are unknown.
+        motors: whose gains are free.
         payloads: of the recordings, each once.
+        held: what is stated.
+        groups: places of the recordings with a common lag: those of the same effort object, timing
+            and rate.
     """
 
     names: tuple[str, ...]
     arms: tuple[Arm, ...]
     motors: tuple[int, ...]
     payloads: tuple[PayloadColumns, ...]
+    held: tuple[Held, ...]
+    groups: tuple[tuple[int, ...], ...]
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """(p,) names of x."""
+        return self.arms[0].unknowns
+
+    @property
+    def lags(self) -> NDArray[np.intp]:
+        """Places (K,) of the lags, by group."""
+        return np.arange(len(self.all) - len(self.groups), len(self.all))
+
+    @property
+    def arm(self) -> NDArray[np.intp]:
+        """Places of the free unknowns but gains."""
+        return np.arange(len(self.names) - len(self.motors))
+
+    def start(self, lags_s: Sequence[float]) -> Array:
+        """x (p,) of nothing but described gains, what is stated, and known lags."""
+        x = np.zeros(len(self.all))
+        x[self.gains] = 1.0
+        x[len(self.names) : len(x) - len(lags_s)] = [one.value for one in self.held]
+        x[self.lags] = lags_s
+        return x
+
+    def lag_of(self, k: int) -> int:
+        """Place of the lag of recording k."""
+        return int(self.lags[next(g for g, of in enumerate(self.groups) if k in of)])
+
+    def gain_places(self, robot: Robot) -> NDArray[np.intp]:
+        """Places (n,) of the factors on the gains of all motors; -1 for a described one."""
+        return np.array([_place(self.all, f"K:{motor.name}") for motor in robot.motors])
 
     @property
     def plain(self) -> bool:
-        """Whether x are the base parameters of every recording."""
+        """Whether the free unknowns are the base parameters of every recording."""
         return self.names == self.arms[0].names and not any(arm.payload for arm in self.arms)
 
     @property
@@ -112,10 +180,6 @@ class Unknowns:
     def gains(self) -> slice:
         """Places of the gains."""
         return slice(len(self.names) - len(self.motors), len(self.names))
-
-    def beta(self, x: Array, k: int) -> Array:
-        """(b,) base parameters of recording k."""
-        return np.asarray(self.arms[k].P @ x + self.arms[k].known)
 
     def simulated(self, x: Array, C: Array | None) -> list[tuple[Array, Array | None, Array]]:
         """By recording what is simulated for x: base parameters (b,), their covariance without the
@@ -134,24 +198,15 @@ class Unknowns:
             found.append((x[at] + carried, None if C is None else C[np.ix_(at, at)], carried))
         return found
 
-    def columns(self, k: int, WE: Array) -> Array:
-        """Columns (r, p) of x in recording k from [W E] (r, b + n): W P_k, and -E_m
-        of the drives' torques.
+    def repeated(self, x: Array, beta: Array) -> Array:
+        """x with base parameters beta (b,), the same for every recording; no payloads, gains as
+        described.
         """
-        b = len(self.arms[k].names)
-        if self.plain:
-            return WE[:, :b]
-        found = np.asarray(WE[:, :b] @ self.arms[k].P)
-        if self.motors:
-            found[:, self.gains] = -WE[:, b:][:, self.motors]
-        return found
-
-    def repeated(self, beta: Array) -> Array:
-        """x from base parameters beta (b,), the same for every recording; gains as described."""
         values = dict(zip(map(base_name, self.arms[0].names), beta, strict=True))
-        x = np.array([values.get(base_name(name), 0.0) for name in self.names])
-        x[self.gains] = 1.0
-        return x
+        found = x.copy()
+        found[: len(self.names)] = [values.get(base_name(name), 0.0) for name in self.names]
+        found[self.gains] = 1.0
+        return found
 
 
 def make_unknowns(
@@ -185,17 +240,61 @@ def make_unknowns(
     ]
     payloads = tuple(dict.fromkeys(one for one in carried if one is not None))
     names += [name for one in payloads for name in one.names]
-    x = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
-    arms = tuple(_arm(x, *one) for one in zip(of, carried, strict=True))
-    return Unknowns(names=x, arms=arms, motors=motors, payloads=payloads)
+    free = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
+    held = [
+        Held(name=f"K:{motor.name}", value=1.0, half=half / gain, stated=np.zeros(len(free)))
+        for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
+        if (half := motor.drive_gain_half_width) and m not in motors
+    ]
+    of_payload = {
+        f"half-width {i}:{number}": (one, *both)
+        for number, one in enumerate(payloads)
+        for i, both in enumerate(one.half_widths(free))
+    }
+    held += [
+        Held(name=name, value=0.0, half=1.0, stated=stated)
+        for name, (_, _, stated) in of_payload.items()
+    ]
+    groups = lag_groups(problems)
+    x = (*free, *(one.name for one in held), *(f"lag {g}" for g in range(len(groups))))
+    arms = tuple(_arm(x, *one, of_payload) for one in zip(of, carried, strict=True))
+    return Unknowns(
+        names=free,
+        arms=arms,
+        motors=motors,
+        payloads=payloads,
+        held=tuple(held),
+        groups=groups,
+    )
 
 
-def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | None) -> Arm:
+def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
+    """Places of recordings with a common lag: those of the same effort object, timing and rate."""
+    groups: dict[object, list[int]] = {}
+    for k, problem in enumerate(problems):
+        signals, known = problem.signals, problem.settings.known_lag
+        groups.setdefault((*signals.lag_group, known.sd_s == 0.0 and known.value_s), []).append(k)
+    return tuple(map(tuple, groups.values()))
+
+
+def _arm(
+    x: tuple[str, ...],
+    names: tuple[str, ...],
+    payload: PayloadColumns | None,
+    stated: Mapping[str, tuple[PayloadColumns, Array, Array]],
+) -> Arm:
     P, known = np.zeros((len(names), len(x))), np.zeros(len(names))
     P[np.arange(len(names)), _places(x, names)] = 1.0
     if payload is not None:
         P[:, _places(x, payload.names)], known = payload.columns, payload.known
+    for name, (of, moves, _) in stated.items():
+        if of is payload:
+            P[:, x.index(name)] = moves
     return Arm(names=names, unknowns=x, P=P, known=known, payload=payload)
+
+
+def _place(x: tuple[str, ...], name: str) -> int:
+    return x.index(name) if name in x else -1
 
 
 def _places(x: tuple[str, ...], names: Sequence[str]) -> NDArray[np.intp]:

@@ -14,14 +14,16 @@ such a joint has no weights, but only the rows at whose instants it moves.
 Samples that nobody measured weigh nothing in the same way, also where those of standstill do.
 """
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import NoFitError
 from .bandwidth import LOOP_PER_MOTION
-from .filtering import Decimation, nearby
-from .motion import BLOCK_SAMPLES
+from .filtering import nearby
+from .motion import BLOCK_SAMPLES, FilteredMotion
 from .problem import Problem, row_blocks
 from .settings import MAX_CUTOFF_SHARE, RAMPS, ROWS
 
@@ -93,27 +95,34 @@ class SampleWeights:
         return w
 
 
+# of each motion, by settings
+_made: WeakKeyDictionary[FilteredMotion, dict[tuple[object, ...], SampleWeights]] = (
+    WeakKeyDictionary()
+)
+
+
 def sample_weights(problem: Problem) -> SampleWeights:
     """The weights of a recording, made once for its settings."""
-    s, made = problem.settings, problem.motion.weights
+    s, made = problem.settings, _made.setdefault(problem.motion, {})
     span = (s.start, s.stop, s.decimation, s.cutoff_hz, s.low_speed_percent)
     key = (*span, s.ramp_rows)
     if key not in made:
         moves = next((made[other].moves for other in made if other[:-1] == span), None)
         made[key] = SampleWeights(problem, _moves(problem) if moves is None else moves)
-    found: SampleWeights = made[key]
-    return found
+    return made[key]
+
+
+def with_weights_of(problem: Problem, other: Problem) -> Problem:
+    """The problem with the weights of samples of another."""
+    sample_weights(other)
+    _made[problem.motion] = _made[other.motion]
+    return problem
 
 
 def weights_at(problem: Problem, t_s: Array) -> Array:
     """w (n, K) at equidistant samples of the recording, at `t_s` (K,)."""
     at = np.rint(t_s[[0, 1, -1]] * problem.signals.sample_rate_hz).astype(int)
     return sample_weights(problem).between(int(at[0]), int(at[2]) + 1)[:, :: int(at[1] - at[0])]
-
-
-def weighted(problem: Problem, t_s: Array, x: Array, decimation: Decimation) -> Array:
-    """F[w x] (n, rows) of series x (K, n), by joint, at samples of the recording at `t_s` (K,)."""
-    return decimation.filtered(weights_at(problem, t_s) * x.T)
 
 
 def refuse_standing_joints(

@@ -32,8 +32,10 @@ Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits 
 efforts in every structure.
 """
 
+import operator
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,9 +44,40 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..errors import BadInputError
 from ..model import DirectModel
-from ..regression import described_gains
+from ..regression import SPEED_DELAYS, described_gains
 
 SURROGATE_DAMPING = 0.8
+MAX_DECAY = 0.6  # of a speed in a step, by the fastest speed loop; from 1 on it would overshoot
+
+
+class Numbers(NamedTuple):
+    """What a step needs beside sums and products, of vectors (n,) and matrices (n, n).
+
+    A lone joint has Python's floats instead, which take a fifth of the time.
+    """
+
+    own: Callable[[Array], Any]  # an array as such a number
+    each: Callable[[Array], Any]  # the same of rows (N, n), to be taken one by one
+    dot: Callable[[Any, Any], Any]
+    reverses: Callable[[Any, Any], bool]  # whether any of A x is below zero
+    within: Callable[[Any, Any], Any]  # a vector, limited to both sides
+
+
+ARRAYS = Numbers(
+    own=np.asarray,
+    each=np.asarray,
+    dot=np.ndarray.dot,
+    reverses=lambda A, x: min(A.dot(x).tolist(), default=0.0) < 0.0,
+    # np.clip takes three times as long
+    within=lambda x, limit: np.minimum(np.maximum(x, -limit), limit),
+)
+FLOATS = Numbers(
+    own=lambda x: x.sum().item(),  # without a direction of friction zero
+    each=lambda x: x[:, 0].tolist(),
+    dot=operator.mul,
+    reverses=lambda a, x: a * x < 0.0,
+    within=lambda x, limit: min(max(x, -limit), limit),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,6 +132,29 @@ class ControlLaw:
     computed_torque: bool
     gravity: bool = False  # adds the model's gravity along the reference
     gravity_at_q: bool = False  # the same at the measured position
+    periods: int = 1  # of the controller in `period_s`
+
+    @property
+    def middle(self) -> float:
+        """Of the controller's instants in a step, in steps from its begin."""
+        return 0.5 * (self.periods - 1) / self.periods
+
+    def slower(self, M: Array, rate_hz: float) -> "ControlLaw":
+        """The loop of a robot of inertias M (P, n, n) with every m-th of its instants, at least
+        `rate_hz`: steps of a simulation cost the same at any rate.
+
+        u of the m instants in a step is that of their middle, to first order, with the speed as
+        late as the controller estimates it. That holds while the fastest speed loop, of the largest
+        eigenvalue of M⁻¹ Rᵀ G Kd R, needs more than a step: `MAX_DECAY`. Computed torque keeps its
+        instants.
+        """
+        if self.computed_torque:
+            return self
+        loops = np.linalg.solve(M, (self.R.T * self.G * self.Kd) @ self.R)
+        fastest = float(np.abs(np.linalg.eigvals(loops)).max())
+        slowest_hz = max(rate_hz, fastest / MAX_DECAY)
+        m = max(1, int(1 / (slowest_hz * self.period_s) + 1e-9))
+        return replace(self, period_s=m * self.period_s, periods=m)
 
     def scaled(self, factor: Array) -> "ControlLaw":
         """The gain update: the loop for other inertias, with gains and
@@ -108,8 +164,13 @@ class ControlLaw:
         loop has the new inertias.
         """
         gains = np.ones_like(factor) if self.computed_torque else factor
-        Kp, Kd, Ki = (own * gains for own in (self.Kp, self.Kd, self.Ki))
-        return replace(self, Kp=Kp, Kd=Kd, Ki=Ki, saturation=self.saturation * factor)
+        return replace(
+            self,
+            Kp=gains * self.Kp,
+            Kd=gains * self.Kd,
+            Ki=gains * self.Ki,
+            saturation=factor * self.saturation,
+        )
 
     def inertias(self, bandwidth_hz: float) -> Array:
         """Inertias J (n,) for which Kp gives the bandwidth w: w² J is the diagonal of Rᵀ G Kp R.
@@ -128,21 +189,13 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
 
     Raises `BadInputError` naming missing keys.
     """
-    c = robot.controller
-    integrates = c.structure in ("cascade_p_pi", "pid")
-    needed = [
-        "structure",
-        "sample_rate_hz",
-        "position_gain",
-        "velocity_gain",
-        *["integral_gain"] * integrates,
-    ]
-    stated = {
-        key: getattr(c, key) for key in (*needed, "integral_gain") if getattr(c, key) is not None
-    }
-    if not stated:
-        return None
-    if missing := [key for key in needed if key not in stated]:
+    c, needed = robot.controller, ["structure", "sample_rate_hz", "position_gain", "velocity_gain"]
+    gains, cascade = described_gains(c), str(c.structure).startswith("cascade")
+    if gains is None or c.sample_rate_hz is None:
+        if all(getattr(c, key) is None for key in (*needed, "integral_gain")):
+            return None
+        needed += ["integral_gain"] * (c.structure in ("cascade_p_pi", "pid"))
+        missing = [key for key in needed if getattr(c, key) is None]
         raise BadInputError(
             place=f"robot {robot.name}",
             key=f"controller: {', '.join(missing)}",
@@ -150,24 +203,20 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
             expected=f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz "
             "is simulated)",
         )
-    structure, gains = stated["structure"], described_gains(c)
-    assert gains is not None
-    Kp, Kd, Ki = gains
-    cascade = structure.startswith("cascade")
     return ControlLaw(
-        period_s=1.0 / stated["sample_rate_hz"],
+        period_s=1.0 / c.sample_rate_hz,
         R=robot.R,
         G=robot.gain,
-        Kp=Kp,
-        Kd=Kd,
-        Ki=Ki,
-        position_share=np.array(stated["position_gain"]) if cascade else np.ones(robot.n),
-        feedforward=0.0 if cascade or structure == "pd" else 1.0,
+        Kp=gains[0],
+        Kd=gains[1],
+        Ki=gains[2],
+        position_share=np.array(c.position_gain) if cascade else np.ones(robot.n),
+        feedforward=0.0 if cascade or c.structure == "pd" else 1.0,
         saturation=np.array(
             [m.saturation if m.saturation is not None else np.inf for m in robot.motors]
         ),
         velocity_estimate=c.velocity_estimate or "backward_difference",
-        computed_torque=structure == "computed_torque",
+        computed_torque=c.structure == "computed_torque",
         gravity_at_q=c.gravity_feedforward,
     )
 
@@ -196,150 +245,87 @@ def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
 class Control:
     """The control law with its state: the integral and the previous positions."""
 
-    def __init__(self, model: DirectModel, loop: ControlLaw, q: Array, v: Array) -> None:
-        """`q`, `v` (n,) are the initial position and speed."""
-        self._model, self._loop, self._T = model, loop, loop.period_s
-        self._to_joints = loop.R.T * loop.G
+    def __init__(
+        self, model: DirectModel, loop: ControlLaw, q: Array, v: Array, numbers: Numbers = ARRAYS
+    ) -> None:
+        """`q`, `v` (n,) are the initial position and speed; later ones are of kind `numbers`."""
+        self._model, self._loop, self._T, self._start = model, loop, loop.period_s, q[None]
+        self._numbers, own, to_joints = numbers, numbers.own, loop.R.T * loop.G
+        self._to_motors, self._R_inverse = np.linalg.inv(to_joints), np.linalg.inv(loop.R)
+        self._to_joints, self._limit = own(to_joints), own(loop.saturation)
         self._limited, self._integrates = (
-            bool(np.isfinite(loop.saturation).any()),
+            bool((loop.saturation < np.inf).any()),
             bool(loop.Ki.any()),
         )
-        self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
-        self._start = q
-        self._integral: Any = np.zeros(len(loop.Kp))  # of a lone joint a float
-        self._integral_unset = self._integrates
-        self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
+        # of u, and of what its integral gains in a period, the factors of position and speed; that
+        # of a cascade is of the speed error
+        summed, by_speed = self._T * loop.Ki, loop.feedforward == 0.0
+        gains = loop.Kp, loop.Kd, summed * loop.position_share, summed * by_speed
+        self._P, self._D, self._I, self._J = (own(gain[:, None] * loop.R) for gain in gains)
+        self._integral: Any = None
+        delay = SPEED_DELAYS[loop.velocity_estimate]  # that of positions so many periods ago, twice
+        self._before = [own(q - (k + 1) * self._T * v) for k in range(round(2 * delay))]
+        self._v1, self._lead = own(v), loop.middle - delay / loop.periods
+        self._ahead_s, self._summed = loop.middle * self._T, 1.0 - loop.middle
+        self._late_s = 2 * delay * self._T
 
     def take(self, reference: Reference) -> None:
         """Set the reference, or its next span; instants are counted from its start."""
-        loop, self._reference = self._loop, reference
-        self._reference_part = reference.q @ self._P.T + loop.feedforward * (
-            reference.dq @ self._D.T
-        )
-        if loop.gravity and not loop.computed_torque:
-            self._reference_part = (
-                self._reference_part + self._motor_effort(self._gravity(reference.q).T).T
+        loop, self._reference, each = self._loop, reference, self._numbers.each
+        fed = 0.0 * reference.q if reference.feedforward is None else reference.feedforward
+        held = self._held(reference.q) if loop.gravity else 0.0 * fed
+        r, speed = (x @ loop.R.T for x in (reference.q, loop.feedforward * reference.dq))
+        u, x = loop.Kp * r + loop.Kd * speed, self._T * loop.Ki * loop.position_share * r
+        self._u = each(u if loop.computed_torque else u + held + fed)
+        self._x, self._fed = each(x), fed
+        if self._integral is None:
+            # It balances gravity at rest: speeds and accelerations of a single instant would add
+            # their noise.
+            known = (
+                self._model.gravity(self._start) @ self._to_motors.T
+                if loop.gravity_at_q
+                else held[0]
             )
-        self._added = reference.feedforward if loop.computed_torque else None
-        if reference.feedforward is not None and not loop.computed_torque:
-            self._reference_part = self._reference_part + reference.feedforward
-        if self._integral_unset:
-            self._integral, self._integral_unset = self._initial_integral(), False
-
-    def _initial_integral(self) -> Array:
-        """The initial integral: it balances gravity at rest."""
-        # Speeds and accelerations of a single instant would add their noise.
-        loop, reference = self._loop, self._reference
-        held = self._motor_effort(self._gravity(self._start[None])[0])
-        if loop.gravity_at_q:
-            held = held - self._motor_effort(self._model.gravity(self._start[None])[0])
-        elif loop.gravity:
-            held = held - self._motor_effort(self._gravity(reference.q[:1])[0])
-        if reference.feedforward is not None:
-            held = held - reference.feedforward[0]
-        held = np.clip(held, -loop.saturation, loop.saturation)
-        return np.divide(held, loop.Ki, out=np.zeros_like(held), where=loop.Ki > 0)
+            need = np.clip(
+                self._held(self._start) - known - fed[0], -loop.saturation, loop.saturation
+            )
+            self._integral = self._numbers.own(np.where(loop.Ki > 0, need[0], 0.0))
 
     def torque(self, k: int, q: Any, v: Any) -> Any:
         """The controller's joint torques (n,) at its instant k, at which the encoder
         reads the positions q.
         """
+        loop, dot, dq, x = self._loop, self._numbers.dot, v, 0.0
         if self._reference.encoder is not None:
-            q = self._reference.encoder.seen(q, k)
-        loop, dq = self._loop, v
-        if loop.velocity_estimate == "backward_difference":
-            dq = (q - self._q1) / self._T
-        elif loop.velocity_estimate == "two_sample_mean":
-            dq = (q - self._q2) / (2 * self._T)
-        self._q2, self._q1 = self._q1, q
-        u = self._reference_part[k] - self._P.dot(q) - self._D.dot(dq)
+            q = self._numbers.own(self._reference.encoder.seen(q, k))
+        if loop.periods > 1:
+            q, dq, self._v1 = q + self._ahead_s * v, v + self._lead * (v - self._v1), v
+        elif before := self._before:
+            dq = (q - before.pop()) / self._late_s
+            before.insert(0, q)
+        u = self._u[k] - dot(self._P, q) - dot(self._D, dq)
         if loop.gravity_at_q:
-            u = u + self._motor_effort(self._model.gravity(q[None])[0])
+            gravity = self._model.gravity(np.reshape(q, (1, -1)))[0]
+            u = u + self._numbers.own(self._to_motors.dot(gravity))
         if self._integrates:
-            x = loop.position_share * loop.R.dot(self._reference.q[k] - q)
-            if loop.feedforward == 0.0:  # a cascade integrates the velocity error
-                x = x - loop.R.dot(dq)
-            before, self._integral = self._integral, self._integral + x * self._T
-            u = u + loop.Ki * self._integral
-        if loop.computed_torque:
-            ddq = self._reference.ddq[k] + np.linalg.solve(loop.R, u)
-            tau = self._model.torque(q[None], v[None], ddq[None], self._reference.dq[k : k + 1])[0]
-            if not self._limited and self._added is None:
-                return np.asarray(tau)
-            u = self._motor_effort(tau)
-            if self._added is not None:
-                u = u + self._added[k]
-        if self._limited:
-            # np.clip takes three times as long
-            limited = np.minimum(np.maximum(u, -loop.saturation), loop.saturation)
-            if self._integrates:
-                self._integral = np.where(limited != u, before, self._integral)  # no wind-up
-            u = limited
-        return np.asarray(self._to_joints.dot(u))
-
-    def _gravity(self, q: Array) -> Array:
-        """Drive torques (N, n) that hold the robot at positions q (N, n)
-        at the first N instants.
-        """
-        known = self._reference.known_torque
-        gravity = self._model.gravity(q)
-        return gravity if known is None else gravity - known[: len(q)]
-
-    def _motor_effort(self, tau: Array) -> Array:
-        """Motor efforts (n, ...) that give the joint torques (n, ...)."""
-        return np.asarray(np.linalg.solve(self._to_joints, tau))
-
-
-class LoneControl(Control):
-    """`Control` of a lone joint in Python floats; not of computed torque."""
-
-    def __init__(self, model: DirectModel, loop: ControlLaw, q: Array, v: Array) -> None:
-        """See `Control`."""
-        super().__init__(model, loop, q, v)
-        self._lone_P, self._lone_D, self._lone_G = (
-            x.item() for x in (self._P, self._D, self._to_joints)
-        )
-        self._lone_R, self._Ki, self._share = (
-            loop.R.item(),
-            loop.Ki.item(),
-            loop.position_share.item(),
-        )
-        self._limit, self._offset, self._bias = (
-            loop.saturation.item(),
-            model.offset.item(),
-            model.lone_bias(),
-        )
-        samples = {"exact": 0, "backward_difference": 1, "two_sample_mean": 2}[
-            loop.velocity_estimate
-        ]
-        self._before, self._lag_s = [self._q1.item(), self._q2.item()][:samples], samples * self._T
-
-    def take(self, reference: Reference) -> None:
-        """See `Control`."""
-        super().take(reference)
-        self._feed, self._target = self._reference_part[:, 0].tolist(), reference.q[:, 0].tolist()
-        self._integral = np.asarray(self._integral).item()
-
-    def torque(self, k: int, q: Any, v: Any) -> Any:
-        """See `Control`."""
-        loop, dq = self._loop, v
-        if self._reference.encoder is not None:
-            q = self._reference.encoder.seen(q, k).item()
-        if self._before:
-            dq = (q - self._before.pop()) / self._lag_s
-            self._before.insert(0, q)
-        u = self._feed[k] - self._lone_P * q - self._lone_D * dq
-        if loop.gravity_at_q:
-            u += (self._bias(q) + self._offset) / self._lone_G
-        if self._integrates:
-            x = self._share * (self._lone_R * (self._target[k] - q))
+            x = self._x[k] - dot(self._I, q)
             if loop.feedforward == 0.0:
-                x -= self._lone_R * dq
-            before, self._integral = self._integral, self._integral + x * self._T
-            u += self._Ki * self._integral
+                x = x - dot(self._J, dq)
+            u = u + (self._integral + self._summed * x)
+        if loop.computed_torque:
+            ddq = self._reference.ddq[k] + self._R_inverse.dot(u)
+            tau = self._model.torque(q[None], v[None], ddq[None], self._reference.dq[k : k + 1])[0]
+            u = self._to_motors.dot(tau) + self._fed[k]
         if self._limited:
-            limited = min(max(u, -self._limit), self._limit)
-            if self._integrates and limited != u:
-                self._integral = before
-            u = limited
-        return self._lone_G * u
+            wanted, u = u, self._numbers.within(u, self._limit)
+            x = x * (u == wanted)  # no wind-up
+        if self._integrates:
+            self._integral = self._integral + x
+        return dot(self._to_joints, u)
+
+    def _held(self, q: Array) -> Array:
+        """Motor efforts (N, n) that hold the robot at positions q (N, n) at the first N
+        instants, beside the known torque.
+        """
+        known, gravity = self._reference.known_torque, self._model.gravity(q)
+        return (gravity if known is None else gravity - known[: len(q)]) @ self._to_motors.T

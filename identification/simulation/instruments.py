@@ -9,14 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from .. import regression
 from ..arrays import Array
 from ..errors import NoFitError
 from ..estimation import one_thread
 from ..model import nearest_consistent
-from ..regression import MotionBlock, Problem, Rows, Term
+from ..regression import Candidate, Equation, Motion, MotionBlock, Rows, rows_of_recording
 from ..report import DirectModelResidual
-from .simulated_recording import SimulatedRecording
+from .simulated_recording import COARSE, SimulatedRecording
 
 MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
@@ -48,7 +47,7 @@ class Simulated:
     reason: str | None
     gains: Array
     prior_known: bool
-    motion: MotionBlock | None
+    motion: Motion | None
     error: Array
     percent: float | None
     by_joint: tuple[DirectModelResidual, ...]
@@ -63,14 +62,14 @@ class Simulated:
 def simulate(
     prepared: Callable[[float], SimulatedRecording],
     rate_per_bandwidth: float,
-    problem: Problem,
+    equation: Equation,
     about: tuple[Array, Asked | None],
-    further: Term | None = None,
-    before: Array | None = None,
+    further: Candidate | None = None,
+    of_lag: bool = False,
 ) -> Simulated:
-    """Simulate a robot in a recording, and compute the rows of its `problem` about the base
-    parameters x (b,) with instruments; `about` has x and what is asked, `further` and `before` are
-    those of `rows_of_recording`.
+    """Simulate a robot in a recording, and compute the rows of its `equation` about the unknowns x
+    (p,) with instruments; `about` has x and what is asked, `further` and `of_lag` are those of
+    `rows_of_recording`.
 
     The robot is the physically consistent one nearest to what is asked, or without a covariance
     that of the very parameters. If nothing is asked, or the robot leaves its reference, instruments
@@ -82,81 +81,70 @@ def simulate(
     """
     robot, beta, (x, asked) = prepared(rate_per_bandwidth), None, about
     kind: InstrumentKind = "reference"
+    known, why = equation.arm.beta(x), None
     if asked is not None:
         beta, covariance, payload = asked
+        why = robot.gains(robot.model(beta))[1]
         if covariance is not None:
             with suppress(NoFitError):
-                of = robot.problem.model, robot.problem.base
-                beta = nearest_consistent(*of, beta - payload, covariance).beta + payload
-    along, reason = robot.motion(beta, x)
+                own = robot.problem.model, robot.problem.base, beta - payload
+                beta = nearest_consistent(*own, covariance).beta + payload
+    along, gains, reason = robot.motion(beta, known)
     if asked is not None and reason is None:
-        reason = robot.gains(asked[0])[1]
-        kind = "simulated" if reason is None else "consistent"
+        kind, reason = "simulated" if why is None else "consistent", why
         if reason is None and covariance is not None and beta is asked[0]:
             reason = "no physically consistent robot is near: that of the estimate itself"
-    whole, q, torques = _compared(robot, along())
-    percent, by_joint = _tracking(robot, (q, whole.q), torques)
+    rows = rows_of_recording(equation, x, further, along(), of_lag=of_lag)
+    motion, error, percent, by_joint = _followed(robot, along(), rows.tau)
     return Simulated(
         recording=robot.problem.signals.recording,
         kind=kind,
         reason=reason,
-        gains=np.ones(len(robot.held)) if beta is None else robot.gains(beta)[0],
+        gains=gains,
         prior_known=robot.prior_known,
-        motion=whole,
-        error=whole.q - q,
+        motion=motion,
+        error=error,
         percent=None if kind == "reference" else percent,
         by_joint=() if kind == "reference" else by_joint,
-        rows=regression.rows_of_recording(problem, x, further, along(), before),
+        rows=rows,
     )
 
 
-def _compared(
-    robot: SimulatedRecording, along: Iterator[MotionBlock]
-) -> tuple[MotionBlock, Array, tuple[Array, Array]]:
-    """A motion at the samples that are kept, the measured positions (N, n) there, and the torques
-    (T, n) of the rows, measured and of the motion.
+@one_thread
+def rows_along_reference(
+    prepared: Callable[[float], SimulatedRecording], equation: Equation, x: Array
+) -> Rows:
+    """The rows of a recording about the unknowns x (p,) with instruments along the motion that its
+    reference predicts.
     """
-    problem, kept, torques = robot.problem, list[list[Array]](), list[list[Array]]()
-    settings, few = problem.settings, problem.signals.q.size > MAX_SERIES
+    along, *_ = prepared(COARSE).motion(None, equation.arm.beta(x))
+    return rows_of_recording(equation, x, along=along())
+
+
+def _followed(
+    robot: SimulatedRecording, along: Iterator[MotionBlock], measured: Array
+) -> tuple[Motion, Array, float, tuple[DirectModelResidual, ...]]:
+    """A motion at the samples that are kept, the error of its positions, and norms of errors in
+    percent of those measured: of the positions about their mean, of all joints that move, and by
+    joint of positions and of torques, `measured` (T, n).
+    """
+    problem, moves, kept = robot.problem, ~robot.held, list[list[Array]]()
+    few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
     for motion in along:
-        at, decimation = motion.at, motion.decimation
-        q = robot.low_passed(problem.motion, robot.samples(at)).q
-        series = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
-        own = [motion.own(x) for x in series]
-        # A long recording keeps only the instants of the rows.
-        kept.append([decimation.kept(x) for x in own] if few else own)
-        used = at.samples(settings.stop - settings.start, settings.decimation)
-        effort = problem.drives(settings.start + used.start, settings.start + used.stop)
-        tau = settings.decimator.filtered(effort.T)
-        of_model = decimation.filtered(motion.tau.T)
-        torques.append([x[:, at.inside].T for x in (tau, of_model)])
-    t_s, q, dq, ddq, tau, measured = (np.concatenate(each) for each in zip(*kept, strict=True))
-    decimation = replace(decimation, factor=1) if few else decimation
-    at, (recorded, of_model) = (
-        replace(at, first=0, low=0),
-        (np.concatenate(each) for each in zip(*torques, strict=True)),
-    )
-    whole = MotionBlock(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau, at=at, decimation=decimation)
-    return whole, measured, (recorded, of_model)
-
-
-def _tracking(
-    robot: SimulatedRecording, positions: tuple[Array, Array], torques: tuple[Array, Array]
-) -> tuple[float, tuple[DirectModelResidual, ...]]:
-    """Norms of the errors in percent of those measured: of the positions about their mean, of all
-    joints that move, and by joint of positions and torques.
-    """
-    (q, of_robot), (tau, of_model), moves = positions, torques, ~robot.held
-    error, size, rho, whole = (
-        np.linalg.norm(x, axis=0)
-        for x in ((of_robot - q) * moves, (q - q.mean(axis=0)) * moves, of_model - tau, tau)
-    )
+        known, q = problem.known(motion.t_s), robot.low_passed(problem.motion, motion.at).q
+        torque = motion.tau if known is None else motion.tau + known
+        every = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
+        own = (motion.kept(x) if few else motion.own(x) for x in every)
+        kept.append([*own, motion.filtered(torque.T).T])
+    t_s, q, dq, ddq, tau, wanted, torque = map(np.concatenate, zip(*kept, strict=True))
+    errors, sizes = (q - wanted) * moves, (wanted - wanted.mean(axis=0)) * moves
     percents = [
-        [100 * float(a / b) if b > 0 else None for a, b in zip(*pair, strict=True)]
-        for pair in ((error, size), (rho, whole))
+        [100 * float(a / b) if b > 0 else None for a, b in np.linalg.norm(pair, axis=1).T]
+        for pair in ((errors, sizes), (torque - measured, measured))
     ]
     by_joint = tuple(
         DirectModelResidual(name=joint.name, position_error_percent=a, torque_error_percent=b)
-        for joint, a, b in zip(robot.problem.signals.robot.joints, *percents, strict=True)
+        for joint, a, b in zip(problem.signals.robot.joints, *percents, strict=True)
     )
-    return 100 * float(np.linalg.norm(error) / np.linalg.norm(size)), by_joint
+    percent = 100 * float(np.linalg.norm(errors) / np.linalg.norm(sizes))
+    return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau), q - wanted, percent, by_joint

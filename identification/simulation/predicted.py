@@ -9,6 +9,7 @@ along it are exogenous by construction. What sticks is not predicted: there they
 """
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,17 +28,20 @@ DESIGN_SAMPLES = 10_000  # whose columns are in memory
 EDGE = 2  # samples to each side of an acceleration
 
 
+# of each motion, by span
+_made: WeakKeyDictionary[FilteredMotion, dict[tuple[int, int], FilteredMotion]] = (
+    WeakKeyDictionary()
+)
+
+
 def predicted_motion(problem: Problem) -> FilteredMotion:
     """The motion that the reference predicts, made once for its span; the measured one where no
     reference is recorded.
     """
-    signals, made, span = (
-        problem.signals,
-        problem.motion.predicted,
-        (problem.settings.start, problem.settings.stop),
-    )
+    signals, span = problem.signals, (problem.settings.start, problem.settings.stop)
     if signals.q_ref is None:
         return problem.motion
+    made = _made.setdefault(problem.motion, {})
     if span not in made:
         made[span] = FilteredMotion(
             replace(signals, q=_predicted_positions(signals.q, signals.q_ref, problem, span))

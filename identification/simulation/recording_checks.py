@@ -2,7 +2,6 @@
 at their limits.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -11,10 +10,9 @@ from numpy.typing import NDArray
 from acquisition.files import release_pages
 from acquisition.robot import Joint
 
-from .. import regression
 from ..arrays import Array
 from ..errors import BadInputError
-from ..regression import BLOCK_SAMPLES, Problem
+from ..regression import BLOCK_SAMPLES, Problem, largest_of_type
 
 MAX_DEVIATION = 0.5  # of a joint's travel, of a simulation or a reference from the recording
 MIN_TRAVEL = 0.01  # of the largest travel of a joint of the same type: a joint with less is held
@@ -31,7 +29,7 @@ def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDAr
     which joints are held.
     """
     # A held joint is pushed by its neighbours: its own travel is no scale.
-    largest = regression.largest_of_type(travel, joints)
+    largest = largest_of_type(travel, joints)
     held = travel < MIN_TRAVEL * largest
     return np.where(held, largest, travel), held
 
@@ -40,39 +38,26 @@ def refuse_foreign_reference(problem: Problem) -> None:
     """Refuse a reference far from the measured position: of another
     recording, or in other units.
     """
-    signals, used = problem.signals, slice(problem.settings.start, problem.settings.stop)
+    signals, settings, sums = problem.signals, problem.settings, []
     if signals.q_ref is None:
         return
-    joints, first, N = signals.robot.joints, signals.q_ref[used.start], used.stop - used.start
-    total, squares, squared_error = np.zeros((3, len(joints)))
-    for a in range(used.start, used.stop, BLOCK_SAMPLES):
-        block = slice(a, min(used.stop, a + BLOCK_SAMPLES))
-        x = signals.q_ref[block] - first
-        total, squares = total + x.sum(axis=0), squares + (x**2).sum(axis=0)
-        squared_error += ((signals.q_ref[block] - signals.q[block]) ** 2).sum(axis=0)
-        release_pages(signals.q)
-        release_pages(signals.q_ref)
-    spreads, errors = (
-        np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0)),
-        np.sqrt(squared_error / N),
-    )
-    for joint, scale, error in zip(
-        joints, position_scales(spreads, joints)[0], errors, strict=True
-    ):
-        if error <= MAX_DEVIATION * scale:
-            continue
-        if max(saturated_percents(problem).values(), default=0.0) > MIN_SATURATED_PERCENT:
-            return  # a drive at its limit does not follow
+    for q, q_ref in _blocks(problem, signals.q, signals.q_ref):
+        x = q_ref - signals.q_ref[settings.start]
+        sums.append([y.sum(axis=0) for y in (x, x**2, (q_ref - q) ** 2)])
+    mean, square, of_error = np.sum(sums, axis=0) / (settings.stop - settings.start)
+    joints, error = signals.robot.joints, np.sqrt(of_error)
+    scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
+    far = ~(error <= MAX_DEVIATION * scale)
+    # a drive at its limit does not follow
+    if far.any() and max(saturated_percents(problem).values(), default=0) <= MIN_SATURATED_PERCENT:
+        j, expected = int(far.argmax()), "the reference of this recording"
         what = (
-            f"{error:.3g} {joint.position_unit} rms from the measured position, with a travel "
-            f"of {scale:.3g}"
-        )
-        place, expected = (
-            f"{signals.recording}: reference of joint {joint.name}",
-            "the reference of this recording",
+            f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "
+            f"travel of {scale[j]:.3g}"
         )
         if unstated := unstated_limits(problem):
             what, expected = "; ".join([what, *unstated]), "saturation of the motor in robot.toml"
+        place = f"{signals.recording}: reference of joint {joints[j].name}"
         raise BadInputError(what, place=place, expected=expected)
 
 
@@ -80,28 +65,24 @@ def saturated_percents(problem: Problem) -> dict[str, float]:
     """Percentage of the recorded samples at each motor's limit, by motor and limit;
     empty if none is stated.
     """
-    robot, settings = problem.signals.robot, problem.settings
-    limits = {
-        m: motor.saturation for m, motor in enumerate(robot.motors) if motor.saturation is not None
-    }
-    count = dict.fromkeys(limits, 0)
-    for effort in _motor_efforts(problem):
-        for m, limit in limits.items():
-            count[m] += int((np.abs(effort[:, m]) >= 0.995 * limit).sum())
-    N = settings.stop - settings.start
+    motors, N = problem.signals.robot.motors, problem.settings.stop - problem.settings.start
+    limits = np.array([motor.saturation or np.inf for motor in motors])
+    at = [(np.abs(effort) >= 0.995 * limits).sum(axis=0) for effort in _motor_efforts(problem)]
     return {
-        f"{robot.motors[m].name} ({limits[m]:.4g} {robot.motors[m].recorded_unit})": 100.0 * k / N
-        for m, k in count.items()
+        f"{motor.name} ({motor.saturation:.4g} {motor.recorded_unit})": 100.0 * float(k) / N
+        for motor, k in zip(motors, np.sum(at, axis=0), strict=True)
+        if motor.saturation is not None
     }
 
 
 def unstated_limits(problem: Problem) -> list[str]:
     """Drives that saturate, below a stated limit or without one, in words."""
-    found, motors, counts = list[str](), problem.signals.robot.motors, np.zeros(())
+    found, motors = list[str](), problem.signals.robot.motors
     peaks = np.max([np.abs(effort).max(axis=0) for effort in _motor_efforts(problem)], axis=0)
+    ranges, counts = [(0, peak or 1.0) for peak in peaks], np.zeros(())
     for effort in _motor_efforts(problem):
-        each = zip(np.abs(effort).T, peaks, strict=True)
-        counts = counts + [np.histogram(x, 1000, (0, peak or 1.0))[0][::-1] for x, peak in each]
+        each = zip(np.abs(effort).T, ranges, strict=True)
+        counts = counts + [np.histogram(x, 1000, within)[0][::-1] for x, within in each]
     for motor, peak, share in zip(motors, peaks, counts / counts[0].sum(), strict=True):
         held, *below = np.diff(np.r_[0.0, share.cumsum()][np.outer(range(4), HELD_WIDTHS)], axis=0)
         ratio = (
@@ -115,30 +96,50 @@ def unstated_limits(problem: Problem) -> list[str]:
             1
             - 1e-3 * np.average(np.arange(HELD_WIDTHS[k]), weights=share[: HELD_WIDTHS[k]] + 1e-300)
         )
-        if ratio[k] > MIN_HELD_RATIO and limit < 0.99 * (motor.saturation or math.inf):
-            at = f"{limit:.3g} {motor.recorded_unit} in {100 * held[k]:.2g} % of the rows"
-            found.append(f"drive of {motor.name} saturates at {at}")
+        if ratio[k] > MIN_HELD_RATIO and limit < 0.99 * (motor.saturation or np.inf):
+            found.append(
+                f"drive of {motor.name} saturates at {limit:.3g} {motor.recorded_unit} in "
+                f"{100 * held[k]:.2g} % of the rows"
+            )
     return found
 
 
 def _motor_efforts(problem: Problem) -> Iterator[Array]:
     """The recorded efforts (K, n) of the motors in the span used, in blocks."""
     # corrected for a lag, an effort overshoots its limit
-    signals, settings = problem.signals, problem.settings
-    for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
-        yield signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
-        release_pages(signals.effort)
+    blocks = _blocks(problem, problem.signals.effort)
+    return (problem.signals.robot.motor_effort(effort) for (effort,) in blocks)
 
 
-def refuse_instants(problem: Problem, period_s: float, instants: int, steps: float) -> None:
+def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
+    """The rows (K, n) of series in the span used, in blocks."""
+    start, stop = problem.settings.start, problem.settings.stop
+    for a in range(start, stop, BLOCK_SAMPLES):
+        yield [x[a : min(stop, a + BLOCK_SAMPLES)] for x in series]
+        if stop - start > BLOCK_SAMPLES:
+            for x in series:
+                release_pages(x)
+
+
+def refuse_instants(problem: Problem, period_s: float, duration_s: float, substeps: int) -> None:
     """Refuse a controller whose period gives too few instants, or too many steps to simulate."""
-    signals, used = problem.signals, problem.settings.stop - problem.settings.start
-    hz, used_s = signals.robot.bandwidth_hz, used / signals.sample_rate_hz
-    many = f"{steps:.2g} steps to simulate with bandwidth_hz = {hz:g}"
-    few = f"{instants} instants in the {used_s:.3g} s of {signals.recording}"
+    signals, periods = problem.signals, duration_s / period_s
+    hz, steps, instants = (
+        signals.robot.bandwidth_hz,
+        periods * substeps,
+        int(periods + 1e-6) + 1,
+    )
     for wrong, what, expected in (
-        (steps > MAX_STEPS, many, f"at most {MAX_STEPS:.2g} steps"),
-        (instants < MIN_INSTANTS, few, f"at least {MIN_INSTANTS} instants"),
+        (
+            steps > MAX_STEPS,
+            f"{steps:.2g} steps to simulate with bandwidth_hz = {hz:g}",
+            f"at most {MAX_STEPS:.2g} steps",
+        ),
+        (
+            instants < MIN_INSTANTS,
+            f"{instants} instants in the {duration_s:.3g} s of {signals.recording}",
+            f"at least {MIN_INSTANTS} instants",
+        ),
     ):
         if wrong:
             raise BadInputError(

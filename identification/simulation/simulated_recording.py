@@ -3,12 +3,12 @@
 It gives the same blocks of motion as the measured recording, so that the instruments Z are computed
 by the function that computes W. Samples are at 100 times the bandwidth or at the recording's rate,
 whichever is lower; their instants include those of the decimated rows of W. The robot is simulated
-in steps of at least 100 times the bandwidth, at any rate of recording and controller. The motion of
-a long recording is on disk.
+in steps of at least 100 times the bandwidth, at any rate of recording and controller; of a faster
+controller a step has several instants. The motion of a long recording is on disk.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Literal
 
@@ -16,17 +16,19 @@ import numpy as np
 
 from acquisition.files import allocate, release_pages
 
-from .. import regression
 from ..arrays import Array
 from ..model import DirectModel, direct_model, inertias, poses_of, why_not_positive
 from ..regression import (
     SPLINE_REACH,
+    Along,
     FilteredMotion,
     Motion,
     MotionBlock,
     Problem,
     RowBlock,
     differentiate,
+    row_blocks,
+    rule_cutoff_hz,
     sampled_at,
 )
 from .closed_loop import ClosedLoop
@@ -43,9 +45,6 @@ FINE = 100.0  # samples and steps per period of the bandwidth, at least
 COARSE = 25.0  # the same in early passes, whose estimate only starts the next ones
 CHUNK = 50_000  # instants of the controller that are simulated at a time
 
-# a motion, block by block, as often as it is asked for
-Along = Callable[[], Iterator[MotionBlock]]
-
 
 def controller_of(
     problem: Problem,
@@ -61,24 +60,24 @@ def controller_of(
         loop = recorded_loop(replace(robot, controller=law.controller(robot.controller)))
     if loop is None:
         return None, "surrogate"
-    if problem.signals.q_ref is None:
-        loop = replace(loop, gravity=not loop.gravity_at_q)
-    return loop, "found" if described is None else "described"
+    gravity = problem.signals.q_ref is None and not loop.gravity_at_q
+    return replace(loop, gravity=gravity), "found" if described is None else "described"
 
 
 class SimulatedRecording:
     """A recording, prepared once, in which a robot of any base parameters is simulated.
 
     Its motion has `N` samples: every `stride`-th of the recording, from its sample `first` on. The
-    controller has `instants`, `period_s` apart, from the same sample on, each with `substeps`
+    control loop has `instants`, a period apart, from the same sample on, each with `substeps`
     simulated steps.
 
     Attributes:
         problem: of the recording, with its samples.
         blocks: of the rows; `decimation` leads from the samples to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
-        loop: the control loop; None for a PD of the stated bandwidth.
+        loop: the control loop, a PD of the stated bandwidth where none is `known`.
         poses: (P, n) positions at which the inertia matrix is checked.
+        start: the motion at the first instant.
         fastest: (c,) largest speeds of the reference along the directions of Coulomb friction.
         held: which joints (n,) the reference holds.
         bound: (n,) largest deviation of a simulation from the reference.
@@ -101,160 +100,169 @@ class SimulatedRecording:
         Raises `BadInputError` for an incomplete controller, one whose rate does not fit the
         recording, or a reference of another recording.
         """
-        self.problem, self._gain_update = problem.with_samples(), gain_update
-        refuse_foreign_reference(self.problem)
-        signals, settings, robot = self.problem.signals, problem.settings, problem.robot
-        fs, n_d, step_hz = (
-            signals.sample_rate_hz,
-            settings.decimation,
-            rate_per_bandwidth * robot.bandwidth_hz,
+        self.problem = problem = problem.with_samples()
+        self._gain_update = gain_update
+        refuse_foreign_reference(problem)
+        signals, settings, robot = problem.signals, problem.settings, problem.robot
+        fs, n_d, hz = signals.sample_rate_hz, settings.decimation, robot.bandwidth_hz
+        step_hz = rate_per_bandwidth * hz
+        self.cutoff_hz = rule_cutoff_hz(signals)
+        self.blocks = tuple(row_blocks(problem))
+        self.stride = max(
+            m for m in range(1, n_d + 1) if n_d % m == 0 and m <= max(1, fs / step_hz)
         )
-        self.cutoff_hz = regression.rule_cutoff_hz(signals)
-        self.blocks = tuple(regression.row_blocks(self.problem))
-        strides = [m for m in range(1, n_d + 1) if n_d % m == 0 and fs / m >= step_hz]
-        self.stride = max(strides, default=1)
         self.decimation = replace(settings.decimator, factor=n_d // self.stride)
         self.N = -(-(settings.stop - settings.start) // self.stride)
         self.first = settings.stop - 1 - (self.N - 1) * self.stride
-        self.loop, _ = controller_of(self.problem)
-        self.period_s = self.loop.period_s if self.loop else self.stride / fs
-        self.substeps = max(1, math.ceil(self.period_s * step_hz - 1e-9))
-        if self.loop is None:  # a continuous law: it acts at every step
-            self.period_s, self.substeps = self.period_s / self.substeps, 1
-        periods = (self.N - 1) * self.stride / fs / self.period_s
-        self.instants = math.floor(periods + 1e-6) + 1
-        refuse_instants(self.problem, self.period_s, self.instants, periods * self.substeps)
-        ends, speeds = list[Array](), list[Array]()
-        for first, last in self._chunks():
-            x = self.reference(first, last)
-            ends += [x.q.min(axis=0), x.q.max(axis=0)]
-            speeds.append(np.abs(x.dq @ problem.model.coulomb_directions.T).max(axis=0))
-        travel, self.fastest = np.ptp(ends, axis=0), np.max(speeds, axis=0)
-        scales, self.held = position_scales(travel, robot.joints)
-        self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
-        self.poses = poses_of(self.problem.used_positions())
-        self.prior = inertias(self.model(prior).inertia(self.poses))
+        self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
+        loop, _ = controller_of(problem)
+        self.poses = poses_of(signals.q[settings.start : settings.stop])
+        M = self.model(prior).inertia(self.poses)
+        self.prior, self.known = inertias(M), loop is not None
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
-            self.prior = self.loop.inertias(robot.bandwidth_hz) if self.loop else np.ones(robot.n)
+            self.prior = loop.inertias(hz) if loop is not None else np.ones(robot.n)
+        if loop is None:  # a continuous law: it acts at every step
+            rate_hz = fs / self.stride
+            loop = surrogate_loop(hz, self.prior, rate_hz * math.ceil(step_hz / rate_hz - 1e-9))
+        self.substeps = max(1, math.ceil(loop.period_s * step_hz - 1e-9))
+        duration_s = (self.N - 1) * self.stride / fs
+        refuse_instants(problem, loop.period_s, duration_s, self.substeps)
+        self.loop = loop.slower(M, FINE * hz) if self.known and not why_not_positive(M) else loop
+        self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
+        # of a short recording made once
+        self._whole = self.reference(0, self.instants) if self.instants <= CHUNK else None
+        low, high, fastest = zip(
+            *(
+                (
+                    x.q.min(axis=0),
+                    x.q.max(axis=0),
+                    np.abs(x.dq @ problem.model.coulomb_directions.T).max(axis=0),
+                )
+                for _, x in self._inputs()
+            ),
+            strict=True,
+        )
+        travel, self.fastest = np.max(high, axis=0) - np.min(low, axis=0), np.max(fastest, axis=0)
+        scales, self.held = position_scales(travel, robot.joints)
+        self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
-    def motion(self, beta: Array | None, about: Array) -> tuple[Along, str | None]:
+    def motion(self, beta: Array | None, about: Array) -> tuple[Along, Array, str | None]:
         """Simulate the robot of base parameters beta (b,), and return its motion, with the torque
-        of its drives.
+        of its drives, and the factors (n,) on the controller's gains.
 
         If beta is None, the robot cannot be simulated or leaves its reference, the motion is that
         which the reference predicts, with the torque of parameters `about` (b,). Returns also why
         beta was not simulated, or None.
         """
-        path, reason = (None, None) if beta is None else self._simulated(beta)
-        predicted = self.model(about)
-        return lambda: (self._block(at, path, predicted) for at in self.blocks), reason
+        path, gains, reason = None, np.ones(len(self.held)), None
+        if beta is not None:
+            gains, reason = self.gains(model := self.model(beta))
+            if reason is None:
+                path, reason = self._simulated(model, gains)
+        shown = path if reason is None else None
+        return lambda: (self._block(at, shown, about) for at in self.blocks), gains, reason
 
-    def gains(self, beta: Array) -> tuple[Array, str | None]:
-        """Return factors (n,) on the controller's gains for the inertias of beta (b,), equation
-        (E), and why the robot cannot be simulated, or None.
+    def gains(self, model: DirectModel) -> tuple[Array, str | None]:
+        """Return factors (n,) on the controller's gains for the inertias of a robot, equation (E),
+        and why it cannot be simulated, or None.
         """
-        M = self.model(beta).inertia(self.poses)
+        M = model.inertia(self.poses)
         # Computed torque keeps its saturation if the inertias it was set for are unknown.
-        known = self.prior_known or self.loop is None or not self.loop.computed_torque
-        factors = inertias(M) / self.prior if self._gain_update and known else np.ones(M.shape[1])
+        follows = self._gain_update and (self.prior_known or not self.loop.computed_torque)
+        factors = inertias(M) / self.prior if follows else np.ones(len(self.prior))
         return factors, why_not_positive(M)
 
     def model(self, beta: Array) -> DirectModel:
         """Return the robot with base parameters (b,)."""
         return direct_model(self.problem.model, self.problem.base.standard_parameters(beta))
 
-    def samples(self, at: RowBlock) -> slice:
-        """Return the samples that a block of rows needs."""
-        return at.samples(self.N, self.decimation.factor)
-
-    def low_passed(self, of: FilteredMotion, at: slice) -> Motion:
-        """Return a motion at samples, low-passed by the rule."""
-        first, last = (self.first + self.stride * k for k in (at.start, at.stop - 1))
+    def low_passed(self, of: FilteredMotion, at: RowBlock) -> Motion:
+        """Return a motion, low-passed by the rule, at the samples that a block of rows needs."""
+        span = at.samples(self.N, self.decimation.factor)
+        first, last = (self.first + self.stride * k for k in (span.start, span.stop - 1))
         return of.between(first, last + 1, self.cutoff_hz).part(slice(None, None, self.stride))
 
     def reference(self, first: int, last: int) -> Reference:
-        """Return the loop's inputs from the controller's instant `first` to before `last`: the
-        recorded reference, or the measured motion.
+        """Return the loop's inputs from its instant `first` to before `last`: the recorded
+        reference, or the measured motion.
         """
         signals, settings, law = self.problem.signals, self.problem.settings, self.problem.law
-        fs = signals.sample_rate_hz
-        at = self.first + self.period_s * fs * np.arange(first, last)  # in recorded samples
+        fs, m, feedforward = signals.sample_rate_hz, self.loop.periods, None
+        # places of the controller's instants in recorded samples; of those in a step the middle
+        each = self.first + self.loop.period_s / m * fs * np.arange(first * m, last * m)
+        at = each.reshape(-1, m).mean(axis=1)
         low = max(settings.start, math.floor(at[0]) - SPLINE_REACH)
         high = min(settings.stop, math.ceil(at[-1]) + 1 + SPLINE_REACH)
-        at, near, late_s = (
-            at - low,
-            slice(low, high),
-            law.common_delay_s if law is not None else 0.0,
-        )
+        at, near = at - low, slice(low, high)
         known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
         if signals.q_ref is None:
             # The measured motion already contains the effect of the feed-forward.
             x = self.problem.motion.between(low, high, self.cutoff_hz)
-            paths = (sampled_at(at, path) for path in (x.q, x.dq, x.ddq))
-            return Reference(*paths, known_torque=known)
-        q = np.array(signals.q_ref[near])
-        if self.instants > CHUNK:
-            release_pages(signals.q_ref)
-        dq, feedforward = differentiate(q, fs), None
-        # before the span the reference stands
-        paths = (sampled_at(at - late_s * fs, x) for x in (q, dq, differentiate(dq, fs)))
-        if signals.feedforward is not None:  # held between samples: a cubic would overshoot
-            held = np.floor(np.clip(at, 0, len(q) - 1) + 1e-6).astype(np.intp)
-            feedforward = signals.feedforward[near][held]
-            if self.loop is None:  # a surrogate's output is torque at the joints
-                feedforward = self.problem.robot.joint_effort(feedforward)
-        return Reference(*paths, known_torque=known, feedforward=feedforward)
-
-    def _chunks(self) -> Iterator[tuple[int, int]]:
-        return ((a, min(self.instants, a + CHUNK)) for a in range(0, self.instants, CHUNK))
-
-    def _simulated(self, beta: Array) -> tuple[Array | None, str | None]:
-        """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or None and why."""
-        gains, reason = self.gains(beta)
-        if reason is not None:
-            return None, reason
-        hz, rate_hz = self.problem.signals.robot.bandwidth_hz, 1 / self.period_s
-        loop = (
-            self.loop.scaled(gains)
-            if self.loop
-            else surrogate_loop(hz, gains * self.prior, rate_hz)
-        )
-        begin = self.low_passed(self.problem.motion, slice(0, 1))
-        start, path = (
-            (begin.q[0], begin.dq[0]),
-            allocate((4, self.instants * self.substeps, len(gains))),
-        )
-        robot = ClosedLoop(
-            self.model(beta), loop, start, fastest=self.fastest, substeps=self.substeps
-        )
-        for first, last in self._chunks():
-            part, reason = robot.follow(self.reference(first, last), self.bound)
-            if reason is not None:
-                return None, reason
-            path[:, first * self.substeps : last * self.substeps] = part
+            paths = x.q, x.dq, x.ddq
+        else:
+            q = np.array(signals.q_ref[near])
+            dq, feedforward = differentiate(q, fs), signals.feedforward
+            paths = q, dq, differentiate(dq, fs)
+            # before the span the reference stands
+            at = at - (law.common_delay_s * fs if law is not None else 0.0)
             if self.instants > CHUNK:
-                release_pages(path)
+                release_pages(signals.q_ref)
+        if feedforward is not None:  # held between samples: a cubic would overshoot
+            held = np.minimum(each + 1e-6, settings.stop - 1).astype(np.intp)
+            feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
+            if not self.known:  # a surrogate's output is torque at the joints
+                feedforward = self.problem.robot.joint_effort(feedforward)
+        q, dq, ddq = np.split(sampled_at(at, np.hstack(paths)), 3, axis=1)
+        return Reference(q, dq, ddq, known_torque=known, feedforward=feedforward)
+
+    def _inputs(self) -> Iterator[tuple[int, Reference]]:
+        """The loop's inputs, and the first instant of each part."""
+        for first in range(0, self.instants, CHUNK):
+            last = min(self.instants, first + CHUNK)
+            yield first, self._whole or self.reference(first, last)
+
+    def _simulated(self, model: DirectModel, gains: Array) -> tuple[Array, str | None]:
+        """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or why only the first."""
+        loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
+        robot = ClosedLoop(model, loop, start, fastest=self.fastest, substeps=m)
+        if self._whole is not None:
+            return robot.follow(self._whole, self.bound)
+        path = allocate((4, self.instants * m, len(gains)))
+        for first, x in self._inputs():
+            part, reason = robot.follow(x, self.bound)
+            if reason is not None:
+                return part, reason
+            path[:, first * m : first * m + part.shape[1]] = part
+            release_pages(path)
         return path, None
 
-    def _block(self, at: RowBlock, path: Array | None, predicted: DirectModel) -> MotionBlock:
+    def _block(self, at: RowBlock, path: Array | None, about: Array) -> MotionBlock:
         """A block of a simulated path, linear between steps, or of the predicted motion."""
-        span, problem = self.samples(at), self.problem
+        problem, fs = self.problem, self.problem.signals.sample_rate_hz
         if path is None:
-            x = self.low_passed(predicted_motion(problem), span)
-            given = {**vars(x), "tau": predicted.torque(x.q, x.dq, x.ddq)}
-            return MotionBlock(**given, at=at, decimation=self.decimation)
-        k, fs, last = (
-            np.arange(span.start, span.stop),
-            problem.signals.sample_rate_hz,
-            path.shape[1] - 1,
-        )
-        steps = k * (self.stride / fs * (self.substeps / self.period_s))
-        low = np.minimum(np.floor(steps + 1e-6).astype(np.intp), last)  # the last one is repeated
-        share, found = (steps - low)[:, None], path[:, low]
-        if np.abs(share).max() > 1e-6:
-            found += share * (path[:, np.minimum(low + 1, last)] - found)
-        if self.instants > CHUNK:
-            release_pages(path)
-        (q, dq, ddq, tau), t_s = found, (self.first + self.stride * k) / fs
-        return MotionBlock(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau, at=at, decimation=self.decimation)
+            x = self.low_passed(predicted_motion(problem), at)
+        else:
+            span = at.samples(self.N, self.decimation.factor)
+            k = np.arange(span.start, span.stop)
+            steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
+            q, dq = _on_lines(steps, path[:2])
+            # The acceleration is that of the middle of a step; a torque stands for the middle of
+            # the controller's instants.
+            (ddq,) = _on_lines(steps - 0.5, path[2:3])
+            (tau,) = _on_lines(steps - self.loop.middle, path[3:])
+            x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
+            if self.instants > CHUNK:
+                release_pages(path)
+        block = MotionBlock(**vars(x), problem=problem, at=at, decimation=self.decimation)
+        return block.with_torque_of(about) if path is None else block
+
+
+def _on_lines(at: Array, x: Array) -> Array:
+    """Series x (k, N, n) at places (K,), on straight lines between their samples; beyond the ends,
+    the end samples.
+    """
+    last = x.shape[1] - 1
+    low = np.clip(at, 0, last).astype(np.intp)
+    share = np.clip(at - low, 0, 1)[:, None]
+    return x[:, low] + share * (x[:, np.minimum(low + 1, last)] - x[:, low])

@@ -2,9 +2,9 @@
 
 from .candidates import Candidates
 from .control_law import law_line
-from .fit_data import FitData, Lag, covariance_of_all
+from .fit_data import FitData, covariance_of_all
 from .held_out import held_out_parts, predictions_by_others
-from .lag import combined_lag, moves_of
+from .lag import moves_of
 from .lines import LEVELS, Figure, HeldOut, Trust, TrustLine
 from .prior import with_prior
 from .solution import trust_in

@@ -1,46 +1,31 @@
 """Terms that the model may lack: as those that it has, they are asked for their
-columns along a motion.
+columns along a motion. A new one is an entry of `KINDS`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import groupby, product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.robot import Joint
+from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..model import DirectModel, JointTerm, direct_model, inertia_unit, torque_of_links
-from ..regression import (
-    Decimation,
-    Motion,
-    Problem,
-    differentiate,
-    fast_for_lag,
-    predicted_torque,
-    smooth,
-    weights_at,
-)
+from ..model import DirectModel, direct_model, inertia_unit, torque_of_links
+from ..regression import MotionBlock, Problem, smooth
 
 MIN_T = 5.0  # deviations, above chance
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
-# of a spring where nothing weighs: any slow error correlates with a slow position
-MIN_SPRING_TAKEN_PERCENT = 10.0
 # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
 STRIBECK_SPEED_RATIO = 0.2
-STRIBECK, ASYMMETRIC, OFFSET, SPRING = (
-    "Stribeck friction",
-    "asymmetric friction",
-    "offset",
-    "spring",
-)
-ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
-ROTOR, ZERO, CLOCKS = "rotor", "zero", "clock drift"
+STRIBECK, ASYMMETRIC, SPRING = "Stribeck friction", "asymmetric friction", "spring"
+TILT, LAG, ROTOR, ZERO, CLOCKS = "tilt of gravity", "lag", "rotor", "zero", "clock drift"
+# Near reversals, friction that rises smoothly looks like these; they hardly show in the residual.
+IN_FAST_ROWS = (LAG, CLOCKS)
 # at which the torque of the links is computed: smooth, and low-passed to half a sample a row
 SAMPLES_A_ROW = 4
-DRIVES_A_ROW = 20  # the same for the torque of the model, whose rate counts in the intervals
 SELECT_TERMS = "run `robot-identify friction`"
 
 
@@ -49,7 +34,7 @@ class MissingTerm:
     """A term that the model may lack.
 
     Attributes:
-        kind, where: the term, and its joint or axis.
+        kind, where: the term, and its joint or axis; `finding`: what is wrong, in a few words.
         unit, advice: unit of the coefficient; what to do.
         value, t: its coefficient, also in deviations.
         taken_percent: share of the residual's square that it explains; `together_percent`:
@@ -64,6 +49,7 @@ class MissingTerm:
     where: str
     unit: str
     advice: str
+    finding: str = ""
     value: float = 0.0
     t: float = 0.0
     taken_percent: float = 0.0
@@ -75,18 +61,40 @@ class MissingTerm:
     @property
     def found(self) -> bool:
         """Whether it is significant and large."""
-        large = self.taken_percent > self.least_percent
-        if self.kind in (LAG, CLOCKS):  # hardly visible in the residual
-            large = self.moves > 1 or (large and self.kind == CLOCKS)
-        return abs(self.t) > MIN_T and large
+        large = self.kind != LAG and self.taken_percent > self.least_percent
+        return abs(self.t) > MIN_T and (large or (self.moves > 1 and self.kind in IN_FAST_ROWS))
 
-    @property
-    def finding(self) -> str:
-        """What is wrong, in a few words."""
-        return (
-            f"{self.kind} "
-            f"{self.where}{'' if self.kind in (TILT, LAG, DRIFT, ZERO, CLOCKS) else ' missing'}"
-        )
+
+Places = Callable[["Candidates"], Iterable[tuple[str, int]]]
+# (N, n) per unit of a candidate along a motion, by what `_of_links` gives there, of its k-th place
+Torque = Callable[["Candidates", MotionBlock, Array, int], Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of term, at one place or several: at joints, axes, or directions of friction.
+
+    Attributes:
+        name, torque: terms of one joint each share a column, unless they act `everywhere`.
+        told: unit and advice at a joint.
+        friction: the term of a joint's description that is this one.
+        at: its places, each its name and the joint that tells it.
+        lacks: whether a model without that may lack it at its k-th place.
+        missing: of `finding`, its end.
+        least_percent: as of `MissingTerm`, where no link weighs.
+    """
+
+    name: str
+    torque: Torque
+    told: Callable[[Robot, int], tuple[str, str]]
+    everywhere: bool = False
+    friction: str = ""
+    lacks: Callable[["Candidates", int], bool] = lambda *_: True
+    at: Places = lambda of: [
+        (f"of joint {joint.name}", j) for j, joint in enumerate(of.robot.joints)
+    ]
+    missing: str = " missing"
+    least_percent: float = MIN_TAKEN_PERCENT
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,37 +120,28 @@ class Candidates:
     @cached_property
     def terms(self) -> tuple[MissingTerm, ...]:
         """The terms."""
-        return tuple(term for term, _, _ in self._still)
+        robot, at_zero = self.robot, _of_links(self._links, *np.zeros((3, 1, len(self.peak))))
+        weighs = robot.n > 1 and np.abs(at_zero).max() > 1e-9
+        return tuple(
+            MissingTerm(
+                kind=kind.name,
+                where=where,
+                unit=unit,
+                advice=advice,
+                finding=f"{kind.name} {where}{kind.missing}",
+                least_percent=MIN_TAKEN_PERCENT if weighs else kind.least_percent,
+            )
+            for kind, where, j in [(KINDS[i], where, j) for i, _, where, j in self._lacking]
+            for unit, advice in [kind.told(robot, j)]
+        )
 
     @cached_property
     def places(self) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """By term its column (k,) and the joints (k, n) whose rows in it are its own: terms of
-        other joints share a column.
-        """
-        acts = np.array([joints != 0 for _, joints, _ in self._still])
-        columns, taken = list[int](), list[NDArray[np.bool_]]()
-        for joints in acts:
-            free = next(
-                (i for i, other in enumerate(taken) if not (other & joints).any()), len(taken)
-            )
-            taken[free:] = [
-                joints | (taken[free] if free < len(taken) else False),
-                *taken[free + 1 :],
-            ]
-            columns.append(free)
-        return np.array(columns, dtype=np.intp), acts
-
-    @cached_property
-    def _still(self) -> list[tuple[MissingTerm, Array, Array]]:
-        none = np.zeros((3, self.problem.signals.robot.n))
-        still = Motion(
-            t_s=np.arange(3) / self.problem.signals.sample_rate_hz,
-            q=none,
-            dq=none,
-            ddq=none,
-            tau=none,
-        )
-        return list(self._torques(self.problem, still, none, 1))
+        """By term its column (k,) and the joints (k, n) whose rows in it are its own."""
+        each = [(i, k * KINDS[i].everywhere) for i, k, _, _ in self._lacking]
+        columns, one = list(dict.fromkeys(each)), np.eye(len(self.peak), dtype=bool)
+        acts = [one[j] | KINDS[i].everywhere for i, _, _, j in self._lacking]
+        return np.array([columns.index(key) for key in each], dtype=np.intp), np.array(acts)
 
     @cached_property
     def weighs(self) -> NDArray[np.intp]:
@@ -158,223 +157,63 @@ class Candidates:
         first = int(self.places[0].max()) + 1
         return slice(first, first + len(self.weighs))
 
-    def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
-        """(n, k + g + 1, rows) torque per unit of the terms, weighted, decimated; of the links at
-        rest, which changes slowly; and last the rate of the drives' torque, per s.
+    def columns(self, motion: MotionBlock) -> Array:
+        """(n, k + g, rows) torque per unit of the terms, weighted, decimated, and of the links at
+        rest, which changes slowly; along a motion with the torque that `beta` predicts.
         """
-        w, places, stride = (
-            weights_at(problem, motion.t_s),
-            self.places[0],
-            decimation.factor // SAMPLES_A_ROW,
-        )
-        drives = self._drives(problem, motion, decimation.factor // DRIVES_A_ROW)
-        # Near reversals, friction that rises smoothly looks like a lag.
-        fast = fast_for_lag(problem, motion, decimation, self.sliding)
-        found = np.zeros((len(w), self.at_rest.stop + 1, decimation.rows(len(motion.t_s))))
-        q = decimation.kept(motion.q)
-        still = problem.model.regressor(q, 0 * q, 0 * q)[:, :, problem.base.columns[self.weighs]]
-        found[:, self.at_rest] = decimation.filtered(w)[:, None] * still.transpose(1, 2, 0)
-        for place, (term, acts, torque) in zip(
-            places, self._torques(problem, motion, drives, stride), strict=True
-        ):
-            for j in np.flatnonzero(acts):
-                x = torque if torque.ndim == 1 else torque[:, j]
-                column = decimation.filtered(acts[j] * w[j] * x)
-                found[j, place] = column * fast[j] if term.kind in (LAG, CLOCKS) else column
-        found[:, -1] = decimation.filtered(w * self._rate(motion, drives).T)
+        (places, acts), base, q = self.places, motion.problem.base, motion.kept(motion.q)
+        found = np.zeros((len(self.peak), self.at_rest.stop, len(q)))
+        still = motion.problem.model.regressor(q, 0 * q, 0 * q)[:, :, base.columns[self.weighs]]
+        slow = motion.filtered(motion.weights)[:, None]
+        found[:, self.at_rest] = slow * still.transpose(1, 2, 0)
+        links = smooth(partial(_of_links, self._links), motion, _stride(motion))
+        for place, (i, k, _, _) in dict(zip(places, self._lacking, strict=True)).items():
+            torque = KINDS[i].torque(self, motion, links, k)
+            at = np.flatnonzero(acts[places == place].any(axis=0) & torque.any(axis=0))
+            if len(at):
+                found[at, place] = motion.weighted(torque.T[at], at)
         return found
 
-    def _drives(self, problem: Problem, x: Motion, stride: int) -> Array:
-        """The drives' torque (N, n) along a motion: the model's less the known one."""
-        drives = predicted_torque(
-            x, problem.model, problem.base, self.beta, stride if problem.settings.filtered else 1
-        )
-        known = problem.signals.known_torque
-        if known is None or not len(known):
-            return drives
-        return drives - known[np.rint(x.t_s * problem.signals.sample_rate_hz).astype(np.intp)]
-
-    def _rate(self, x: Motion, drives: Array) -> Array:
-        """d/dt (N, n) of the torque along a motion, per second."""
-        return differentiate(x.tau if self.simulated else drives, 1 / (x.t_s[1] - x.t_s[0]))
-
-    def _torques(
-        self, problem: Problem, x: Motion, drives: Array, stride: int
-    ) -> Iterator[tuple[MissingTerm, Array, Array]]:
-        """Each term, the factors (n,) by which it acts at the joints, and its
-        torque (N,) or (N, n).
+    @cached_property
+    def _lacking(self) -> list[tuple[int, int, str, int]]:
+        """Each term: the number of its kind, its place and the name of that, and the joint that
+        tells it.
         """
-        robot, idm, base = problem.signals.robot, problem.model, problem.base
-        chi, joints, n, efforts = (
-            np.zeros(idm.p),
-            robot.joints,
-            len(robot.joints),
-            robot.effort_units,
-        )
-        chi[base.columns] = self.beta
-        links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
-        value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
-        of_links = smooth(partial(_of_links, links), x, stride)
-        tau, by_position = of_links[..., 0], of_links[..., 1:]
-        load = np.abs(tau)
-        weighs = n > 1 and max(np.abs(tau).max(), np.abs(by_position).max()) > 1e-9  # N m
-        fs, settings, each = problem.signals.sample_rate_hz, problem.settings, np.eye(n)
-        for j, joint in enumerate(joints):
-            terms, effort, v, where = joint.terms, efforts[j], x.dq[:, j], f"of joint {joint.name}"
-            if (
-                {"viscous", "coulomb"} & set(terms)
-                and not joint.one_sided
-                and "asymmetric" not in terms
-            ):
-                Fc, Fv = (0.01 * value.get(f"{name}{j + 1}", 0.0) for name in ("Fc", "Fv"))
-                yield (
-                    MissingTerm(
-                        kind=ASYMMETRIC,
-                        where=where,
-                        unit="% of it",
-                        advice=_to_describe(
-                            joint, "asymmetric", 'friction = "asymmetric", which includes an offset'
-                        ),
-                    ),
-                    each[j],
-                    Fc + Fv * np.abs(v),
-                )
-            if "offset" not in terms:
-                yield (
-                    MissingTerm(
-                        kind=OFFSET,
-                        where=where,
-                        unit=effort,
-                        advice=_to_describe(joint, "offset", "offset = true"),
-                    ),
-                    each[j],
-                    np.ones_like(v),
-                )
-            yield (
-                MissingTerm(
-                    kind=DRIFT,
-                    where=where,
-                    unit=f"{effort} over the recording",
-                    advice="warm the robot up, or record a shorter motion",
-                ),
-                each[j],
-                (x.t_s * fs - settings.start) / (settings.stop - 1 - settings.start),
-            )
-            yield (
-                MissingTerm(
-                    kind=SPRING,
-                    where=where,
-                    unit=f"{effort}/{joint.position_unit}",
-                    advice="record its torque (of a spring, a hose or a weight) as known_torque",
-                    least_percent=MIN_TAKEN_PERCENT if weighs else MIN_SPRING_TAKEN_PERCENT,
-                ),
-                each[j],
-                x.q[:, j],
-            )
-            if "stribeck" not in terms:
-                v_s = STRIBECK_SPEED_RATIO * max(self.peak[j], 1e-300)
-                yield (
-                    MissingTerm(
-                        kind=STRIBECK,
-                        where=where,
-                        unit=effort,
-                        advice="leave out slow samples by a larger low_speed_percent of "
-                        "[identification]",
-                    ),
-                    each[j],
-                    np.sign(v) * np.exp(-((v / v_s) ** 2)),
-                )
-            unit, per = ("deg", np.pi / 180) if joint.type == "revolute" else ("mm", 1e-3)
-            yield (
-                MissingTerm(
-                    kind=ZERO,
-                    where=where,
-                    unit=unit,
-                    advice="check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
-                ),
-                np.ones(n),
-                per * by_position[:, :, j],
-            )
-            if not joint.rotor_inertia:
-                yield (
-                    MissingTerm(
-                        kind=ROTOR,
-                        where=where,
-                        unit=inertia_unit(robot, j),
-                        advice="rotor_inertia = true",
-                    ),
-                    each[j],
-                    x.ddq[:, j],
-                )
-            if "load" not in joint.terms:
-                yield (
-                    MissingTerm(kind=LOAD, where=where, unit="", advice=SELECT_TERMS),
-                    each[j],
-                    load[:, j] * np.sign(v),
-                )
-        # Torque per rad of rotation of gravity about an axis of the base, by the estimated links.
-        for axis, about in zip(np.eye(3), "xyz", strict=True):
-            if (turned := np.cross(axis, np.array(robot.gravity))).any():
-                yield (
-                    MissingTerm(
-                        kind=TILT,
-                        where=f"about {about}",
-                        unit="rad",
-                        advice="level the base, or set gravity_m_s2",
-                    ),
-                    np.ones(n),
-                    smooth(lambda q, *_, g=turned: links.gravity(q, g), x, stride),
-                )
-        for along in idm.coulomb_directions:
-            j = int(np.flatnonzero(along)[-1])
-            if "root" not in joints[j].terms:
-                where = (
-                    f"of{' the motor of' if np.count_nonzero(along) > 1 else ''} joint "
-                    f"{joints[j].name}"
-                )
-                unit, v = f"{efforts[j]} ({joints[j].position_unit}/s)^-½", x.dq @ along
-                yield (
-                    MissingTerm(kind=ROOT, where=where, unit=unit, advice=SELECT_TERMS),
-                    along,
-                    np.sign(v) * np.sqrt(np.abs(v)),
-                )
-        middle_s = (settings.start + settings.stop - 1) / (2 * fs)
-        yield (
-            MissingTerm(
-                kind=CLOCKS,
-                where="between positions and efforts",
-                unit="%",
-                advice="stamp positions and efforts by one clock",
-            ),
-            np.ones(n),
-            -0.01 * (x.t_s - middle_s)[:, None] * self._rate(x, drives),
-        )
-        if n > 1 and self.simulated:
-            for j in range(n):
-                yield (
-                    MissingTerm(
-                        kind=LAG,
-                        where=f"of joint {joints[j].name}",
-                        unit="ms",
-                        advice="check how its effort is filtered and stamped",
-                    ),
-                    -1e-3 * each[j],
-                    self._rate(x, drives),
-                )
-        if n > 1 and robot.gain_known and not self.gains:
-            # The predicted torque of a drive: the coefficient is its gain relative
-            # to the others, less 1.
-            for j in range(n):
-                yield (
-                    MissingTerm(
-                        kind="relative gain",
-                        where=f"of joint {joints[j].name}",
-                        unit="%",
-                        advice="check its drive_gain and ratio against those of the other joints",
-                    ),
-                    0.01 * each[j],
-                    drives,
-                )
+        known, numbers = [joint.terms for joint in self.robot.joints], range(len(KINDS))
+        return [
+            (i, k, where, j)
+            for at, kinds in groupby(numbers, lambda i: KINDS[i].at)
+            for (k, (where, j)), i in product(enumerate(at(self)), kinds)
+            if KINDS[i].friction not in known[j] and KINDS[i].lacks(self, k)
+        ]
+
+    @property
+    def robot(self) -> Robot:
+        """Its robot."""
+        return self.problem.signals.robot
+
+    @property
+    def _span_s(self) -> Array:
+        """Instants of the first and the last sample used."""
+        settings = self.problem.settings
+        return np.array([settings.start, settings.stop - 1]) / self.problem.signals.sample_rate_hz
+
+    @cached_property
+    def _chi(self) -> Array:
+        """(p,) standard parameters, of those that are regrouped only what they are regrouped in."""
+        chi = np.zeros(self.problem.model.p)
+        chi[self.problem.base.columns] = self.beta
+        return chi
+
+    @cached_property
+    def _links(self) -> DirectModel:
+        idm = self.problem.model
+        return direct_model(idm, np.where(idm.of_links, self._chi, 0.0))
+
+    def _friction(self, name: str) -> Array:
+        """(n,) a hundredth of the friction of each joint by this name, Fc or Fv."""
+        value = dict(zip(self.problem.model.names, 0.01 * self._chi, strict=True))
+        return np.array([value.get(f"{name}{j + 1}", 0.0) for j in range(len(self.peak))])
 
 
 def _of_links(links: DirectModel, q: Array, dq: Array, ddq: Array) -> Array:
@@ -383,10 +222,160 @@ def _of_links(links: DirectModel, q: Array, dq: Array, ddq: Array) -> Array:
     return np.concatenate([tau[..., None], slopes[0]], axis=2)
 
 
-def _to_describe(joint: Joint, term: str, otherwise: str) -> str:
-    """How to describe a friction term, in a list of terms or by keys."""
-    return (
+def _stride(motion: MotionBlock) -> int:
+    """Step between samples that tell what links need."""
+    return motion.decimation.factor // SAMPLES_A_ROW
+
+
+def _listed(term: str, keys: str, unit: str = "") -> Callable[[Robot, int], tuple[str, str]]:
+    """What is told of a friction term that a description has in a list, or by keys."""
+    return lambda robot, j: (
+        unit or robot.effort_units[j],
         f'add "{term}" to its friction'
-        if isinstance(joint.friction, tuple)
-        else f"describe it as {otherwise}"
+        if isinstance(robot.joints[j].friction, tuple)
+        else f"describe it as {keys}",
     )
+
+
+def _per_angle(robot: Robot, j: int) -> tuple[str, float]:
+    """The unit of a zero, and its size."""
+    return ("deg", np.pi / 180) if robot.joints[j].type == "revolute" else ("mm", 1e-3)
+
+
+def _directions(of: Candidates) -> list[tuple[str, int]]:
+    """Of Coulomb friction: of a joint, or of the motor of the last joint that it moves."""
+    names = [joint.name for joint in of.robot.joints]
+    return [
+        (f"of{' the motor of' if len(at) > 1 else ''} joint {names[at[-1]]}", int(at[-1]))
+        for at in map(np.flatnonzero, of.problem.model.coulomb_directions)
+    ]
+
+
+def _turned(of: Candidates, k: int) -> Array:
+    """Gravity (3,) per rad of a rotation about an axis of the base."""
+    return np.cross(np.eye(3)[k], np.array(of.robot.gravity))
+
+
+def _root(of: Candidates, x: MotionBlock, links: Array, k: int) -> Array:
+    along = of.problem.model.coulomb_directions[k]
+    v = x.dq @ along
+    return np.asarray((np.sign(v) * np.sqrt(np.abs(v)))[:, None] * along)
+
+
+# Those at the same places are tried place by place.
+KINDS = (
+    Kind(
+        name=ASYMMETRIC,
+        torque=lambda of, x, *_: of._friction("Fc") + of._friction("Fv") * np.abs(x.dq),
+        told=_listed("asymmetric", 'friction = "asymmetric", which includes an offset', "% of it"),
+        friction="asymmetric",
+        lacks=lambda of, k: (
+            not (joint := of.robot.joints[k]).one_sided
+            and not {"viscous", "coulomb"}.isdisjoint(joint.terms)
+        ),
+    ),
+    Kind(
+        name="offset",
+        torque=lambda of, x, *_: np.ones_like(x.q),
+        told=_listed("offset", "offset = true"),
+        friction="offset",
+    ),
+    Kind(
+        name="drift",
+        torque=lambda of, x, *_: ((x.t_s - of._span_s[0]) / np.ptp(of._span_s))[:, None] + 0 * x.q,
+        told=lambda robot, j: (
+            f"{robot.effort_units[j]} over the recording",
+            "warm the robot up, or record a shorter motion",
+        ),
+        missing="",
+    ),
+    Kind(
+        name=SPRING,
+        torque=lambda of, x, *_: x.q,
+        told=lambda robot, j: (
+            f"{robot.effort_units[j]}/{robot.joints[j].position_unit}",
+            "record its torque (of a spring, a hose or a weight) as known_torque",
+        ),
+        least_percent=10.0,  # any slow error correlates with a slow position
+    ),
+    Kind(
+        name=STRIBECK,
+        torque=lambda of, x, *_: (
+            np.sign(x.dq)
+            * np.exp(-((x.dq / (STRIBECK_SPEED_RATIO * np.maximum(of.peak, 1e-300))) ** 2))
+        ),
+        told=lambda robot, j: (
+            robot.effort_units[j],
+            "leave out slow samples by a larger low_speed_percent of [identification]",
+        ),
+        friction="stribeck",
+    ),
+    Kind(
+        name=ZERO,
+        torque=lambda of, x, links, k: _per_angle(of.robot, k)[1] * links[..., 1 + k],
+        told=lambda robot, j: (
+            _per_angle(robot, j)[0],
+            "check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
+        ),
+        everywhere=True,
+        missing="",
+    ),
+    Kind(
+        name=ROTOR,
+        torque=lambda of, x, *_: x.ddq,
+        told=lambda robot, j: (inertia_unit(robot, j), "rotor_inertia = true"),
+        lacks=lambda of, k: not of.robot.joints[k].rotor_inertia,
+    ),
+    Kind(
+        name="load friction",
+        torque=lambda of, x, links, _: np.abs(links[..., 0]) * np.sign(x.dq),
+        told=lambda *_: ("", SELECT_TERMS),
+        friction="load",
+    ),
+    Kind(
+        at=lambda of: ((f"about {axis}", 0) for axis in "xyz"),
+        name=TILT,
+        torque=lambda of, x, _, k: smooth(
+            lambda q, *_: of._links.gravity(q, _turned(of, k)), x, _stride(x)
+        ),
+        told=lambda *_: ("rad", "level the base, or set gravity_m_s2"),
+        everywhere=True,
+        lacks=lambda of, k: bool(_turned(of, k).any()),
+        missing="",
+    ),
+    Kind(
+        at=_directions,
+        name="root friction",
+        torque=_root,
+        told=lambda robot, j: (
+            f"{robot.effort_units[j]} ({robot.joints[j].position_unit}/s)^-½",
+            SELECT_TERMS,
+        ),
+        everywhere=True,
+        friction="root",
+    ),
+    Kind(
+        at=lambda of: [("between positions and efforts", 0)],
+        name=CLOCKS,
+        torque=lambda of, x, *_: -0.01 * (x.t_s - of._span_s.mean())[:, None] * x.rate(x.tau),
+        told=lambda *_: ("%", "stamp positions and efforts by one clock"),
+        everywhere=True,
+        missing="",
+    ),
+    Kind(
+        name=LAG,
+        torque=lambda of, x, *_: -1e-3 * x.rate(x.tau),
+        told=lambda *_: ("ms", "check how its effort is filtered and stamped"),
+        lacks=lambda of, k: of.simulated and len(of.peak) > 1,
+        missing="",
+    ),
+    Kind(  # the coefficient of a predicted torque is the gain relative to others, less 1
+        name="relative gain",
+        torque=lambda of, x, *_: 0.01 * x.tau,
+        told=lambda *_: (
+            "%",
+            "check its drive_gain and ratio against those of the other joints",
+        ),
+        lacks=lambda of, k: of.robot.gain_known and not of.gains and len(of.peak) > 1,
+    ),
+)

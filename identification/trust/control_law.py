@@ -12,7 +12,7 @@ import numpy as np
 
 from ..regression import KnownLag, Law, Problem
 from .fit_data import FitData
-from .lines import LEVELS, Figure, TrustLine
+from .lines import LEVELS, TrustLine, figures_of, first_case
 
 NAME = "control law"
 DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
@@ -27,17 +27,16 @@ def control_law_test(evidence: FitData) -> TrustLine:
     of the worst recording.
     """
     worst, name = min(
-        zip(evidence.replays, evidence.names, strict=True), key=lambda one: _rank(one[0])
+        zip(evidence.replays, evidence.names, strict=True),
+        key=lambda one: (
+            LEVELS.index(one[0].level),
+            -abs((1.0 if (x := one[0].value) is None else x) - 1.0),
+        ),
     )
     if len(evidence.names) == 1:
         return worst
     reason = worst.text.removeprefix("not made: ")
     return replace(worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}")
-
-
-def _rank(line: TrustLine) -> tuple[int, float]:
-    """Sort key: the worst level, then the gain furthest from the described one."""
-    return LEVELS.index(line.level), -abs((1.0 if line.value is None else line.value) - 1.0)
 
 
 def law_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
@@ -54,13 +53,10 @@ def law_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
         reason = "computed torque depends on the robot's own model"
     elif law is not None and law.described is None and law.reason is not None:
         reason = f"[controller] describes no law, and none is found in the recording: {law.reason}"
-    elif law is not None:
-        line = _line(law, [motor.name for motor in signals.robot.motors])
-        if controller.gravity_feedforward:
-            line = replace(
-                line, text=f"{line.text}; gravity that is fed forward is fitted and subtracted"
-            )
-        return line, _lag(law, problem)
+    elif law is not None and (line := _line(law, [motor.name for motor in signals.robot.motors])):
+        fed = "; gravity that is fed forward is fitted and subtracted"
+        text = line.text + fed * controller.gravity_feedforward
+        return replace(line, text=text), _lag(law, problem)
     return TrustLine(NAME, "not made", f"not made: {reason}"), None
 
 
@@ -76,31 +72,22 @@ def _lag(law: Law, problem: Problem) -> KnownLag | None:
     return KnownLag(value_s=value_s, sd_s=sd_s, source="the described control law")
 
 
-def _line(law: Law, motors: list[str]) -> TrustLine:
+def _line(law: Law, motors: list[str]) -> TrustLine | None:
     used, error = law.used, law.residual_percent
     delays = f"reference {1e3 * float(np.median(law.delay_s)):.3g} ms late"
     if law.described is None:
-        text = (
-            f"{law.structure} found, {_gains(law, 0)} of motor {motors[0]}, {error.max():.2g} "
-            f"% left; {delays}"
+        alone = ", ".join(np.array(motors)[~law.clear])
+        return TrustLine(
+            NAME,
+            "ok",
+            f"{law.structure} found, {_gains(law, 0)} of motor {motors[0]}, {error.max():.2g} % "
+            f"left; {delays}{f'; {alone} alone do not show it' if alone else ''}",
         )
-        if not law.clear.all():
-            text += f"; {', '.join(np.array(motors)[~law.clear])} alone do not show it"
-        return TrustLine(NAME, "ok", text)
     gains, described, half = law.gains[used], law.described[used], law.gains_half[used]
     factor = np.divide(gains, described, out=np.ones_like(gains), where=described != 0)
     within = np.divide(half, np.abs(described), out=np.zeros_like(gains), where=described != 0)
-    figures = tuple(
-        Figure(
-            name=f"{letter} {motor}",
-            value=float(factor[i, j]),
-            half_width=float(within[i, j]),
-            expected=1.0,
-        )
-        for i, letter in enumerate(np.array(LETTERS)[used])
-        for j, motor in enumerate(motors)
-        if np.isfinite(factor[i, j])
-    )
+    names = [f"{letter} {motor}" for letter in np.array(LETTERS)[used] for motor in motors]
+    figures = figures_of(names, factor.flat, within.flat, np.ones(factor.size))
     off = np.nan_to_num(np.abs(factor - 1) * (np.abs(factor - 1) > 2 * within))
     mirrored = (factor < 0).all(axis=0) & (error <= MAX_MIRRORED_PERCENT)
     beyond = np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_ERROR_PERCENT)
@@ -108,36 +95,33 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
     value = float(factor[int(np.argmax(off[:, j])), j])
     text = f"motor {motors[j]}: {_gains(law, j)}; {error[j]:.2g} % left; {delays}"
     if law.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():
-        text = (
-            f"{law.reason}, {error[j]:.2g} % left: a feed-forward that is not recorded, or "
-            "another law?"
-        )
-        return TrustLine(NAME, "caution", text, None)
-    if mirrored.any():
-        return TrustLine(
-            NAME, "do not use", f"{text}: check the sign of its effort", value, figures=figures
-        )
-    if law.rival is not None:
-        text += (
-            f": {law.rival} fits better than {law.structure}: check structure and gains of "
-            "[controller]"
-        )
-        return TrustLine(
-            NAME,
+        another = "a feed-forward that is not recorded, or another law?"
+        return TrustLine(NAME, "caution", f"{law.reason}, {error[j]:.2g} % left: {another}")
+    return first_case(
+        NAME,
+        (mirrored.any(), "do not use", f"{text}: check the sign of its effort"),
+        (
+            law.rival,
             "caution",
-            text,
-            value,
-            figures=figures,
-            finding=f"{law.rival} for {law.structure}",
-        )
-    if off[:, j].max() > MAX_GAIN_ERROR or error[j] > MAX_ERROR_PERCENT:
-        spread = float(np.ptp(factor[:, j]))
-        scale = f": the effort is {value:.3g} x the law's: check rated value, ratio and drive_gain"
-        text += (
-            scale if spread < COMMON else ": check structure, gains and sample rate of [controller]"
-        )
-        return TrustLine(NAME, "caution", text, value, figures=figures)
-    return TrustLine(NAME, "ok", text, value, figures=figures)
+            f"{text}: {law.rival} fits better than {law.structure}: check structure and gains of "
+            "[controller]",
+            f"{law.rival} for {law.structure}",
+        ),
+        (
+            beyond[j] > 1 and np.ptp(factor[:, j]) < COMMON,
+            "caution",
+            f"{text}: the effort is {value:.3g} x the law's: check rated value, ratio and "
+            "drive_gain",
+        ),
+        (
+            beyond[j] > 1,
+            "caution",
+            f"{text}: check structure, gains and sample rate of [controller]",
+        ),
+        (True, "ok", text),
+        value=value,
+        figures=tuple(one for one in figures if np.isfinite(one.value)),
+    )
 
 
 def _gains(law: Law, j: int) -> str:

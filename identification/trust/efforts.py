@@ -17,8 +17,8 @@ from acquisition.robot import RADIANS_AS_DEGREES
 from ..arrays import Array
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
-from .fit_data import FitData
-from .lines import LEVELS, TrustLine
+from .fit_data import FitData, relative_residual
+from .lines import LEVELS, TrustLine, first_case
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
@@ -29,7 +29,7 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
     """Whether a mistake undone halves the torque error, or, as a sign of a motor
     that brakes, lowers it.
     """
-    rows, R = evidence.observed, evidence.problem.signals.robot.R
+    rows, R = evidence.observed, evidence.robot.R
     rho, size = (
         np.linalg.norm(x * rows.counts, axis=0) for x in (rows.tau - evidence.predicted, rows.tau)
     )
@@ -39,24 +39,26 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
         return None
     problem, one = evidence.problem.with_samples(), np.eye(len(R))
     s, most = problem.settings, round(MAX_SPAN_S * problem.signals.sample_rate_hz)
-    # A lag that was found has the mistake in it.
-    problem = problem.until(min(s.stop, s.start + most)).corrected(s.known_lag.value_s)
+    problem = problem.until(min(s.stop, s.start + most))
     decimated = _decimated(problem)
     factors = _factors(problem, decimated, one)
-    finding, error, least, with_it = "", 0.0, np.inf, _error(factors, one)
+    with_it, found = _error(factors, one), list[tuple[float, float, str]]()
     for mistake, motor, A, B in _mistakes(problem):
         tried = _error(factors if B is None else _factors(problem, decimated, B), A)
         score = tried / (MAX_RATIO if motor is None or not brakes[motor] else MAX_RATIO_OF_BRAKE)
-        if score < min(least, with_it) and ((A if B is None else B.T @ A) * power).sum() > 0:
-            finding, error, least = mistake, tried, score
-    if not finding:
-        return None
-    text = (
-        f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in "
-        f"place of {100 * with_it:.2g} %"
+        if ((A if B is None else B.T @ A) * power).sum() > 0:
+            found.append((score, tried, mistake))
+    least, error, finding = min(found, default=(np.inf, 0.0, ""), key=lambda one: one[0])
+    return first_case(
+        "signs and order",
+        (
+            least < with_it,
+            "do not use",
+            f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in "
+            f"place of {100 * with_it:.2g} %: check columns and signs of the recording",
+            finding,
+        ),
     )
-    text += ": check columns and signs of the recording"
-    return TrustLine("signs and order", "do not use", text, finding=finding)
 
 
 def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:
@@ -83,7 +85,8 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
 def _decimated(problem: Problem) -> tuple[list[Array], Array]:
     """The decimated motion q, dq, ddq (rows, n) from the zeros, and by joint (n, rows, n + 1) all
     drives' torques and the known one. Columns are of this motion, not decimated themselves: ten
-    times as fast, and as good for errors of this size.
+    times as fast, and as good for errors of this size. The lag is the known one: one that was found
+    has the mistake in it.
     """
     signals, s = problem.signals, problem.settings
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
@@ -91,8 +94,8 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
         s.decimator.filtered(x.T).T / s.decimator.gain
         for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
     ]
-    drives = problem.drives(s.start, s.stop)
-    known = problem.torque(s.start, s.stop) - drives
+    drives, known = problem.drives(s.start, s.stop, s.known_lag.value_s), problem.known(motion.t_s)
+    known = np.zeros_like(drives) if known is None else known
     drives, known = (s.decimator.filtered(x.T) for x in (drives, known))
     return moved, np.array([np.c_[drives.T, of_joint] for of_joint in known])
 
@@ -116,9 +119,9 @@ def _error(factors: Array, A: Array) -> float:
     b = factors.shape[2] - len(A) - 1
     Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])
     weight = 1 / np.maximum(np.linalg.norm(Y, axis=1, keepdims=True), 1e-300)
-    W, Y = (factors[..., :b] * weight[..., None]).reshape(-1, b), (Y * weight).ravel()
-    W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
-    return float(np.linalg.norm(Y - W @ np.linalg.lstsq(W, Y, rcond=1e-9)[0]) / np.linalg.norm(Y))
+    return relative_residual(
+        (factors[..., :b] * weight[..., None]).reshape(-1, b), (Y * weight).ravel()
+    )
 
 
 def saturation_test(evidence: FitData) -> TrustLine | None:
@@ -128,38 +131,30 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
     confirmed = evidence.fixed_point and evidence.unconfirmed is None
     if confirmed and all(line.level not in LEVELS[:2] for line in evidence.replays):
         return None
-    found = list(
-        dict.fromkeys(
-            text for one in evidence.problems for text in unstated_limits(one.with_samples())
-        )
-    )
-    if not found:
-        return None
-    text, level = (
-        f"{'; '.join(found)}: state saturation of the motor",
-        LEVELS[1 if evidence.fixed_point else 0],
-    )
-    return TrustLine("saturation", level, text, finding=found[0].split(" in ")[0])
+    limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
+    found, level = list(dict.fromkeys(limits)), LEVELS[1 if evidence.fixed_point else 0]
+    text = f"{'; '.join(found)}: state saturation of the motor"
+    return first_case("saturation", (found, level, text, text.split(" in ")[0]))
 
 
 def positions_test(evidence: FitData) -> TrustLine | None:
     """Whether positions look like radians that were declared as degrees."""
-    if all(RADIANS_AS_DEGREES not in problem.settings.warnings for problem in evidence.problems):
-        return None
-    return TrustLine(
-        "positions", "caution", RADIANS_AS_DEGREES, finding="radians declared as degrees?"
+    found = any(RADIANS_AS_DEGREES in problem.settings.warnings for problem in evidence.problems)
+    return first_case(
+        "positions", (found, "caution", RADIANS_AS_DEGREES, "radians declared as degrees?")
     )
 
 
 def effort_test(evidence: FitData) -> TrustLine | None:
     """Recorded efforts beyond a limit of the description, which no drive gives."""
-    overloads = dict.fromkeys(
-        text for problem in evidence.problems for text in problem.settings.overloads
+    found = dict.fromkeys(x for problem in evidence.problems for x in problem.settings.overloads)
+    return first_case(
+        "effort",
+        (
+            found,
+            "caution",
+            f"{'; '.join(found)}: check drive_gain, ratio and unit of the effort, or correct the "
+            "limit",
+            "effort beyond its limit",
+        ),
     )
-    if not overloads:
-        return None
-    text = (
-        f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct "
-        "the limit"
-    )
-    return TrustLine("effort", "caution", text, finding="effort beyond its limit")

@@ -2,57 +2,21 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.robot import Robot
+
 from ..arrays import Array
-from ..estimation import (
-    Estimate,
-    Intervals,
-    Scores,
-    Spans,
-    scores_of_recordings,
-    spans_of,
-)
-from ..regression import Arm, KnownLag, Problem, Rows, base_places
+from ..estimation import Estimate, Intervals, spans_of
+from ..regression import Arm, Lag, Problem, Rows
 from ..report import Method
 from .candidates import Candidates
 from .lines import HeldOut, TrustLine
 
 Part = NDArray[np.bool_]  # of the time: which spans, counted through all recordings
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lag:
-    """The lag of the torque of recordings of equal timing, s, positive: late.
-
-    Attributes:
-        value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval
-            is `reach` deviations.
-        source: where the value comes from; `prior`: the lag as known without a fit.
-        found: value, deviation and its degrees of freedom by the instruments alone; None where
-            they do not determine it.
-        delay_s: time from command to torque and half its interval, where the described
-            controller was replayed.
-        moved: (b,) shift of each parameter by one deviation of the lag.
-        recordings: their names.
-    """
-
-    value_s: float
-    sd_s: float
-    reach: float
-    source: str
-    prior: KnownLag
-    found: tuple[float, float, int] | None
-    delay_s: tuple[float, float] | None = None
-    moved: Array = field(default_factory=lambda: np.zeros(0))
-    recordings: tuple[str, ...] = ()
-
-    @property
-    def half_width_s(self) -> float:
-        """Half its 95 % interval."""
-        return self.reach * self.sd_s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,6 +76,11 @@ class FitData:
         return self.problems[0]
 
     @property
+    def robot(self) -> Robot:
+        """The robot as it is described."""
+        return self.problem.signals.robot
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the recordings."""
         return tuple(problem.signals.recording for problem in self.problems)
@@ -124,35 +93,39 @@ class FitData:
         return tuple(name for name in self.estimate.names if name.startswith("K:"))
 
     @cached_property
-    def base(self) -> NDArray[np.intp]:
-        """Places of the base parameters in the estimate, which may have payloads and gains too."""
-        return base_places(self.estimate.names)
+    def edges(self) -> NDArray[np.intp]:
+        """(S + 1,) the first instant of each span of time, and the end of the last."""
+        of_recordings = [np.diff(own) for own in self.observed.system.spans]
+        return np.cumsum(np.r_[0, np.concatenate(of_recordings)])
 
     def spans(self, count: int) -> list[Part]:
         """Equal parts of the time of the recordings together; of each recording, if a part alone
         must determine drive gains.
         """
-        parts = spans_of(self.observed.parts) if self.gains else [slice(0, len(self.observed.tau))]
-        return [
-            np.any([self.between(*_part(one, k, count)) for one in parts], axis=0)
-            for k in range(count)
+        parts = spans_of(self.observed.parts if self.gains else [len(self.observed.tau)])
+        ends = [
+            [one.start - (-k * (one.stop - one.start) // count) for one in parts]
+            for k in range(count + 1)
         ]
+        return [sum(map(self.between, *both), np.array(False)) for both in pairwise(ends)]
 
     def between(self, start: int, stop: int) -> Part:
         """The spans of time from an instant to before another, rounded to the nearest borders."""
-        edges = np.concatenate([first + own.edges[:-1] for own, first in self._recordings])
-        ends = np.concatenate([first + own.edges[1:] for own, first in self._recordings])
-        low, high = (int(np.abs(np.r_[edges, ends[-1]] - at).argmin()) for at in (start, stop))
-        return (np.arange(len(edges)) >= low) & (np.arange(len(edges)) < high)
+        low, high = (int(np.abs(self.edges - at).argmin()) for at in (start, stop))
+        return np.isin(np.arange(len(self.edges) - 1), range(low, high))
 
     def instants(self, part: Part) -> NDArray[np.bool_]:
         """(T,) the instants of some spans of time."""
-        return np.repeat(part, np.concatenate([np.diff(own.edges) for own, _ in self._recordings]))
+        return np.repeat(part, np.diff(self.edges))
+
+    def count(self, part: Part) -> float:
+        """Number of rows of some spans of time: the sum of the squares of their weights."""
+        return float(np.sum(self.observed.share[self.instants(part)] ** 2))
 
     @property
-    def Z(self) -> Array | None:
-        """(r, p) instruments of all unknowns in the rows of W; None after least squares."""
-        return self.observed.Z if self.observed.Z.size else None
+    def Z(self) -> Array:
+        """(r, p) instruments of all unknowns in the rows of W, which they are in least squares."""
+        return self.observed.Z if self.observed.Z.size else self.observed.system.W
 
     @cached_property
     def weight(self) -> Array:
@@ -160,56 +133,29 @@ class FitData:
         return np.asarray(self.estimate.weights[self.observed.system.joint_of_row])
 
     @cached_property
+    def places(self) -> NDArray[np.intp]:
+        """(b,) places of the estimated parameters in the system."""
+        return np.array([self.observed.system.names.index(name) for name in self.estimate.names])
+
+    @cached_property
     def W(self) -> Array:
         """(r, b) weighted columns of the estimated parameters."""
-        names = self.observed.system.names
-        return (
-            self.observed.system.W[:, [names.index(name) for name in self.estimate.names]]
-            * self.weight[:, None]
-        )
+        return self.observed.system.W[:, self.places] * self.weight[:, None]
 
     @cached_property
     def Y(self) -> Array:
-        """(r,) weighted torques; `rho`: residuals."""
+        """(r,) weighted torques."""
         return self.observed.system.Y * self.weight
 
-    @cached_property
-    def rho(self) -> Array:
-        """(r,) weighted residuals."""
-        return self.Y - self.W @ self.estimate.beta
-
-    def part(self, part: Part) -> tuple[Array, Array, Array, float]:
-        """Q, W (r_k, b) and Y (r_k,) of some spans of time, and their number of rows: the sum of
-        the squares of their weights.
-        """
-        rows = part[self.observed.system.span]
-        share = self.observed.share[self.instants(part)]
-        return self.estimate.Q[rows], self.W[rows], self.Y[rows], float(np.sum(share**2))
+    def residual(self, beta: Array) -> Array:
+        """(r,) weighted residuals of parameters beta (b,)."""
+        return np.asarray(self.Y - self.W @ beta)
 
     def error(self, part: Part, beta: Array) -> float:
         """|Y - W beta| of some spans of time, in the unit of the torque."""
-        _, W, Y, _ = self.part(part)
-        weight = self.weight[part[self.observed.system.span]]
-        return float(np.linalg.norm((Y - W @ beta) / weight))
-
-    def scores(self, part: Part, beta: Array, bread: Array, basis: Array) -> list[Scores]:
-        """Scores, by recording, of an estimate beta (b,) of some spans of time with the
-        orthonormal columns Q `basis`.
-        """
-        rho, Q = self.Y - self.W @ beta, self.estimate.Q @ basis
-        return scores_of_recordings(self.observed.system, Q, bread, rho, part)
-
-    @cached_property
-    def _recordings(self) -> list[tuple[Spans, int]]:
-        """By recording its spans and its first instant."""
-        starts = [part.start for part in spans_of(self.observed.parts)]
-        return list(zip(self.observed.system.spans, starts, strict=True))
-
-
-def _part(of: slice, k: int, count: int) -> tuple[int, int]:
-    """Part k of `count` equal ones of some instants, its first and past its last, as spans end."""
-    T = of.stop - of.start
-    return of.start - (-k * T // count), of.start - (-(k + 1) * T // count)
+        return float(
+            np.linalg.norm((self.residual(beta) / self.weight)[part[self.observed.system.span]])
+        )
 
 
 def covariance_of_all(
@@ -223,3 +169,9 @@ def covariance_of_all(
     indices = np.array([names.index(name) for name in estimate.names])
     covariance[np.ix_(indices, indices)] = intervals.covariance
     return covariance
+
+
+def relative_residual(W: Array, Y: Array) -> float:
+    """Residual of the least squares of Y (r,) by columns W (r, b), relative to Y."""
+    W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
+    return float(np.linalg.norm(Y - W @ np.linalg.lstsq(W, Y, rcond=1e-9)[0]) / np.linalg.norm(Y))

@@ -1,6 +1,8 @@
 """Result lines of the trust tests, and the verdict."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from ..report import Assumed, Level, Verdict
 
@@ -8,7 +10,7 @@ from ..report import Assumed, Level, Verdict
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Figure:
     """The result of a test at one joint, motor or block of time: value, half-width of the 95 %
     interval, expected value.
@@ -68,6 +70,34 @@ class TrustLine:
     unit: str = ""
     fails_held_out: bool = False
     assumed: tuple[Assumed, ...] = ()
+
+
+# whether it holds, the level, the text, and a finding where there is one
+Case = tuple[object, Level, str, *tuple[str, ...]]
+
+
+def first_case(test: str, *cases: Case, value: float | None = None, **of: Any) -> TrustLine | None:
+    """The line of a test by the first of its cases that holds; None where none does. `of` are
+    further attributes of the line.
+    """
+    lines = (
+        TrustLine(test, level, text, value, finding="".join(finding), **of)
+        for holds, level, text, *finding in cases
+        if holds
+    )
+    return next(lines, None)
+
+
+def figures_of(names: Iterable[str], *columns: Iterable[float]) -> tuple[Figure, ...]:
+    """Figures by their names, values, half-widths and expected values."""
+    each = zip(names, *columns, strict=True)
+    return tuple(Figure(name, *map(float, numbers)) for name, *numbers in each)
+
+
+def worst_of(lines: Iterable[TrustLine | None]) -> TrustLine | None:
+    """The first of the cautions, or of all, with the largest figure; None for no line."""
+    made = (line for line in lines if line is not None)
+    return max(made, key=lambda x: (x.level == "caution", abs(x.value or 0.0)), default=None)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,8 @@ from ..errors import NoFitError
 from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
 from ..regression import base_name, base_places, friction_states, recorded_power, row_states
 from ..report import Level
-from .fit_data import FitData, covariance_of_all
-from .lines import LEVELS, TrustLine
+from .fit_data import FitData, covariance_of_all, relative_residual
+from .lines import LEVELS, TrustLine, first_case
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
@@ -38,96 +38,83 @@ def physical_test(evidence: FitData) -> TrustLine:
     Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints
     with small torques: weighted least squares is tested as well.
     """
-    base = evidence.base
-    found, lowest = _findings(evidence, evidence.estimate.part(base), evidence.intervals.part(base))
-    found += _gravity_findings(evidence)
+    poses = np.concatenate([poses_of(problem.used_positions()) for problem in evidence.problems])
+    found, lowest = _findings(evidence, evidence.estimate, evidence.intervals, poses)
+    found += _gravity_findings(evidence, poses)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
-        system, base = evidence.observed.system, base_places(evidence.observed.system.names)
-        weighted = estimation.weighted_least_squares(system)
-        within = estimation.intervals_of(system, weighted).part(base)
-        severe, _ = _findings(evidence, weighted.part(base), within)
-        found += [
-            (level, f"by weighted least squares {text}")
-            for level, text in severe
-            if level == "do not use"
-        ]
-    if not found:
-        text = (
-            f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or "
-            "rotor inertia is below zero"
-        )
-        return TrustLine("physical", "ok", text, lowest)
+        weighted = estimation.weighted_least_squares(system := evidence.observed.system)
+        within = estimation.intervals_of(system, weighted)
+        again, _ = _findings(evidence, weighted, within, poses)
+        found += [(x, f"by weighted least squares {text}") for x, text in again if x == LEVELS[0]]
     found.sort(key=lambda finding: LEVELS.index(finding[0]))
-    return TrustLine("physical", found[0][0], "; ".join(text for _, text in found), lowest)
+    text = "; ".join(text for _, text in found) or (
+        f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor "
+        "inertia is below zero"
+    )
+    return TrustLine("physical", found[0][0] if found else "ok", text, lowest)
 
 
 def _findings(
-    evidence: FitData, estimate: estimation.Estimate, found: estimation.Intervals
+    evidence: FitData, whole: estimation.Estimate, within: estimation.Intervals, poses: Array
 ) -> tuple[list[Finding], float]:
     """Physically impossible values of an estimate, and the lowest eigenvalue
     of M on the trajectory.
     """
-    idm, base = evidence.problem.model, evidence.problem.base
-    indices = np.array([base.names.index(base_name(name)) for name in estimate.names])
-    poses = np.concatenate([poses_of(problem.used_positions()) for problem in evidence.problems])
-    findings, lowest = _inertia_findings(idm, base.columns[indices], estimate.beta, found, poses)
-    findings += _driving_findings(evidence, base.columns[indices], estimate, found)
-    own = any("@" in name for name in estimate.names)
+    idm, base, own = evidence.problem.model, evidence.problem.base, base_places(whole.names)
+    estimate, found, names = whole.part(own), within.part(own), evidence.names
+    places = np.array([base.names.index(base_name(name)) for name in estimate.names])
+    findings, lowest = _inertia_findings(idm, base.columns[places], estimate, found, poses)
+    findings += _driving_findings(evidence, base.columns[places], estimate, found)
+    apart, by_base = any("@" in name for name in estimate.names), np.linalg.pinv(base.K)
+    required = requirements(idm, shaped=False)
     # by joint and kind: half-widths, and a text
-    beyond: dict[int, dict[str, tuple[float, str]]] = {}
-    by_base = np.linalg.pinv(base.K)
-    for arm, recording in list(zip(evidence.arms, evidence.names, strict=True))[
-        : None if own else 1
-    ]:
-        of_part = np.array([name in arm.names for name in estimate.names])
-        for matrix, first, of in requirements(idm, shaped=False):
+    beyond = dict[tuple[int, str], tuple[float, str]]()
+    for k in range(len(names) if apart else 1):
+        of_part = np.isin(estimate.names, evidence.arms[k].names)
+        for matrix, first, of in required:
             # of base parameters, which do not separate rotors regrouped with links
             G = matrix @ by_base
-            if (
-                not np.allclose(G @ base.K, matrix, atol=1e-9)
-                or not (G := G[..., indices] * of_part).any()
-            ):
-                continue
-            _, value, half = _along_directions(G, estimate.beta, found)
-            worst = int(np.argmin(value / np.maximum(half, MIN_HALF_WIDTH)))
-            name = of + (f" in {recording}" if own else "")
-            text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {first.unit}"
-            furthest = (float(-value[worst] / max(half[worst], MIN_HALF_WIDTH)), text)
-            if furthest[0] > 1:
-                of_joint = beyond.setdefault(first.joint, {})
-                of_joint[first.kind] = max(furthest, of_joint.get(first.kind, furthest))
-    for joint, kinds in sorted(beyond.items()):
+            separate, G = np.allclose(G @ base.K, matrix, atol=1e-9), G[..., places] * of_part
+            if separate and G.any():
+                far, value, half, *_ = _worst(G, estimate, found)
+                text = f"{of}{f' in {names[k]}' * apart} = {value:.4g} ± {half:.2g} {first.unit}"
+                if far > 1:
+                    key = first.joint, first.kind
+                    beyond[key] = max((far, text), beyond.get(key, (far, text)))
+    for joint in sorted({joint for joint, _ in beyond}):
+        kinds = [one for (j, _), one in beyond.items() if j == joint]
         # One of many parameters exceeds its interval now and then; two of one joint hardly ever do.
-        severe = len(kinds) > 1 or any(far > MAX_HALF_WIDTHS for far, _ in kinds.values())
-        text = (
-            f"below zero: {', '.join(text for _, text in kinds.values())}: "
-            f"{_advice(idm.robot.joints[joint].name)}"
-        )
-        findings.append(("do not use" if severe else "caution", text))
+        far = np.inf if len(kinds) > 1 else kinds[0][0]
+        text = f"below zero: {', '.join(text for _, text in kinds)}"
+        findings.append(_finding(far, text, idm.robot.joints[joint].name))
     return findings, lowest
 
 
-def _half(g: Array, found: estimation.Intervals) -> Array:
-    """Half-widths (k,) of g beta, of rows g (k, b)."""
-    return np.asarray(
-        found.reach
-        * np.sqrt(np.maximum(np.einsum("...b,bc,...c->...", g, found.covariance, g), 0.0))
-    )
+def _finding(far: float, text: str, joint: str, otherwise: str = "") -> Finding:
+    """Of a value that is so many half-widths below zero."""
+    if far <= MAX_HALF_WIDTHS and otherwise:
+        return "caution", f"{text}{otherwise}"
+    level: Level = "do not use" if far > MAX_HALF_WIDTHS else "caution"
+    return level, f"{text}: check the sign of effort and position of joint {joint}"
 
 
-def _along_directions(
-    G: Array, beta: Array, found: estimation.Intervals
-) -> tuple[Array, Array, Array]:
-    """Directions v (..., d + 1, d) tried of the matrices G beta, G (..., d, d, b), v'(G
-    beta)v, and its half-widths.
+def _worst(
+    G: Array, estimate: estimation.Estimate, found: estimation.Intervals
+) -> tuple[float, float, float, Array, tuple[np.intp, ...], float]:
+    """Of the matrices G beta, G (..., d, d, b), v'(G beta)v that is most half-widths below zero of
+    the directions v (d,) tried: how many, that, its half-width, v, and where; their lowest
+    eigenvalue.
     """
-    M = G @ beta
-    vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))[1]
-    v = np.concatenate(
-        [np.broadcast_to(np.eye(M.shape[-1]), M.shape), vectors[..., None, :, 0]], axis=-2
-    )
+    M = G @ estimate.beta
+    values, vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))
+    alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
+    v = np.concatenate([alone, vectors[..., None, :, 0]], axis=-2)
     g = np.einsum("...di,...ijb,...dj->...db", v, G, v)
-    return v, g @ beta, _half(g, found)
+    variance = np.einsum("...b,bc,...c->...", g, found.covariance, g)
+    value, half = g @ estimate.beta, found.reach * np.sqrt(np.maximum(variance, 0.0))
+    far = -value / np.maximum(half, MIN_HALF_WIDTH)
+    at = np.unravel_index(far.argmax(), far.shape)
+    return far[at], value[at], half[at], v[at], at, float(values.min())
 
 
 def _driving_findings(
@@ -143,143 +130,114 @@ def _driving_findings(
     compensates for it. Constant offsets are not friction. A recording's own parameters are
     tested at its own speeds.
     """
-    idm, robot = evidence.problem.model, evidence.problem.model.robot
-    # by joint: in half-widths, speed, power, half-width
-    worst: dict[int, tuple[float, float, float, float]] = {}
+    idm, each = evidence.problem.model, list[Array]()
     for problem, arm in zip(evidence.problems, evidence.arms, strict=True):
-        of_part = np.array([name in arm.names for name in estimate.names])
-        if (states := row_states(problem)) is None:
-            continue
-        dq, load = friction_states(problem, estimate.values_of(arm.names), states)
-        G = friction_power(idm, columns, dq, load) * of_part
-        for g, v in zip(G, dq, strict=True):
-            j, power, half = (
-                int(np.abs(v).argmax()),
-                float(g @ estimate.beta),
-                float(_half(g, found)),
+        if (states := row_states(problem)) is not None:
+            dq, load = friction_states(problem, estimate.values_of(arm.names), states)
+            G = friction_power(idm, columns, dq, load) * np.isin(estimate.names, arm.names)
+            j = np.abs(dq).argmax(axis=1)[:, None]
+            each.append(np.c_[j, np.take_along_axis(dq, j, axis=1), G])
+    findings, power = list[Finding](), np.concatenate([*each, np.zeros((0, 2 + len(columns)))])
+    power = power[np.lexsort(power[:, 1::-1].T)]
+    for j in np.unique(power[:, 0]).astype(int):
+        own, joint = power[power[:, 0] == j], idm.robot.joints[j]
+        far, value, half, _, at, _ = _worst(own[:, None, None, 2:], estimate, found)
+        if far > 1:
+            level, text = _finding(
+                far,
+                f"friction would drive joint {joint.name} at {own[at[0], 1]:.3g} "
+                f"{joint.position_unit}/s: {value:.3g} ± {half:.2g} {idm.robot.effort_units[j]} "
+                "against its motion",
+                joint.name,
             )
-            one = (power / max(half, MIN_HALF_WIDTH), v[j], power, half)
-            worst[j] = min(one, worst.get(j, one))
-    findings = list[Finding]()
-    for j, (beyond, speed, power, half) in sorted(worst.items()):
-        if beyond < -1:
-            joint, unit = robot.joints[j], robot.effort_units[j]
-            text = (
-                f"friction would drive joint {joint.name} at {speed:.3g} "
-                f"{joint.position_unit}/s: {power:.3g} ± {half:.2g} "
-            )
-            text += f"{unit} against its motion: {_advice(joint.name)}, or leave terms out"
-            findings.append(("do not use" if beyond < -MAX_HALF_WIDTHS else "caution", text))
+            findings.append((level, f"{text}, or leave terms out"))
     return findings
 
 
-def _advice(name: str) -> str:
-    return f"check the sign of effort and position of joint {name}"
-
-
 def _inertia_findings(
-    idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: estimation.Intervals, q: Array
+    idm: InverseModel,
+    columns: NDArray[np.intp],
+    estimate: estimation.Estimate,
+    found: estimation.Intervals,
+    q: Array,
 ) -> tuple[list[Finding], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
-    zero = np.zeros_like(q)
     # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta
-    at_rest = idm.regressor(q, zero, zero)[:, :, columns]
-    alone = [idm.regressor(q, zero, zero + e)[:, :, columns] for e in np.eye(q.shape[1])]
-    G = np.stack([one - at_rest for one in alone], axis=2)  # (P, n, n, b)
-    M = G @ beta
-    if (least := float(np.linalg.eigvalsh(0.5 * (M + M.transpose(0, 2, 1)))[:, 0].min())) > 0:
-        return [], least
-    directions, lowest, half = _along_directions(G, beta, found)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        worst = np.unravel_index(
-            int(np.nanargmin(np.where(lowest < 0, lowest / half, 0.0))), lowest.shape
-        )
-    joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name
-    finding = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}"
-    finding += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
-    if (lowest < -MAX_HALF_WIDTHS * half).any():
-        return [("do not use", f"{finding}: {_advice(joint)}")], least
-    return [
-        ("caution", f"{finding}, which may be noise; before simulating run fit --consistent")
-    ], least
+    rest, *alone = (
+        idm.regressor(q, 0 * q, 0 * q + e)[:, :, columns]
+        for e in np.eye(q.shape[1] + 1, q.shape[1], -1)
+    )
+    G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, b)
+    far, value, half, v, _, least = _worst(G, estimate, found)
+    joint = idm.robot.joints[int(np.abs(v).argmax())].name
+    finding = _finding(
+        far,
+        f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}; "
+        f"{value:.3g} ± {half:.2g} about joint {joint})",
+        joint,
+        ", which may be noise; before simulating run fit --consistent",
+    )
+    return [finding] * (least <= 0), least
 
 
-def _gravity_findings(evidence: FitData) -> list[Finding]:
+def _gravity_findings(evidence: FitData, poses: Array) -> list[Finding]:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
-    problem, idm, terms = evidence.problem, evidence.problem.model, evidence.candidates[0]
-    poses = np.concatenate([poses_of(problem.used_positions()) for problem in evidence.problems])
-    at_rest = idm.regressor(poses, 0 * poses, 0 * poses)[:, :, problem.base.columns[terms.weighs]]
-    if np.abs(at_rest).max(initial=0.0) <= MIN_ARM_M * np.linalg.norm(
-        problem.signals.robot.gravity
-    ):
+    base, system, terms = evidence.problem.base, evidence.observed.system, evidence.candidates[0]
+    gravity, columns = evidence.robot.gravity, base.columns[terms.weighs]
+    at_rest = evidence.problem.model.regressor(poses, 0 * poses, 0 * poses)[:, :, columns]
+    if np.abs(at_rest).max(initial=0.0) <= MIN_ARM_M * np.linalg.norm(gravity):
         return []
-    system = evidence.observed.system
-    gravity = dict(
-        zip(
-            (problem.base.names[place] for place in terms.weighs),
-            evidence.observed.C[:, terms.at_rest].T,
-            strict=True,
-        )
-    )
-    weighs = [i for i, name in enumerate(system.names) if name in gravity]
-    G = np.array([gravity[system.names[i]] for i in weighs]).T
+    # by unknown its column at rest
+    same = np.array(base.names)[terms.weighs][:, None] == np.array(system.names)
+    G = evidence.observed.C[:, terms.at_rest] @ same
     # The small R factor has the same column products as the rows.
     R = estimation.r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
-    W, left = R[:, : len(system.names)].copy(), list[float]()
-    for weight in (0.0, R[:, len(system.names) : -1]):
-        W[:, weighs] -= weight
-        size = np.linalg.norm(W, axis=0)
-        A = W / np.where(size > 0, size, 1.0)
-        rho = R[:, -1] - A @ np.linalg.lstsq(A, R[:, -1], rcond=1e-9)[0]
-        left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(evidence.Y)))
-    if left[1] >= MIN_RESIDUAL_RATIO * left[0]:
-        return []
-    text = (
+    W, G, Y = np.split(R, [len(system.names), -1], axis=1)
+    left = [100 * relative_residual(of, Y[:, 0]) for of in (W, W - G)]
+    finding: Finding = (
+        "caution",
         f"the torques fit a model without gravity better: residual {left[1]:.3g} % against "
-        f"{left[0]:.3g} %: "
+        f"{left[0]:.3g} %: the efforts lack the robot's weight, are no torques, or gravity_m_s2 is "
+        "wrong",
     )
-    text += "the efforts lack the robot's weight, are no torques, or gravity_m_s2 is wrong"
-    return [("caution", text)]
+    return [finding] * (left[1] < MIN_RESIDUAL_RATIO * left[0])
 
 
-def consistent_test(evidence: FitData) -> TrustLine:
+def consistent_test(evidence: FitData) -> TrustLine | None:
     """Distance of the nearest consistent parameters: chi-squared, and the largest move in
     half-widths of the intervals.
     """
-    problem, estimate = evidence.problem, evidence.estimate
+    problem, estimate, names = evidence.problem, evidence.estimate, evidence.arms[0].names
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
         return TrustLine("consistent", "not made", text)
-    all_names, names = evidence.observed.system.names, evidence.arms[0].names
-    covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
+    every, beta = evidence.observed.system.names, estimate.values_of(names)
+    covariance = covariance_of_all(every, estimate, evidence.intervals, evidence.least_squares)
     # of own parameters those of one recording
-    first = np.array([all_names.index(name) for name in names])
-    moved = [
-        problem
-        for problem, arm in zip(evidence.problems, evidence.arms, strict=True)
-        if arm.names == names
-    ]
-    beta = estimate.values_of(names)
+    own = np.ix_(*2 * [[every.index(name) for name in names]])
+    pairs = zip(evidence.problems, evidence.arms, strict=True)
     try:
-        power = recorded_power(moved, beta)
-        nearest = nearest_consistent(
-            problem.model, problem.base, beta, covariance[np.ix_(first, first)], power
-        )
+        power = recorded_power([one for one, arm in pairs if arm.names == names], beta)
+        nearest = nearest_consistent(problem.model, problem.base, beta, covariance[own], power)
     except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
     moves = np.abs(nearest.deviations) / evidence.intervals.reach
     bound = estimation.chi_squared_quantile(CONSISTENT_LEVEL, len(names))
     text = (
         f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} "
-        "parameters), "
+        f"parameters), {names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its "
+        "interval"
     )
-    text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
-    if nearest.chi_squared > bound:
-        text += (
-            f", above {bound:.3g}, the limit of chance: check signs and units of efforts and "
-            "positions, and frames"
-        )
-        return TrustLine("consistent", "caution", text, nearest.chi_squared)
-    return TrustLine("consistent", "ok", text, nearest.chi_squared)
+    return first_case(
+        "consistent",
+        (
+            nearest.chi_squared > bound,
+            "caution",
+            f"{text}, above {bound:.3g}, the limit of chance: check signs and units of efforts and "
+            "positions, and frames",
+        ),
+        (True, "ok", text),
+        value=nearest.chi_squared,
+    )

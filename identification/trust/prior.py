@@ -20,7 +20,7 @@ from ..model import base_prior, direct_model
 from ..regression import base_name, row_states
 from .fit_data import FitData
 from .held_out import Predict, held_out_parts, held_out_test
-from .lines import Figure, TrustLine
+from .lines import TrustLine, figures_of, first_case
 
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors
@@ -41,26 +41,22 @@ def with_prior(evidence: FitData, predict: Predict) -> FitData:
     """
     problem, system = evidence.problem, evidence.observed.system
     values, source = base_prior(problem.model, problem.base)
-    if not values or not problem.signals.robot.gain_known:
+    if not values or not evidence.robot.gain_known:
         return evidence
     evidence = replace(evidence, prior=values, prior_source=source)
     known, free = _known_and_free(evidence)
 
     def with_links(*estimates: Estimate, by_recording: bool = False) -> Array:
-        whole = (
-            replace(one, names=system.names, beta=known + one.values_of(system.names))
-            for one in estimates
-        )
+        betas = (known + one.values_of(system.names) for one in estimates)
+        whole = (replace(evidence.estimate, names=system.names, beta=beta) for beta in betas)
         return predict(*whole, by_recording=by_recording)
 
-    with suppress(NoFitError):
-        if evidence.held_out and not evidence.gains:
-            rest = replace(system, Y=system.Y - system.W @ known).with_columns(free)
-            Z = (system.W if evidence.Z is None else evidence.Z)[:, free]
-            others = instrumental_variables(rest, Z, evidence.estimate.weights)
-            of_rest = replace(
-                evidence, observed=replace(evidence.observed, system=rest, Z=Z), estimate=others
-            )
+    if evidence.held_out and not evidence.gains:
+        rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
+        rows = replace(evidence.observed, system=rest.with_columns(free), Z=Z)
+        with suppress(NoFitError):
+            others = instrumental_variables(rows.system, Z, evidence.estimate.weights)
+            of_rest = replace(evidence, observed=rows, estimate=others)
             line = held_out_test(replace(of_rest, held_out=held_out_parts(of_rest, with_links)))
             return replace(evidence, prior_error_percent=line.value)
     return evidence
@@ -72,59 +68,43 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     """
     if not evidence.prior or evidence.gains:
         return None
-    links, names = (
-        f"the {evidence.prior_source}'s links",
-        [one.name for one in evidence.problem.signals.robot.joints],
-    )
-    factor, half, explained, needed = zip(
-        *(_factor(evidence, j) for j in range(len(names))), strict=True
-    )
-    told = [j for j, share in enumerate(explained) if share > MIN_EXPLAINED]
-    outside = [
-        j for j in told if factor[j] + half[j] < MIN_FACTOR or factor[j] - half[j] > MAX_FACTOR
-    ]
-    figures = (
-        Figure(name=names[j], value=factor[j], half_width=half[j], expected=1.0) for j in told
-    )
-    line = TrustLine("prior", "ok", f"no torque is like that of {links}", figures=tuple(figures))
-    unlike = any(
-        share > MIN_LEFT and by < MIN_ALIKE for share, by in zip(needed, explained, strict=True)
-    )
-    if (outside or unlike) and (cause := _cause(evidence)):
-        return replace(
-            line,
-            level="caution",
-            text=f"{cause}? {links} then need the recorded torques",
-            finding=cause,
-        )
-    if not told:
-        return line
-    values, everywhere = sorted(factor[j] for j in outside or told), len(outside) == len(told) > 1
-    between = " to ".join(dict.fromkeys(f"{x:.2g}" for x in (values[0], values[-1])))
+    names, links = _joints(evidence), f"the {evidence.prior_source}'s links"
+    of_joints = [_factor(evidence, j) for j in range(len(names))]
+    factor, half, explained, needed = np.array(of_joints).T
+    told = np.flatnonzero(explained > MIN_EXPLAINED)
+    low, high = factor[told] - half[told], factor[told] + half[told]
+    outside = told[(high < MIN_FACTOR) | (low > MAX_FACTOR)]
+    unlike = ((needed > MIN_LEFT) & (explained < MIN_ALIKE)).any()
+    cause = _cause(evidence) if len(outside) or unlike else ""
+    values, everywhere = np.sort(factor[outside if len(outside) else told]), len(told) > 1
+    everywhere &= len(outside) == len(told)
+    between = " to ".join(dict.fromkeys(f"{x:.2g}" for x in [*values[:1], *values[-1:]]))
     text = f"torques are {between} times what {links} need"
-    if not outside:
-        return replace(line, text=text)
-    if everywhere and values[-1] > max(MAX_SPREAD * values[0], 0.0):
-        return replace(line, level="cannot tell", text=f"the prior is off everywhere: {text}")
-    each = ", ".join(f"torque of {names[j]} is {factor[j]:.2g} times" for j in outside)
-    text = text if everywhere else f"{each} what {links} need"
-    return replace(
-        line, level="caution", text=f"{text}: drive_gain, ratio, unit, or the prior?", finding=text
+    torques = ", ".join(f"torque of {names[j]} is {factor[j]:.2g} times" for j in outside)
+    off = text if everywhere else f"{torques} what {links} need"
+    spread = everywhere and values[-1] > max(MAX_SPREAD * values[0], 0.0)
+    return first_case(
+        "prior",
+        (cause, "caution", f"{cause}? {links} then need the recorded torques", cause),
+        (not len(told), "ok", f"no torque is like that of {links}"),
+        (not len(outside), "ok", text),
+        (spread, "cannot tell", f"the prior is off everywhere: {text}"),
+        (True, "caution", f"{off}: drive_gain, ratio, unit, or the prior?", off),
+        figures=figures_of(np.array(names)[told], factor[told], half[told], np.ones(len(told))),
     )
+
+
+def _joints(evidence: FitData) -> list[str]:
+    return [joint.name for joint in evidence.robot.joints]
 
 
 def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
     """(p,) values of the system's parameters by the prior, zero where it has none; places of those
     that are fitted instead.
     """
-    names = evidence.observed.system.names
-    of_prior = [evidence.prior.get(base_name(name)) for name in names]
-    free = [
-        i
-        for i, value in enumerate(of_prior)
-        if value is None and names[i] in evidence.estimate.names
-    ]
-    return np.array([value or 0.0 for value in of_prior]), np.array(free, dtype=np.intp)
+    names, estimated = evidence.observed.system.names, evidence.estimate.names
+    values = np.array([evidence.prior.get(base_name(name), np.nan) for name in names])
+    return np.nan_to_num(values), np.flatnonzero(np.isnan(values) & np.isin(names, estimated))
 
 
 def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
@@ -133,24 +113,17 @@ def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
     own. Zeros where it is undetermined.
     """
     system, (known, free) = evidence.observed.system, _known_and_free(evidence)
-    own = system.joint_of_row == j
-    W, Y = (x[own] for x in system.weighted(np.ones(len(system.rows))))
+    own, one = system.joint_of_row == j, np.ones(1)
+    W, Y = system.W[own], system.Y[own]
     acts = np.linalg.norm(W, axis=0) > MIN_COLUMN_NORM * np.linalg.norm(system.W, axis=0)
     columns = np.c_[known, np.eye(len(known))[:, free[acts[free]]]]
-    J, Z = W @ columns, (W if evidence.Z is None else evidence.Z[own]) @ columns
-    both = np.c_[Y, J[:, 0]]
-    whole, needed = ((both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]) ** 2).sum(
-        axis=0
-    ) + 1e-300
-    alone = replace(
-        system.part(own),
-        W=J,
-        joint_of_row=np.zeros(own.sum(), dtype=np.intp),
-        names=tuple(map(str, range(J.shape[1]))),
-        rows=system.rows[[j]],
-    )
+    J, both = W @ columns, np.c_[Y, W @ known]
+    apart = both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]
+    whole, needed = (apart**2).sum(axis=0) + 1e-300
+    names, joint = tuple(map(str, range(J.shape[1]))), np.zeros(len(J), dtype=np.intp)
+    alone = replace(system.part(own), W=J, joint_of_row=joint, names=names, rows=system.rows[[j]])
     with suppress(NoFitError):
-        found = instrumental_variables(alone, Z, np.ones(1))
+        found = instrumental_variables(alone, evidence.Z[own] @ columns, one)
         half = float(intervals_of(alone, found).half[0])
         return float(found.beta[0]), half, 1 - found.residual_norm**2 / whole, needed / whole
     return 0.0, 0.0, 0.0, 0.0
@@ -160,31 +133,23 @@ def _cause(evidence: FitData) -> str:
     """What, corrected, lets the prior's links explain the torques far better, in some 300 rows
     of the first recording.
     """
-    problem, payload, states = (
-        evidence.problem,
-        evidence.arms[0].payload,
-        row_states(evidence.problem, always=True),
-    )
+    problem, names, payload = evidence.problem, _joints(evidence), evidence.arms[0].payload
+    base, same, states = problem.base, np.eye(len(names)), row_states(problem, always=True)
     assert states is not None
-    beta = np.array([evidence.prior.get(name, 0.0) for name in problem.base.names])
-    beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
-    links = direct_model(problem.model, problem.base.standard_parameters(beta))
-    names = [joint.name for joint in problem.signals.robot.joints]
-    same = np.eye(len(names))
+    beta = np.array([evidence.prior.get(name, 0.0) for name in base.names])
+    beta += payload.values(evidence.estimate) * base.links if payload else 0.0
+    links = direct_model(problem.model, base.standard_parameters(beta)).torques_of_links
     recorded, counts = (x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts))
-    as_recorded = links.torques_of_links(states.q, states.dq, states.ddq)
+    as_recorded = links(states.q, states.dq, states.ddq)
 
     def left(of_motion: Array, of_torque: Array) -> float:
         q, dq, ddq = (x @ of_motion for x in (states.q, states.dq, states.ddq))
-        tau, rigid = (
-            recorded @ of_torque,
-            as_recorded if of_motion is same else links.torques_of_links(q, dq, ddq),
-        )
+        tau = recorded @ of_torque
+        rigid = as_recorded if of_motion is same else links(q, dq, ddq)
         moves = (counts @ np.abs(of_motion) > 0).T[..., None]
-        others = np.linalg.qr(
-            np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2) * moves
-        )[0]
-        both = np.stack([(tau - rigid).T, tau.T], axis=2) * moves
+        others = np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2)
+        others, both = np.linalg.qr(others * moves)[0], np.stack([(tau - rigid).T, tau.T], axis=2)
+        both = both * moves
         share, whole = ((both - others @ (others.swapaxes(1, 2) @ both)) ** 2).sum(axis=1).T
         return float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)).sum())
 
@@ -192,11 +157,9 @@ def _cause(evidence: FitData) -> str:
     for a, b in combinations(range(len(names)), 2):
         order, pair = same.copy(), f"of joints {names[a]} and {names[b]} exchanged"
         order[[a, b]] = same[[b, a]]
-        found += [
-            (left(same, order), f"recorded efforts {pair}"),
-            (left(order, same), f"recorded positions {pair}"),
-        ]
-    for text, factor in UNITS.items():
-        for own, of in [*zip(same, names, strict=True), (np.ones(len(names)), "all joints")]:
+        found.append((left(same, order), f"recorded efforts {pair}"))
+        found.append((left(order, same), f"recorded positions {pair}"))
+    for own, of in [*zip(same, names, strict=True), (np.ones(len(names)), "all joints")]:
+        for text, factor in UNITS.items():
             found.append((left(same + np.diag((factor - 1) * own), same), text.format(of)))
     return min(found)[1]

@@ -3,14 +3,15 @@
 Nothing is simulated again.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from .. import estimation
-from ..arrays import Array
 from ..data import PositionSteps, position_steps
+from ..errors import NoFitError
 from ..model import JointTerm
 from ..regression import Problem, base_name, base_places, standing_joints
 from ..report import Assumed
@@ -21,7 +22,7 @@ from .fit_data import FitData, Part
 from .gains import centre_of_mass_test, gains_test, payload_assumptions
 from .held_out import held_out_test
 from .lag import lag_test
-from .lines import LEVELS, Trust, TrustLine
+from .lines import LEVELS, Trust, TrustLine, first_case
 from .physical import consistent_test, physical_test
 from .prior import prior_test
 
@@ -39,175 +40,188 @@ MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
 
 
-def fixed_point_test(evidence: FitData) -> TrustLine:
+def fixed_point_test(evidence: FitData) -> TrustLine | None:
     """Whether the method ended in a fixed point that the simulated robot confirms."""
-    name, why = "fixed point", evidence.unconfirmed
-    if not evidence.fixed_point:
-        text = f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
-        return TrustLine(name, "do not use", text)
-    if why is not None:
-        advice = "check [controller]; compare with least squares"
-        if evidence.gains:
-            advice = "record the reference, check [controller]"
-        return TrustLine(name, "caution", f"{why}: {advice}")
-    by_iv = "converged, and the simulated robot confirms it"
-    if evidence.by_reference is not None:
-        by_iv = f"{evidence.by_reference}: one solution, less efficient where joints stick"
-    return TrustLine(
-        name, "ok", by_iv if evidence.method == "iv" else "least squares has one solution"
+    why, by_reference = evidence.unconfirmed, evidence.by_reference
+    return first_case(
+        "fixed point",
+        (
+            not evidence.fixed_point,
+            "do not use",
+            f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion",
+        ),
+        (
+            why is not None and evidence.gains,
+            "caution",
+            f"{why}: record the reference, check [controller]",
+        ),
+        (
+            why is not None,
+            "caution",
+            f"{why}: check [controller]; compare with least squares",
+        ),
+        (evidence.method != "iv", "ok", "least squares has one solution"),
+        (
+            by_reference is not None,
+            "ok",
+            f"{by_reference}: one solution, less efficient where joints stick",
+        ),
+        (True, "ok", "converged, and the simulated robot confirms it"),
     )
 
 
 def instruments_test(evidence: FitData) -> TrustLine | None:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
-    F = evidence.first_stage_F
-    if F is None:
+    if (F := evidence.first_stage_F) is None:
         return None
-    if F < MIN_FIRST_STAGE_F:
-        text = (
-            f"weak: first-stage F = {F:.2g}, below {MIN_FIRST_STAGE_F:g}: record faster "
-            "motion, check [controller]"
-        )
-        return TrustLine("instruments", "caution", text, F)
-    if F > MAX_FIRST_STAGE_F:
-        text = (
-            "the instruments are W itself: this is least squares, with the same bias by "
-            "position noise"
-        )
-        return TrustLine("instruments", "cannot tell", text, F)
-    return TrustLine("instruments", "ok", f"strong: first-stage F = {F:.3g}", F)
+    return first_case(
+        "instruments",
+        (
+            F < MIN_FIRST_STAGE_F,
+            "caution",
+            f"weak: first-stage F = {F:.2g}, below {MIN_FIRST_STAGE_F:g}: record faster motion, "
+            "check [controller]",
+        ),
+        (
+            F > MAX_FIRST_STAGE_F,
+            "cannot tell",
+            "the instruments are W itself: this is least squares, with the same bias by position "
+            "noise",
+        ),
+        (True, "ok", f"strong: first-stage F = {F:.3g}"),
+        value=F,
+    )
 
 
-def units_test(evidence: FitData) -> TrustLine:
+def units_test(evidence: FitData) -> TrustLine | None:
     """Whether joints share parameters although their drive gains are not known: then the torques
     are in different units.
     """
-    name, robot = "units", evidence.problem.signals.robot
-    if robot.gain_known or robot.n == 1:
-        return TrustLine(name, "ok", "torques of all joints are in known units")
-    rows = evidence.observed.system
-    by_joint = np.stack(
+    robot, rows = evidence.robot, evidence.observed.system
+    size = np.stack(
         [np.linalg.norm(rows.W[rows.joint_of_row == j], axis=0) for j in range(robot.n)]
     )
-    acts = by_joint > estimation.MIN_COLUMN_NORM * np.linalg.norm(by_joint, axis=0)
-    shared = [name for name, own in zip(rows.names, acts.T, strict=True) if own.sum() > 1]
-    if not shared:
-        return TrustLine(name, "ok", "drive gains are not known, but no joints share a parameter")
-    text = (
-        f"{', '.join(shared[:5])} act at several joints, and the drive gains are not known: "
-        "state drive_gain"
+    acts = size > estimation.MIN_COLUMN_NORM * np.linalg.norm(size, axis=0)
+    shared = [rows.names[i] for i in np.flatnonzero(acts.sum(axis=0) > 1)]
+    return first_case(
+        "units",
+        (robot.gain_known or robot.n == 1, "ok", "torques of all joints are in known units"),
+        (
+            shared,
+            "do not use",
+            f"{', '.join(shared[:5])} act at several joints, and the drive gains are not known: "
+            "state drive_gain, or record with and without a weighed payload and fit with --gains",
+            "drive gains not known",
+        ),
+        (True, "ok", "drive gains are not known, but no joints share a parameter"),
     )
-    text += ", or record with and without a weighed payload and fit with --gains"
-    return TrustLine(name, "do not use", text, finding="drive gains not known")
 
 
-def essential_test(evidence: FitData) -> TrustLine:
+def essential_test(evidence: FitData) -> TrustLine | None:
     """Whether the interval of some inertia is narrower than its value."""
-    name, base, idm = "essential", evidence.problem.base, evidence.problem.model
+    base, idm = evidence.problem.base, evidence.problem.model
     rows = [base.names.index(base_name(one)) for one in evidence.essential]
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
-    if any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources):
-        return TrustLine(
-            name,
-            "ok",
-            f"{len(evidence.essential)} of {len(base_places(evidence.least_squares.names))}",
-        )
-    text = "no inertia has an interval narrower than its value: record faster, longer motion"
-    return TrustLine(name, "caution", text, finding="no inertia is determined")
+    inertia = any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources)
+    return first_case(
+        "essential",
+        (inertia, "ok", f"{len(rows)} of {len(base_places(evidence.least_squares.names))}"),
+        (
+            True,
+            "caution",
+            "no inertia has an interval narrower than its value: record faster, longer motion",
+            "no inertia is determined",
+        ),
+    )
 
 
-def ends_test(evidence: FitData) -> TrustLine:
+def ends_test(evidence: FitData) -> TrustLine | None:
     """Outliers of moving rows, beyond 6 robust deviations of their joint,
     especially at the ends.
     """
-    rho = (evidence.observed.tau - evidence.predicted).T
-    n, used = (
-        len(rho),
-        (evidence.observed.counts & estimation.are_moving(evidence.observed.speed)).T,
-    )
-    scale = np.array(
-        [1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)]
-    )
-    size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
-    at_end = np.zeros(size.shape[1], dtype=bool)
+    rho = np.abs(evidence.observed.tau - evidence.predicted)
+    used = evidence.observed.counts & estimation.are_moving(evidence.observed.speed)
+    each = zip(rho.T, used.T, strict=True)
+    scale = np.array([1.4826 * np.median(x[at]) if at.any() else np.inf for x, at in each])
+    size = np.where(used, rho / np.where(scale > 0, scale, np.inf), 0.0)
+    at_end = np.zeros(len(size), dtype=bool)
     for part in estimation.spans_of(evidence.observed.parts):
         at_end[part.start : part.start + END_ROWS] = at_end[part.stop - END_ROWS : part.stop] = True
-    ends, middle = size[:, at_end].max(axis=1), size[:, ~at_end].max(axis=1)
+    ends, middle = size[at_end].max(axis=0), size[~at_end].max(axis=0)
     worst = int((ends / np.maximum(middle, MAX_ROBUST_DEVIATIONS)).argmax())
-    value = float(ends[worst])
-    outliers, rows = int((size > MAX_ROBUST_DEVIATIONS).sum()), int(used.sum())
-    finding = (
-        f"{outliers} outliers in {rows} moving rows; largest {middle.max():.3g} robust deviations "
+    at_ends, elsewhere = float(ends[worst]), float(middle[worst])
+    text = (
+        f"{(size > MAX_ROBUST_DEVIATIONS).sum()} outliers in {used.sum()} moving rows; largest "
+        f"{middle.max():.3g} robust deviations (limit {MAX_ROBUST_DEVIATIONS:g}), at the ends "
+        f"{ends.max():.3g}"
     )
-    finding += f"(limit {MAX_ROBUST_DEVIATIONS:g}), at the ends {ends.max():.3g}"
-    if value > max(MAX_END_DEVIATIONS, MAX_END_RATIO * float(middle[worst])):
-        joint = evidence.problem.signals.robot.joints[worst].name
-        finding += f"; joint {joint}: largest {middle[worst]:.3g}, at the ends {value:.3g}"
-        text = (
-            f'{finding}: set edges = "smooth", or cut the ends off (cut_start_samples, '
-            "cut_end_samples)"
-        )
-        return TrustLine("ends", "caution", text, value)
-    return TrustLine("ends", "ok", finding, value)
+    return first_case(
+        "ends",
+        (
+            at_ends > max(MAX_END_DEVIATIONS, MAX_END_RATIO * elsewhere),
+            "caution",
+            f"{text}; joint {evidence.robot.joints[worst].name}: largest "
+            f'{elsewhere:.3g}, at the ends {at_ends:.3g}: set edges = "smooth", or cut the ends '
+            "off (cut_start_samples, cut_end_samples)",
+        ),
+        (True, "ok", text),
+        value=at_ends,
+    )
 
 
-def halves_test(evidence: FitData) -> TrustLine:
+def halves_test(evidence: FitData) -> TrustLine | None:
     """Whether both halves of the recording give the same parameters: a Wald test, with the
     cosines of both as freedom.
     """
-    name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
+    T, cuts = len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     # recordings are not cut
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)
-    parts = evidence.spans(2) if evidence.gains else [evidence.between(0, cut)]
-    parts = [parts[0], ~parts[0]]
-    first, second = (_solve_part(evidence, part) for part in parts)
+    half = evidence.spans(2)[0] if evidence.gains else evidence.between(0, cut)
+    first, second = (_solve_part(evidence, part) for part in (half, ~half))
     if first is None or second is None:
-        return TrustLine(
-            name,
-            "not made",
-            "not made: a half alone does not determine the parameters; record longer",
-        )
-    (beta_1, C_1, B_1), (beta_2, C_2, B_2) = first, second
-    b, off = len(beta_1), beta_2 - beta_1
-    sigma = np.sqrt(np.diag(C_1 + C_2))
+        text = "not made: a half alone does not determine the parameters; record longer"
+        return TrustLine("halves", "not made", text)
+    C = first.covariance + second.covariance
+    sigma, b = np.sqrt(np.diag(C)), len(C)
     if not (sigma > 0).all():
-        return TrustLine(name, "not made", "not made: the fit is exact")
-    u = off / sigma
-    values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
+        return TrustLine("halves", "not made", "not made: the fit is exact")
+    u = 0.5 * (second.low + second.high - first.low - first.high) / sigma
+    values, vectors = np.linalg.eigh(C / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
-    p, worst = estimation.f_tail(wald / b, b, B_1 + B_2), int(np.abs(u).argmax())
-    finding = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
-    finding += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
-    if p < HALVES_LEVEL:
-        text = (
-            f"{finding}: the torque changes with time: warm the robot up, check for drift, fit "
-            "each half alone"
-        )
-        return TrustLine(name, "caution", text, wald)
-    return TrustLine(name, "ok", finding, wald)
-
-
-def _solve_part(evidence: FitData, part: Part) -> tuple[Array, Array, int] | None:
-    """Parameters (b,) of a span of time, covariance D R D (b, b), degrees of freedom; None where
-    they are undetermined.
-    """
-    Q, W, Y, rows = evidence.part(part)
-    values, vectors = np.linalg.eigh(Q.T @ Q)
-    if rows <= 2 * len(values) or not values[0] > MIN_SQUARE_OF_HALF * values[-1]:
-        return None
-    basis = vectors / np.sqrt(values)  # Q basis is orthonormal in the rows of the part
-    A = basis.T @ (Q.T @ W)
-    d = np.linalg.norm(A, axis=0)
-    if not (d > 0).all() or not np.linalg.cond(A / d) < 1e8:
-        return None
-    bread = np.linalg.inv(A / d) / d[:, None]
-    beta = bread @ (basis.T @ (Q.T @ Y))
-    sigma, freedom = estimation.estimate_deviations(
-        bread, evidence.scores(part, beta, bread, basis)
+    p = estimation.f_tail(wald / b, b, first.freedom + second.freedom)
+    text = (
+        f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}; "
+        f"{evidence.estimate.names[np.abs(u).argmax()]} differs most, by {np.abs(u).max():.2g} "
+        "sigma"
     )
-    C = bread @ bread.T
-    formula = np.sqrt(np.diag(C))
-    return beta, C * np.outer(sigma / formula, sigma / formula), freedom
+    return first_case(
+        "halves",
+        (
+            p < HALVES_LEVEL,
+            "caution",
+            f"{text}: the torque changes with time: warm the robot up, check for drift, fit each "
+            "half alone",
+        ),
+        (True, "ok", text),
+        value=wald,
+    )
+
+
+def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
+    """Intervals of the parameters by a span of time; None where they are undetermined."""
+    rows, weights = part[evidence.observed.system.span], evidence.estimate.weights
+    values = np.linalg.eigvalsh(evidence.estimate.Q[rows].T @ evidence.estimate.Q[rows])
+    determined = values[0] > MIN_SQUARE_OF_HALF * values[-1]
+    if not determined or evidence.count(part) <= 2 * len(values):
+        return None
+    system = evidence.observed.system.part(rows).with_columns(evidence.places)
+    with suppress(NoFitError):
+        Z = evidence.Z[rows][:, evidence.places]
+        own = estimation.instrumental_variables(system, Z, weights)
+        rho = evidence.residual(own.beta)[rows]
+        scores = estimation.scores_of_recordings(system, own.Q, own.bread, rho, part)
+        return estimation.intervals_from(own, *estimation.estimate_deviations(own.bread, scores))
+    return None
 
 
 def position_noise_test(evidence: FitData) -> TrustLine | None:
@@ -217,17 +231,18 @@ def position_noise_test(evidence: FitData) -> TrustLine | None:
 
 def motion_test(evidence: FitData) -> TrustLine | None:
     """Joints that stand in all recordings; friction of creeping differs from that of motion."""
-    speed, joints = (
-        np.abs(evidence.observed.speed).max(axis=0),
-        evidence.problem.signals.robot.joints,
+    speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot
+    names = ", ".join(standing_joints(speed, robot.joints))
+    return first_case(
+        "motion",
+        (
+            names,
+            "caution",
+            f"joint {names} does not move: its friction values do not hold for motion: move it, "
+            "or do not use them",
+            f"{names} does not move",
+        ),
     )
-    if not (names := standing_joints(speed, joints)):
-        return None
-    text = (
-        f"joint {', '.join(names)} does not move: its friction values do not hold for motion: "
-        "move it, or do not use them"
-    )
-    return TrustLine("motion", "caution", text, finding=f"{', '.join(names)} does not move")
 
 
 def rows_test(e: FitData) -> TrustLine | None:
@@ -236,24 +251,29 @@ def rows_test(e: FitData) -> TrustLine | None:
     """
     every = [position_steps(problem.used_positions()) for problem in e.problems]
     places = [f"{name}: " if len(e.names) > 1 else "" for name in e.names]
-    shares = [
-        100 * np.array([steps.lost, steps.repeated, steps.held]) / max(steps.moving, 1)
-        for steps in every
-    ]
-    surplus = [x[:2] * (x[:2] > max(MAX_MISSING_PERCENT, MAX_HELD_RATIO * x[2])) for x in shares]
-    k = int(np.argmax([x.sum() for x in surplus]))
-    if surplus[k].any():
-        found = zip(surplus[k], ("missing", "repeated"), strict=True)
-        finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
-        text = f"{places[k]}{finding} (position steps that are double or zero)"
-        text += ": record time stamps or a row counter ([time] in map.toml), or record again"
-        return TrustLine("rows", "caution", text, float(surplus[k].sum()), finding=finding)
-    notes = [
-        one.signals.unmeasured or _slow_encoder(one, steps, float(x[2]))
-        for one, steps, x in zip(e.problems, every, shares, strict=True)
-    ]
-    noted = (place + note for place, note in zip(places, notes, strict=True) if note)
-    return next((TrustLine("rows", "ok", text) for text in noted), None)
+    counted = np.array([[x.lost, x.repeated, x.held, x.moving] for x in every], dtype=float)
+    shares = 100 * counted[:, :3] / np.maximum(counted[:, 3:], 1)
+    least = np.maximum(MAX_MISSING_PERCENT, MAX_HELD_RATIO * shares[:, 2:])
+    surplus = shares[:, :2] * (shares[:, :2] > least)
+    k = int(surplus.sum(axis=1).argmax())
+    found = zip(surplus[k], ("missing", "repeated"), strict=True)
+    finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
+    notes = (
+        (place, one.signals.unmeasured or _slow_encoder(one, steps, float(held)))
+        for place, one, steps, held in zip(places, e.problems, every, shares[:, 2], strict=True)
+    )
+    return first_case(
+        "rows",
+        (
+            finding,
+            "caution",
+            f"{places[k]}{finding} (position steps that are double or zero): record time stamps or "
+            "a row counter ([time] in map.toml), or record again",
+            finding,
+        ),
+        *((note, "ok", place + note) for place, note in notes),
+        value=float(surplus[k].sum()) if finding else None,
+    )
 
 
 def _slow_encoder(problem: Problem, steps: PositionSteps, held: float) -> str:
@@ -262,78 +282,74 @@ def _slow_encoder(problem: Problem, steps: PositionSteps, held: float) -> str:
     """
     percent = 100 * steps.coarse[:, 1:] / np.maximum(steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
-    names = ", ".join(
-        joint.name for joint, slow in zip(problem.signals.robot.joints, both, strict=True) if slow
-    )
-    if held <= MAX_MISSING_PERCENT and not names:
+    slow = zip(problem.signals.robot.joints, both, strict=True)
+    if names := ", ".join(joint.name for joint, it in slow if it):
+        names, held = f" of joint {names}", float(percent.sum(axis=1).max())
+    elif held <= MAX_MISSING_PERCENT:
         return ""
-    where, share = (f" of joint {names}", percent.sum(axis=1).max()) if names else ("", held)
     return (
-        f"the log is faster than the encoder{where}: {share:.2g} % of the steps are double or zero"
+        f"the log is faster than the encoder{names}: {held:.2g} % of the steps are double or zero"
     )
-
-
-def _combine_failures(lines: list[TrustLine]) -> list[TrustLine]:
-    """`do not use` if the held-out blocks fail and M is not positive."""
-    by_test = {line.test: line for line in lines}
-    held, physical = by_test["held-out blocks"], by_test["physical"]
-    why_not_positive = physical.value is not None and physical.value <= 0
-    if not (why_not_positive and held.fails_held_out):
-        return lines
-    text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
-    return [
-        replace(held, level="do not use", text=text) if line is held else line for line in lines
-    ]
 
 
 def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
     """Assumptions that no test of `lines` covers."""
-    signals, settings = evidence.problem.signals, evidence.problem.settings
-    robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
-    yield from payload_assumptions(evidence)
-    if robot.gain_known and not evidence.gains:
-        gains = [
-            f"{m.drive_gain:g} {m.drive_gain_unit}" for m in motors if m.drive_gain is not None
-        ]
-        value = (
-            ", ".join(gains)
-            or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in motors}))}"
-        )
-        why = "a wrong gain scales all parameters, and fits equally well"
-        yield Assumed(
-            "drive gains", value, f"{why} if it is common to all joints" if several else why
-        )
-    ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
-    yield Assumed("ratios", ratios, "joint positions and torques are computed with them")
-    if several:
-        yield Assumed(
+    signals, decimation = evidence.problem.signals, evidence.problem.settings.decimation
+    robot, law, several = signals.robot, lines["control law"], signals.robot.n > 1
+    fs, iv, lags = signals.sample_rate_hz, evidence.method == "iv", evidence.lags
+    gains = [m for m in robot.motors if m.drive_gain is not None]
+    recorded = " and ".join(sorted({m.recorded_unit for m in robot.motors}))
+    duration_s = len(evidence.observed.tau) * decimation / fs
+    cases = (
+        (
+            robot.gain_known and not evidence.gains,
+            "drive gains",
+            ", ".join(f"{m.drive_gain:g} {m.drive_gain_unit}" for m in gains)
+            or f"torques recorded in {recorded}",
+            "a wrong gain scales all parameters, and fits equally well"
+            + " if it is common to all joints" * several,
+        ),
+        (
+            True,
+            "ratios",
+            ", ".join(f"{x:g}" for x in np.diag(robot.R)),
+            "joint positions and torques are computed with them",
+        ),
+        (
+            several,
             "lengths",
             "dh" if robot.urdf is None else "urdf",
             "link parameters absorb an error of a length",
-        )
-    yield Assumed(
-        "sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it"
-    )
-    if (
-        evidence.method == "iv"
-        and not evidence.by_reference
-        and lines["control law"].level == "not made"
-    ):
-        law = robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD"
-        yield Assumed("control law", law, lines["control law"].text.removeprefix("not made: "))
-    if evidence.lags and evidence.lags[0].prior.stated:
-        yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
-    if (
-        duration_s := len(evidence.observed.tau) * settings.decimation / signals.sample_rate_hz
-    ) > MAX_SHORT_S:
-        why = (
+        ),
+        (True, "sample rate", f"{fs:g} Hz", "speeds and accelerations scale with it"),
+        (
+            iv and not evidence.by_reference and law.level == "not made",
+            "control law",
+            robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD",
+            law.text.removeprefix("not made: "),
+        ),
+        (
+            lags and lags[0].prior.stated,
+            "lag",
+            f"{lags[0].value_s:g} s" if lags else "",
+            "stated by torque_lag_s",
+        ),
+        (
+            duration_s > MAX_SHORT_S,
+            "filters",
+            f"{duration_s:.0f} s of motion",
             "intervals include noise only; filters distort a parameter by about 0.1 %, which "
-            "is as much here"
-        )
-        yield Assumed("filters", f"{duration_s:.0f} s of motion", why)
-    if evidence.method != "iv":
-        why = "position noise biases least squares; only the noise above the low-pass is tested"
-        yield Assumed("encoder noise", "the same spectrum below and above the low-pass", why)
+            "is as much here",
+        ),
+        (
+            not iv,
+            "encoder noise",
+            "the same spectrum below and above the low-pass",
+            "position noise biases least squares; only the noise above the low-pass is tested",
+        ),
+    )
+    yield from payload_assumptions(evidence)
+    yield from (Assumed(*told) for holds, *told in cases if holds)
 
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
@@ -355,13 +371,24 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
 def trust_in(evidence: FitData) -> Trust:
     """All tests of an estimate, worst first, and the assumptions."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    assumptions = [
-        *list_assumptions(evidence, {x.test: x for x in lines}),
-        *(one for x in lines for one in x.assumed),
-    ]
-    return Trust(lines=worst_first(_combine_failures(lines)), assumed=tuple(assumptions))
+    of_lines = (one for line in lines for one in line.assumed)
+    assumed = *list_assumptions(evidence, {line.test: line for line in lines}), *of_lines
+    return Trust(lines=worst_first(_combine_failures(lines)), assumed=assumed)
 
 
-def worst_first(lines: list[TrustLine]) -> tuple[TrustLine, ...]:
+def _combine_failures(lines: list[TrustLine]) -> list[TrustLine]:
+    """`do not use` if the held-out blocks fail and M is not positive."""
+    held, lowest = (
+        next(line for line in lines if line.test == test)
+        for test in ("held-out blocks", "physical")
+    )
+    if not held.fails_held_out or lowest.value is None or lowest.value > 0:
+        return lines
+    text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
+    severe = replace(held, level="do not use", text=text)
+    return [severe if line is held else line for line in lines]
+
+
+def worst_first(lines: Iterable[TrustLine]) -> tuple[TrustLine, ...]:
     """Lines sorted by level."""
     return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))

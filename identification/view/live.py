@@ -24,7 +24,7 @@ from ..arrays import Array
 from ..errors import BadInputError
 from ..methods import stored_beta, with_stored_gains
 from ..model import InverseModel, base_parameters
-from ..regression import Decimation, later, motion_between, predicted_torque
+from ..regression import Decimation, motion_between, predicted_torque, sampled_at
 from ..report import FitFile, read_fit
 from .colors import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Color
 from .rerun_panels import event_view, shown_text
@@ -135,7 +135,7 @@ class Residual:
         if len(rows) <= 2 * sum(ends):
             return np.zeros(0), np.zeros((0, len(self.band)))
         effort = self._gained.joint_effort(self._robot.motor_effort(rows["effort"]))
-        tau = later(effort, self._lag_s * rate_hz)
+        tau = sampled_at(np.arange(float(len(effort))) + self._lag_s * rate_hz, effort)
         # The ends of the low-pass are cut off before they disturb the decimation, and those of the
         # decimation after it.
         motion = motion_between(

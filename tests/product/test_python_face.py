@@ -451,7 +451,7 @@ def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
         "held out",
         "half of the 37 determined parameters",
         "the worst, ZZ6",
-        "±83 %",
+        "±86 %",
     } <= {*page.texts}
     assert expected.strip("()") in page.texts[0]
     value = {p.name: p for p in stored.parameters}

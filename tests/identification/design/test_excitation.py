@@ -47,7 +47,13 @@ from identification.model import (
     torque_of_links,
     torque_without_sliding,
 )
-from identification.regression import Overrides, load_friction, make_problem, rows_of_recording
+from identification.regression import (
+    Overrides,
+    equation_alone,
+    load_friction,
+    make_problem,
+    rows_of_recording,
+)
 from identification.study import Noise, closed_loop, write_signals
 from identification.view import draw_excitation, write_rrd
 from identification.view.charts import interval_charts
@@ -415,7 +421,8 @@ def test_earlier_recordings_add_what_their_least_squares_know_of_all_but_load_fr
     assert len(base.names) == len(every.names) - 2
     M = earlier_information(base, noise, knowledge.recordings[:1])
     assert earlier_information(base, noise, knowledge.recordings) == pytest.approx(2 * M)
-    system = rows_of_recording(replace(make_problem(signals, Overrides()), base=base)).system
+    alone = equation_alone(replace(make_problem(signals, Overrides()), base=base))
+    system = rows_of_recording(*alone).system
     rows = system.W / noise[system.joint_of_row, None]
     assert pytest.approx(rows.T @ rows) == M
     with pytest.raises(RobotIdimError, match="expected a recording of the described robot"):

@@ -20,6 +20,7 @@ from identification.design.selection import Trial, smallest_near_best
 from identification.errors import RobotIdimError
 from identification.methods import identify_ls
 from identification.regression import (
+    equation_alone,
     make_problem,
     rows_of_recording,
     torque_of_recording,
@@ -81,7 +82,7 @@ def test_parts_are_held_out_one_by_one(count, own):
     assert choice.recommended.terms == (ROOT | LOAD, LOAD)
     w = identify_ls(recordings, choice.overrides).estimate.weights[:, None]
     problems = [make_problem(signals, choice.overrides) for signals in recordings.sources]
-    plain = [rows_of_recording(problem) for problem in problems]
+    plain = [rows_of_recording(*equation_alone(problem)) for problem in problems]
     tau, speed, fast = (
         np.concatenate([getattr(one, name) for one in plain]).T
         for name in ("tau", "speed", "counts")
@@ -118,7 +119,7 @@ def test_parts_are_held_out_one_by_one(count, own):
         (problem, fitted if count == 1 else fitted[k : k + 1]) for k, problem in enumerate(problems)
     ]
     predicted = np.concatenate(
-        [torque_of_recording(problem, *betas)[1] for problem, betas in of_each]
+        [torque_of_recording(*equation_alone(problem), *betas)[1] for problem, betas in of_each]
     ).T
     for k in range(part.max() + 1):
         shown = moving & (part == k)

@@ -4,17 +4,16 @@ they stand in the papers.
 
 import numpy as np
 import pytest
-from rows_by_hand import collected, of_instants
+from rows_by_hand import of_instants
 from scipy import stats
 
 from identification.errors import NoFitError
 from identification.estimation import (
-    SPANS,
     System,
     chi_squared_quantile,
     essential_parameters,
     f_tail,
-    instrument_tests,
+    first_stage,
     instrumental_variables,
     ordinary_least_squares,
     r_factor,
@@ -30,43 +29,6 @@ def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
     W = rng.normal(size=(r, b))
     Z = W + 0.5 * rng.normal(size=(r, b))
     return Z, W, W @ np.arange(1.0, b + 1) + rng.normal(size=r)
-
-
-def test_factors_of_spans_have_the_same_least_squares():
-    """Two joints, of which the second feels two of the parameters alone; some rows do not count.
-
-    Of ten instants of a span seven or six count: more than the columns that a joint feels.
-    """
-    T, rng = 10 * SPANS, np.random.default_rng(8)
-    W, share = rng.normal(size=(2, 4, T)), np.ones((T, 2))
-    W[1, :2], share[::3] = 0.0, 0.0
-    Y = np.einsum("jbt,b->jt", W, np.arange(1.0, 5.0)) + rng.normal(size=(2, T))
-    few = collected(W, Y, share, [103])
-    for j, columns in enumerate((5, 3)):
-        np.testing.assert_array_equal(np.bincount(few.span[few.joint_of_row == j]), columns)
-    np.testing.assert_array_equal(few.rows, [2 * T / 3] * 2)
-    counts = (share > 0).T.ravel()
-    A = np.concatenate([W, Y[:, None]], axis=1).transpose(0, 2, 1).reshape(2 * T, 5)[counts]
-    whole = System.whole(A[:, :4], A[:, 4], np.repeat([0, 1], 2 * T // 3), tuple("abcd"))
-    for solve in (ordinary_least_squares, weighted_least_squares):
-        expected, found = solve(whole), solve(few)
-        for name in (
-            "beta",
-            "covariance",
-            "weights",
-            "residual_norm",
-            "condition_number_scaled",
-            "rows",
-        ):
-            np.testing.assert_allclose(
-                getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-14
-            )
-    reduced, wanted = (
-        essential_parameters(one, weighted_least_squares(one), correlation=0.2)
-        for one in (few, whole)
-    )
-    assert reduced.estimate.names == wanted.estimate.names
-    np.testing.assert_allclose(reduced.estimate.beta, wanted.estimate.beta, rtol=1e-10)
 
 
 def test_instruments_with_weights_and_left_out_rows_are_the_formula():
@@ -151,8 +113,7 @@ def test_the_first_stage_is_the_regression_of_a_column_on_its_instrument():
     w, z = W[:, :1], Z[:, :1]
     fitted = z @ (z.T @ w) / (z.T @ z)
     first = (fitted.T @ fitted).item() / (((w - fitted).T @ (w - fitted)).item() / 29)
-    one = instrument_tests(z / np.linalg.norm(z), w, 30)
-    assert one.first_stage_F == pytest.approx(first)
+    assert first_stage(z / np.linalg.norm(z), w, 30)[1] == pytest.approx(first)
 
 
 def test_a_joint_without_torque_weighs_no_more_than_a_million_others():

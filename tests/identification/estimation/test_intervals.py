@@ -5,14 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import REPLAY
 from rows_by_hand import of_instants
 from scipy import stats
 
-from identification.data import load_signals
 from identification.estimation import (
+    FINE_SPANS,
     SPANS,
-    Spans,
+    SpanRows,
     System,
     deviations_of_sums,
     instrumental_variables,
@@ -20,12 +19,14 @@ from identification.estimation import (
     ordinary_least_squares,
     stacked,
 )
-from identification.estimation.confidence import MAX_COSINES, cosines, deviations
-from identification.methods import identify_ls
-from identification.regression import Overrides
-from identification.regression.spans import SpanRows
+from identification.estimation.confidence import cosines, deviations
 
 # Closed forms
+
+
+@pytest.fixture(autouse=True)
+def _as_a_long_recording(monkeypatch):
+    monkeypatch.setattr("identification.estimation.system.SHORT", 0)
 
 
 @pytest.mark.parametrize(
@@ -122,25 +123,6 @@ def test_the_covariance_has_the_deviations_of_the_intervals_and_the_correlations
 # Spans of time
 
 
-@pytest.mark.parametrize("options", [{"method": "ols"}, {"essential": True}])
-def test_spans_have_the_intervals_of_their_instants(monkeypatch, options):
-    signals, finely = load_signals(REPLAY / "scara" / "session.mcap"), Overrides(decimation=5)
-    of_spans = identify_ls(signals, finely, **options)
-    monkeypatch.setattr("identification.estimation.system.SPANS", len(signals.q))
-    whole = identify_ls(signals, finely, **options)
-    system = whole.data.observed.system
-    assert system.spans == (Spans(instants=len(whole.tau), count=len(whole.tau)),)
-    assert len(system.Y) == whole.data.observed.counts.sum() > 8 * SPANS
-    assert of_spans.intervals.freedom == whole.intervals.freedom == MAX_COSINES
-    np.testing.assert_allclose(of_spans.beta, whole.beta, rtol=1e-7)
-    apart = np.abs(of_spans.intervals.sigma / whole.intervals.sigma - 1)
-    # A span's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.
-    assert (apart.max() < 0.12, np.median(apart) < 0.02) == (True, True)
-    np.testing.assert_allclose(
-        of_spans.intervals.low, of_spans.beta[of_spans.beta != 0] - of_spans.intervals.half
-    )
-
-
 def test_intervals_of_several_recordings_by_hand():
     """Variances of the recordings' own cosines add up, each over the share of white noise
     that its cosines find.
@@ -178,10 +160,12 @@ def test_intervals_of_several_recordings_by_hand():
     )
 
 
-def test_spans_are_equal_and_have_the_products_of_their_rows():
-    """1010 instants in 120 spans of 8 or 9, brought in pieces that end within a span; the second
-    joint feels three of seven columns, and slow rows and fast ones stay apart.
+@pytest.mark.parametrize(("short", "count"), [(0, SPANS), (2000, FINE_SPANS)])
+def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monkeypatch):
+    """1010 instants in 120 spans of 8 or 9, or 240 of 4 or 5, brought in pieces that end within a
+    span; the second joint feels three of seven columns, and slow rows and fast ones stay apart.
     """
+    monkeypatch.setattr("identification.estimation.system.SHORT", short)
     T, n, rng = 1010, 2, np.random.default_rng(9)
     columns, share = rng.normal(size=(n, 7, T)), rng.uniform(size=(T, n)).round(1)
     columns[1, [0, 1, 3, 4]] = 0.0
@@ -193,17 +177,15 @@ def test_spans_are_equal_and_have_the_products_of_their_rows():
         rows.add(a, columns[..., a:z], share[a:z], quick[:, a:z])
     found, fast, followed = rows.rows()
     (spans,), (joint, span) = followed["spans"], (followed[x] for x in ("joint_of_row", "span"))
-    assert (spans.instants, spans.count) == (T, SPANS)
-    assert set(np.diff(spans.edges)) == {8, 9}
-    np.testing.assert_array_equal(
-        np.arange(T) * SPANS // T, np.repeat(range(SPANS), np.diff(spans.edges))
-    )
+    assert (spans[-1], len(spans)) == (T, count + 1)
+    assert set(np.diff(spans)) == {T // count, T // count + 1}
+    of_instants = np.repeat(range(count), np.diff(spans))
+    np.testing.assert_array_equal(np.arange(T) * count // T, of_instants)
     np.testing.assert_allclose(followed["rows"], (share**2).sum(axis=0), rtol=1e-12)
-    order = np.lexsort((fast, span, joint))
-    np.testing.assert_array_equal(order, np.arange(len(found)))
-    for j, k, kind in np.ndindex(n, SPANS, 2):
-        a, z = spans.edges[k : k + 2]
+    assert (np.diff(joint) >= 0).all()
+    for j, k, kind in np.ndindex(n, count, 2):
+        a, z = spans[k : k + 2]
         one = columns[j, :, a:z][:, (share[a:z, j] > 0) & (quick[j, a:z] == kind)]
         own = found[(joint == j) & (span == k) & (fast == kind)]
         np.testing.assert_allclose(own.T @ own, one @ one.T, rtol=1e-9, atol=1e-12)
-        assert len(own) == min(one.shape[1], (7, 3)[j])
+        assert len(own) == min(one.shape[1], T if short else (7, 3)[j])

@@ -1,15 +1,15 @@
-"""The equations of recordings that are at hand, as a fit makes them of its recordings."""
+"""The model of recordings that are at hand, as a fit makes them of its recordings."""
 
 from identification.data import Recordings
-from identification.methods import Equations
-from identification.methods.equations import equations_of
+from identification.methods import Model
+from identification.methods.model import model_of
 from identification.methods.observation import observation_of
 from identification.regression import Overrides, Problem
 
 
-def system_of(*problems: Problem) -> Equations:
+def system_of(*problems: Problem) -> Model:
     observations = [observation_of(problem) for problem in problems]
     sources = tuple(problem.signals for problem in problems)
-    return equations_of(
+    return model_of(
         Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems)))
     )

@@ -16,8 +16,8 @@ import identification.methods.idim as idim
 from acquisition.robot import Payload, load_robot
 from identification.commands import main
 from identification.data import Recordings, load_signals
-from identification.methods import identify, identify_ls
-from identification.methods.equations import equations_of, read_equations
+from identification.methods import identify, identify_ls, read_model
+from identification.methods.model import model_of
 from identification.model import (
     LINK,
     InverseModel,
@@ -70,13 +70,13 @@ def exact(observed, case):
         signals = replace(signals, effort=effort)
         problem = replace(problem, signals=signals, motion=FilteredMotion(signals))
         found.append((problem, replayed))
-    return equations_of(observed.recordings, observed.overrides, found, observed.order)
+    return model_of(observed.recordings, observed.overrides, found, observed.order)
 
 
 @pytest.mark.parametrize(("robot", "catalogue"), [("scara", True), ("axis", False), ("tx40", True)])
 def test_rows_made_by_the_model_give_gains_and_parameters_exactly(robot, catalogue, monkeypatch):
     case = GainCase(robot=robot, catalogue=catalogue)
-    monkeypatch.setattr(idim, "read_equations", lambda *given: exact(read_equations(*given), case))
+    monkeypatch.setattr(idim, "read_model", lambda *given: exact(read_model(*given), case))
     fit = fit_with_gains(*planned_pair(case))
     np.testing.assert_allclose(fit.gains.values, case.gains, rtol=1e-6)
     true = truth_of(fit)
@@ -415,7 +415,7 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
     fit = fitted(*sources)
     assert fit.recordings[0].arm.payload is None
     (found,) = fit.payloads
-    carried = read_equations(Recordings(sources=sources), Overrides(), print).names[fit.base.b :]
+    carried = read_model(Recordings(sources=sources), Overrides(), print).names[fit.base.b :]
     assert [name.partition(":")[0] for name in carried] == list(names)
     true = payload_parameters(InverseModel(free.robot), loaded.payload)
     told = ~found.from_prior
@@ -435,6 +435,7 @@ def test_the_simulated_robot_is_that_of_the_rows_where_nothing_of_a_payload_is_e
     signals = replace(planned(replace(WHITE, robot="tx40"), None, 0), payload=payload)
     unknowns = make_unknowns([make_problem(signals, Overrides())])
     x = np.random.default_rng(0).normal(size=len(unknowns.names))
+    (arm,), whole = unknowns.arms, np.r_[x, np.zeros(len(unknowns.all) - len(x))]
     ((simulated, _, carried),) = unknowns.simulated(x, np.eye(len(x)))
-    np.testing.assert_allclose(simulated, unknowns.beta(x, 0), atol=1e-12)
-    np.testing.assert_allclose(carried, unknowns.beta(0 * x, 0), atol=1e-12)
+    np.testing.assert_allclose(simulated, arm.beta(whole), atol=1e-12)
+    np.testing.assert_allclose(carried, arm.beta(0 * whole), atol=1e-12)

@@ -120,7 +120,7 @@ def test_a_real_record_settles_wherever_it_is_cut(tx40, whole):
         found = [identify_iv(from_sample(s, start), Overrides(), Iteration()) for start in starts]
         print(
             Counter(fit.status for fit in found),
-            [round(fit.iv.tests.first_stage_F, 1) for fit in found],
+            [round(fit.iv.first_stage_F, 1) for fit in found],
         )
         assert all(fit.status in SETTLED for fit in found)
         assert len({fit.trust.verdict for fit in found}) == 1

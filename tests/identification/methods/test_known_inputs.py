@@ -24,8 +24,10 @@ from identification.data import Recordings, Signals, load_signals
 from identification.methods import Fit, fit_file, identify_ls, validate_all
 from identification.methods import identify as identify_signals
 from identification.model import InverseModel, described_parameters
-from identification.regression import Overrides, make_problem, row_blocks, weights_at
-from identification.regression.problem import motion_of_block
+from identification.regression import (
+    Overrides,
+    make_problem,
+)
 from identification.study import write_signals
 from identification.trust.candidates import SPRING, Candidates, MissingTerm
 
@@ -277,31 +279,6 @@ def test_a_velocity_is_compared_with_the_steps_of_its_position(count):
     for name, text in zip(("shoulder", "elbow"), told, strict=True):
         start = f"velocity of joint {name} = 1.5 x the derivative of its position"
         assert text == f"{start}, off by 50 %"
-
-
-def test_rates_of_torques_are_those_of_the_drives():
-    """No drive records the spring: its rate is not in the column of a lag."""
-    signals = records()[0]
-    with_spring, plain = (
-        make_problem(signals, Overrides()),
-        make_problem(without("known_torque"), Overrides()),
-    )
-    beta, settings = fitted(signals, "wls").beta, with_spring.settings
-    spring = 1e3 * np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
-    w = weights_at(with_spring, np.arange(settings.start, settings.stop) / signals.sample_rate_hz)
-    rates = []
-    for problem in (plain, with_spring):
-        peak = np.ones(problem.signals.robot.n)
-        terms = Candidates(
-            problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False
-        )
-        (block,) = row_blocks(problem)
-        motion = motion_of_block(problem, block)
-        rates.append(terms.columns(problem, motion, settings.decimator)[:, -1, 5:-5])
-    apart = rates[0] - rates[1]
-    assert apart == pytest.approx(
-        settings.decimator.filtered(w * spring.T)[:, 5:-5], abs=1e-6 * np.abs(spring).max()
-    )
 
 
 def test_a_spring_has_to_take_more_than_other_terms():

@@ -29,6 +29,7 @@ from identification.methods import (
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import (
     Overrides,
+    equation_alone,
     make_problem,
     make_unknowns,
     rows_of_recording,
@@ -77,7 +78,7 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     fit = fitted()
     ramps = Overrides(ramp_rows=fit.settings.ramp_rows)
     problems = [make_problem(recorded(k), ramps) for k in (1, 2, 3)]
-    systems = [rows_of_recording(problem).system for problem in problems]
+    systems = [rows_of_recording(*equation_alone(problem)).system for problem in problems]
     W, Y, joint = (
         np.concatenate([getattr(s, name) for s in systems]) for name in ("W", "Y", "joint_of_row")
     )
@@ -117,8 +118,8 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
         fit.recordings[2],
         make_problem(recorded(3), Overrides(ramp_rows=fit.settings.ramp_rows)),
     )
-    counts = rows_of_recording(problem).counts
-    tau, predicted, _ = torque_of_recording(problem, others.estimate.beta)
+    counts = rows_of_recording(*equation_alone(problem)).counts
+    tau, predicted, _ = torque_of_recording(*equation_alone(problem), others.estimate.beta)
     error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
     assert last.held_out.error_percent == pytest.approx(error, rel=2e-3)
     assert last.held_out.trained_percent < last.held_out.error_percent
@@ -370,7 +371,8 @@ def test_own_parameters_by_hand():
     recordings = with_offsets(("Off",))
     fit = identify_ls(several(*recordings), Overrides())
     given = Overrides(ramp_rows=fit.settings.ramp_rows)
-    systems = [rows_of_recording(make_problem(one, given)).system for one in recordings]
+    alone = [equation_alone(make_problem(one, given)) for one in recordings]
+    systems = [rows_of_recording(*one).system for one in alone]
     left = {}
     for own in (True, False):
         blocks = []

@@ -5,8 +5,9 @@ once, with all its files.
 import pytest
 from conftest import REPLAY
 
+import identification.methods.iteration as iteration
 import identification.methods.observation as observation
-import identification.methods.settled as settled
+import identification.methods.start as start
 import identification.regression.motion as motion
 from identification.commands import main
 from identification.model import InverseModel
@@ -15,8 +16,7 @@ from identification.model import InverseModel
 @pytest.mark.parametrize(
     ("options", "filters", "solutions"),
     [
-        # Two solutions choose the ramps of the weights, with instruments along the motion that
-        # the reference predicts.
+        # Two solutions choose the ramps of the weights.
         ([], 2, 3),
         # The span of motion, the weights and the controller's inertias go by the rule's low-pass,
         # least squares with it.
@@ -36,7 +36,11 @@ def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solut
 
     monkeypatch.setattr(InverseModel, "__init__", counted("model", InverseModel.__init__))
     monkeypatch.setattr(motion, "lowpass", counted("filter", motion.lowpass))
-    for room in (settled, observation):  # that chooses the ramps, and that names the solver
+    for room in (
+        start,
+        observation,
+        iteration,
+    ):  # that chooses the ramps, and that names the solver
         monkeypatch.setattr(
             room, "weighted_least_squares", counted("least squares", room.weighted_least_squares)
         )

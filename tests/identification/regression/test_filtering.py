@@ -19,7 +19,7 @@ from identification.regression.filtering import (
     lowpass,
     lowpass_reach,
 )
-from identification.regression.motion import later, motion_between
+from identification.regression.motion import motion_between
 
 FS = 1000.0
 T = np.arange(8000) / FS
@@ -153,14 +153,6 @@ def test_samples_in_between_are_those_of_a_cubic_spline(by):
     sine = np.sin(2 * np.pi * T[:, None] / 0.05)  # at the ends too: 50 samples a period
     off = sampled_at(np.arange(len(T)) + by, sine)[:, 0] - np.sin(2 * np.pi * (T + by / FS) / 0.05)
     assert np.abs(off)[2:-2].max() < 1e-3
-
-
-@pytest.mark.parametrize("by", [-0.5, 0.5, 2.0, -3.0])
-def test_samples_later_are_the_same_block_by_block(monkeypatch, by):
-    x = np.random.default_rng(1).normal(size=(1000, 2)).cumsum(axis=0)
-    wanted = sampled_at(np.arange(1000) + by, x)
-    monkeypatch.setattr("identification.regression.motion.BLOCK_SAMPLES", 300)
-    np.testing.assert_allclose(later(x, by), wanted, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("samples", [3, 1000, 1007])

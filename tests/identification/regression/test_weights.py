@@ -19,6 +19,7 @@ from identification.regression import (
     ROWS,
     FilteredMotion,
     Overrides,
+    equation_alone,
     make_problem,
     make_settings,
     rows_of_recording,
@@ -92,7 +93,6 @@ def test_coupled_joints_stand_where_a_direction_that_acts_on_them_does(monkeypat
     monkeypatch.setattr(
         problem.model, "coulomb_directions", np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     )
-    problem.motion.weights.clear()
     # The sum of both speeds is rounding alone: its peak is no speed, and what is below 4
     # deviations of noise stands.
     q = q + np.c_[0 * t, 1e-3 * np.sin(2 * np.pi * 0.1 * t)]
@@ -106,7 +106,7 @@ def test_rows_and_columns_have_the_same_weights():
     over the filter's gain.
     """
     problem = scara()
-    s, plain = problem.settings, rows_of_recording(problem)
+    s, plain = problem.settings, rows_of_recording(*equation_alone(problem))
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     w, F = weights_at(problem, motion.t_s), s.decimator.filtered
     share = F(w) / F(np.ones_like(w))
@@ -118,7 +118,7 @@ def test_rows_and_columns_have_the_same_weights():
     by_hand = np.stack([F(w * motion.tau.T), F(w * full.T)], axis=2)
     rows = np.c_[plain.system.Y, plain.system.W @ beta]
     for j, span in product(range(2), range(0, 120, 7)):
-        part = slice(*plain.system.spans[0].edges[span : span + 2])
+        part = slice(*plain.system.spans[0][span : span + 2])
         own = by_hand[j, part][counts[j, part]]
         found = rows[(plain.system.joint_of_row == j) & (plain.system.span == span)]
         np.testing.assert_allclose(found.T @ found, own.T @ own, rtol=1e-4, atol=1e-9)
@@ -134,7 +134,7 @@ def test_a_threshold_of_zero_is_the_method_without_weights():
     The number is that of the method.
     """
     problem = make_problem(SCARA, Overrides(low_speed_percent=0.0, torque_lag_s="none"))
-    plain, s = rows_of_recording(problem), problem.settings
+    plain, s = rows_of_recording(*equation_alone(problem)), problem.settings
     assert (plain.share == 1.0).all()
     squares = np.bincount(plain.system.joint_of_row, plain.system.Y**2)
     np.testing.assert_allclose(squares, (plain.tau**2).sum(axis=0), rtol=1e-12)
@@ -167,7 +167,8 @@ def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_
     problem = scara(
         q=np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 10 * t)], axis=1)
     )
-    weights, plain, s = sample_weights(problem), rows_of_recording(problem), problem.settings
+    weights, s = sample_weights(problem), problem.settings
+    plain = rows_of_recording(*equation_alone(problem))
     assert weights.ramps == (2.0, ROWS)
     at = s.start + s.decimator.instants(s.stop - s.start)
     np.testing.assert_array_equal(plain.share[:, 1], weights.moves[at, 1])

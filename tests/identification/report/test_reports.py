@@ -46,7 +46,7 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
         f"±{b:.2g} %"
     )
     verdict = document.sections[0]
-    assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, rotors"
+    assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, zeros, rotors"
     assert verdict.lines[1] == "status: converged"
     assert verdict.lines[2].startswith(f"relative torque error: {moving:.3g} % of moving rows")
     assert verdict.lines[2].endswith(f"{every:.3g} % of all rows")

@@ -236,22 +236,34 @@ def test_an_integral_starts_within_the_limit(limit, effort):
     (*_, model), loop, zero = modelled(robot), recorded_loop(robot), np.zeros((2, 1))
     control = Control(replace(model, offset=np.array([8.0])), loop, zero[0], zero[0])
     control.take(Reference(zero, zero, zero))
-    assert loop.Ki * control._integral == pytest.approx(effort)
+    assert control._integral == pytest.approx(effort)
     assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
 
 
 @pytest.mark.parametrize(
-    ("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)]
+    ("force", "more", "moves"),
+    [
+        (14.0, 0.0, False),
+        (16.0, 0.0, True),
+        (-24.0, 0.0, False),
+        (-26.0, 0.0, True),
+        (16.0, 2.0, False),
+        (18.0, 2.0, True),
+    ],
 )
-def test_friction_by_direction_holds_by_direction(force, moves):
-    """15 N hold against a push in the positive direction, 25 N against one in
-    the negative direction.
+def test_friction_by_direction_holds_by_direction(force, more, moves):
+    """15 N hold against a push in the positive direction, 25 N against one in the negative
+    direction, and with Stribeck friction `more`.
     """
     dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
     values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
-    pushed, zero = replace(model, offset=np.array([-force])), np.zeros((TICKS, 1))
+    shapes = {"stribeck": (np.array([more]), np.array([0.1]))} if more else {}
+    pushed = replace(model, offset=np.array([-force]), shapes=shapes)
+    zero = np.zeros((TICKS, 1))
     done = simulate(pushed, free(1, 1 / T), Reference(zero, zero + 0.1, zero), start=REST)
+    creep = 1e-4 * (force + 5) / (20 + more)  # in proportion, up to a thousandth of the speed
+    assert moves or done.dq[-1, 0] == pytest.approx(creep, rel=1e-2)
     assert (abs(done.dq[-1, 0]) > 2e-3) == moves
 
 
@@ -273,3 +285,26 @@ def test_a_controller_described_in_part_names_what_is_missing():
         BadInputError, match="velocity_gain, integral_gain is missing: expected all of structure"
     ):
         recorded_loop(robot)
+
+
+@pytest.mark.parametrize(
+    ("Kd", "computed_torque", "periods"),
+    [
+        ((1.0, 1.0), False, 4),  # as many as leave 1 kHz
+        # speed loops of 1200/s, and of 300/s and 1200/s (eigenvalues by hand): 0.6 of a step
+        ((2400.0, 1.0), False, 2),
+        ((600.0, 600.0), False, 2),
+        ((9e3, 1.0), False, 1),
+        ((1.0, 1.0), True, 1),
+    ],
+)
+def test_a_step_has_several_instants_while_the_fastest_speed_loop_allows(
+    Kd, computed_torque, periods
+):
+    R = np.array([[1.0, 0.0], [0.0, -1.0]])
+    loop = replace(
+        free(2, 4000.0), R=R, Kd=np.array(Kd), G=np.ones(2), computed_torque=computed_torque
+    )
+    M = np.stack([np.diag([2.0, 2.0]), np.diag([3.0, 0.5])])
+    slower = loop.slower(M, 1000.0)
+    assert (slower.periods, slower.period_s) == (periods, pytest.approx(periods / 4000))

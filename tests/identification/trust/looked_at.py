@@ -8,14 +8,13 @@ from identification.regression import Overrides
 from identification.trust import FitData
 
 LIMITS = {
-    "spans": {},
-    "blocks": {"identification.regression.problem._SERIES_BLOCK": 60_000},
-    "instants": {"identification.estimation.system.SPANS": 1_000_000},
+    "spans": {"identification.estimation.system.SHORT": 0},
+    "instants": {"identification.estimation.system.FINE_SPANS": 1_000_000},
 }
 
 
 def looked_at(method: str, signals: Signals, by: str = "spans", **overrides) -> tuple[Fit, FitData]:
-    """`by`: in short `blocks`, or with rows of `instants` in place of those of spans of time."""
+    """`by`: as a long recording, by `spans` of time, or by `instants`."""
     with pytest.MonkeyPatch.context() as patch:
         for name, limit in LIMITS[by].items():
             patch.setattr(name, limit)

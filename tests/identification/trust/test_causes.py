@@ -15,9 +15,8 @@ from independent_simulator import at_rate
 from identification.data import Signals
 from identification.errors import BadInputError, RobotIdimError
 from identification.methods import Fit
-from identification.regression import KnownLag, Overrides, make_problem
+from identification.regression import KnownLag, Overrides, combined_lag, make_problem
 from identification.simulation import unstated_limits
-from identification.trust import combined_lag
 
 
 def setup(name: str, seed: int = 1, duration_s: float = 5.0) -> SetUp:

@@ -15,10 +15,9 @@ from looked_at import looked_at
 
 from identification.data import Recordings, Signals, load_signals
 from identification.methods import Fit, identify, identify_ls
-from identification.regression import Overrides, make_problem, row_blocks, sampled_at
-from identification.regression.lag_rows import LagCollector
+from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
+from identification.regression.lag import LagCollector
 from identification.regression.law import law_of
-from identification.regression.problem import motion_of_block
 from identification.trust import TrustLine, trust_in
 
 
@@ -211,26 +210,23 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
     if block:
         monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", block)
     problem, rng = make_problem(recorded("emps"), Overrides()), np.random.default_rng(1)
-    blocks, decimation = row_blocks(problem), problem.settings.decimator
-    assert (len(blocks) > 1) == (block is not None)
-    motions = [motion_of_block(problem, one) for one in blocks]
-    speed = np.concatenate(
-        [decimation.kept(z.dq)[at.inside] for at, z in zip(blocks, motions, strict=True)]
-    )
+    motions = list(motion_blocks(problem))
+    assert (len(motions) > 1) == (block is not None)
+    speed = np.concatenate([z.kept(z.dq) for z in motions])
     share = np.where(rng.uniform(size=speed.shape) > 0.01, 0.5, 0.0)
     x, e = np.zeros(len(speed)), rng.standard_normal(len(speed))
     for k in range(2, len(x)):
         x[k] = 1.2 * x[k - 1] - 0.5 * x[k - 2] + e[k]
     rows = LagCollector(problem, share, x[:, None], speed)
-    for at, z in zip(blocks, motions, strict=True):
-        rows.add(np.outer([2, 1, 3], x[at.first : at.last])[None], z)
-    white, Z = rows.rows(())
+    for z in motions:
+        rows.add(np.outer([2, 1, 3], x[z.at.first : z.at.last])[None], z)
+    white, Z = rows.rows(("lag",))
     np.testing.assert_allclose(Z, 2 * white.W, atol=1e-12)
     np.testing.assert_allclose(white.Y, 3 * white.W[:, 0], atol=1e-12)
     fast = np.abs(speed[:, 0]) > 0.2 * np.abs(speed).max()
     fast = [fast[k : k + 7].all() and share[k, 0] > 0 for k in range(len(x))]
     # six rows of a block, too, have none before them that are known
-    first = np.concatenate([np.arange(at.last - at.first) for at in blocks])
+    first = np.concatenate([np.arange(at.last - at.first) for at in (z.at for z in motions)])
     used = [first[k] >= 6 and all(fast[k - 6 : k + 1]) for k in range(len(x))]
     assert white.rows[0] == pytest.approx(0.25 * np.sum(used))
     assert 0.3 * len(x) < np.sum(used) < 0.9 * len(x)

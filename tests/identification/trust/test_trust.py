@@ -23,7 +23,7 @@ from identification.methods import (
     identify,
     identify_iv,
     identify_ls,
-    idim,
+    iteration,
 )
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
@@ -171,7 +171,7 @@ def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch
     """Passes 2 and 3 get a share of the torque as noise: the first one's
     simulated robot tracks best.
     """
-    solve, calls = idim.instrumental_variables, []
+    solve, calls = iteration.instrumental_variables, []
 
     def spoilt(system, Z, weights):
         calls.append(len(calls))
@@ -181,7 +181,7 @@ def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch
         Y = system.Y + wrong * np.roll(system.Y, 37)
         return solve(dataclasses.replace(system, Y=Y), Z, weights)
 
-    monkeypatch.setattr(idim, "instrumental_variables", spoilt)
+    monkeypatch.setattr(iteration, "instrumental_variables", spoilt)
     fit = identify_iv(signals_of(SCARA), Overrides(), Iteration(max_iterations=3))
     assert (fit.status, fit.iv.returned, len(fit.iv.passes)) == ("max_iterations", 1, 3)
     assert "pass 1 is returned" in fit.iv.reason

@@ -25,11 +25,16 @@ from looked_at import looked_at
 from scipy.signal import lfilter
 
 from identification.data import Signals
-from identification.estimation import SPANS, Spans, instrumental_variables, intervals_of
+from identification.estimation import FINE_SPANS, SPANS, instrumental_variables, intervals_of
 from identification.estimation.diagnostics import autoregression
 from identification.methods import Fit, identify, identify_ls
-from identification.regression import Overrides, row_blocks, torque_of_recording, weighted
-from identification.regression.problem import motion_of_block
+from identification.regression import (
+    Overrides,
+    equation_alone,
+    motion_blocks,
+    torque_of_recording,
+    weights_at,
+)
 from identification.trust import LEVELS, FitData, Trust, TrustLine, trust_in
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
@@ -179,7 +184,7 @@ def test_the_tables_of_the_guides_have_every_line():
         lines = re.findall(r"^\| `(.*?)` \|", rest.split("\n\n")[0], flags=re.MULTILINE)
         assert sorted(lines) == sorted(longer.get(name, name) for name in names)
     counts = re.findall(r"(\d+)\s+spans of (?:a|the) recording's time", rest)
-    assert set(counts) == {str(SPANS)}
+    assert set(counts) == {str(FINE_SPANS)}
 
 
 def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
@@ -273,15 +278,15 @@ def test_a_column_is_solved_with_the_others(method):
         next(x for x in missing_terms(one) if (x.kind, x.where) == ("drift", "of joint shoulder"))
         for one in (evidence, examined(method, "scara", fault="drift")[1])
     )
-    (block,), decimation = row_blocks(evidence.problem), evidence.problem.settings.decimator
-    motion = motion_of_block(evidence.problem, block)
+    decimation = evidence.problem.settings.decimator
+    motion = next(motion_blocks(evidence.problem))
     if method == "iv":
-        motion, decimation = fit.simulated.motion, fit.simulated.motion.decimation
+        motion = fit.simulated.motion
+        decimation = replace(decimation, factor=round(len(motion.q) / len(fit.tau)))
     drift = np.linspace(0, 1, len(motion.q))[:, None] * [1.0, 0.0]
-    column = weighted(evidence.problem, motion.t_s, drift, decimation)
+    column = decimation.filtered(weights_at(evidence.problem, motion.t_s) * drift.T)
     column = column.reshape(-1)[evidence.observed.counts.T.ravel()] * fit.estimate.weights[0]
-    Z = evidence.Z if method == "iv" else system.W
-    Z = np.c_[Z * fit.estimate.weights[system.joint_of_row][:, None], column]
+    Z = np.c_[evidence.Z * fit.estimate.weights[system.joint_of_row][:, None], column]
     wider = np.c_[W, column]
     solved = np.linalg.solve(Z.T @ wider, Z.T @ Y)
     before, after = Y - W @ fit.estimate.beta, Y - wider @ solved
@@ -340,13 +345,13 @@ def block_errors(method: str, blocks: int) -> tuple[float, float]:
     _, evidence = examined(method, "scara", by="instants")
     W, Y, counts, T = evidence.W, evidence.Y, evidence.observed.counts, len(evidence.observed.tau)
     time = evidence.observed.system.span
-    Z = W if evidence.Z is None else evidence.Z * evidence.weight[:, None]
+    Z = evidence.Z * evidence.weight[:, None]
     betas = []
     for a, b in pairwise(np.ceil(np.arange(blocks + 1) * T / blocks)):
         inside = (time >= a) & (time < b)
         betas.append(np.linalg.solve(Z[~inside].T @ W[~inside], Z[~inside].T @ Y[~inside]))
-    tau, held, _ = torque_of_recording(evidence.problem, *betas)
-    trained = torque_of_recording(evidence.problem, evidence.estimate.beta)[1]
+    tau, held, _ = torque_of_recording(*equation_alone(evidence.problem), *betas)
+    trained = torque_of_recording(*equation_alone(evidence.problem), evidence.estimate.beta)[1]
     return tuple(
         100 * np.linalg.norm((tau - x)[counts]) / np.linalg.norm(tau[counts])
         for x in (held, trained)
@@ -504,8 +509,9 @@ def test_tests_of_spans_are_near_those_of_instants(method):
         examined(method, "scara", by="instants"),
     )
     T = len(whole.tau)
-    assert evidence.observed.system.spans == (Spans(instants=T, count=SPANS),)
-    assert of_instants.observed.system.spans == (Spans(instants=T, count=T),)
+    for one, count in ((evidence, SPANS), (of_instants, T)):
+        (spans,) = one.observed.system.spans
+        assert (spans[-1], len(spans)) == (T, count + 1)
     for test, rel in (
         ("held-out blocks", REL[method]),
         ("halves", 0.2),
@@ -527,23 +533,6 @@ def test_tests_of_spans_are_near_those_of_instants(method):
     np.testing.assert_allclose(fit.intervals.sigma, whole.intervals.sigma, rtol=0.15)
 
 
-@pytest.mark.parametrize("method", ["iv", "wls"])
-def test_a_recording_read_in_blocks_is_tested_as_in_one(method):
-    (fit, evidence), (blocks, of_blocks) = (
-        examined(method, "scara"),
-        examined(method, "scara", by="blocks"),
-    )
-    for test in ("held-out blocks", "halves", "ends", "added columns", "lag"):
-        told, wanted = (x.trust.line(test) for x in (blocks, fit))
-        assert (told.level, told.text) == (wanted.level, wanted.text)
-        assert told.value == pytest.approx(wanted.value, rel=1e-3)
-    errors = (x.error(np.full(SPANS, True), x.estimate.beta) for x in (of_blocks, evidence))
-    np.testing.assert_allclose(*errors, rtol=1e-6)
-    np.testing.assert_array_equal(of_blocks.predicted, blocks.tau_predicted)
-    assert blocks.trust.verdict == fit.trust.verdict
-    assert (np.abs(blocks.beta - fit.beta) < 0.01 * fit.intervals.half).all()
-
-
 def test_sums_over_spans_are_those_of_their_rows():
     (_, evidence), (fit, by_spans) = (
         examined("wls", "scara", by="instants"),
@@ -559,14 +548,17 @@ def test_sums_over_spans_are_those_of_their_rows():
         np.testing.assert_array_equal(evidence.between(start, stop), covered)
         inside = covered[evidence.observed.system.span]
         W, Y = evidence.W[inside], evidence.Y[inside]
-        (Q, W_k, Y_k, count), bread = by_spans.part(part), by_spans.estimate.bread
+        rows, bread = part[by_spans.observed.system.span], by_spans.estimate.bread
+        Q, W_k, Y_k = (x[rows] for x in (by_spans.estimate.Q, by_spans.W, by_spans.Y))
         np.testing.assert_allclose(
             np.linalg.solve(Q.T @ W_k, Q.T @ Y_k), np.linalg.lstsq(W, Y)[0], rtol=1e-7
         )
         np.testing.assert_allclose(
             bread @ Q.T @ Q @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7
         )
-        assert count == pytest.approx(np.sum(evidence.observed.share[covered] ** 2), rel=1e-9)
+        assert by_spans.count(part) == pytest.approx(
+            np.sum(evidence.observed.share[covered] ** 2), rel=1e-9
+        )
         beta = fit.estimate.beta * (1 + 0.01 * np.random.default_rng(3).normal(size=b))
         error = np.linalg.norm((Y - W @ beta) / evidence.weight[inside])
         assert by_spans.error(part, beta) == pytest.approx(error, rel=1e-7)

@@ -9,18 +9,16 @@ import msgspec
 from conftest import REPLAY
 
 from identification.data import load_signals
-from identification.estimation import InstrumentTests
 from identification.methods import Iteration, Pass, identify_iv
-from identification.methods.iteration import status_of
+from identification.methods.status import status_of
 from identification.regression import Overrides
 from identification.report import DirectModelResidual
 
-GOOD = InstrumentTests(strength=0.9, first_stage_F=500.0)
 
-
-def verdict(tracking, errors, tests=GOOD):
+def verdict(tracking, errors, first_stage_F=500.0):
     settled = Pass(
-        x=None, z=(), estimate=None, asked=None, covariance=None,
+        x=None, z=(), rows=None, estimate=None, asked=(None, None), covariance=None,
+        lags=(), lags_settled=True, other=False,
         change_sigma=0.1, change_percent=0.1, changed="M1",
         residual_percent=0.1, residual_settled=True, parameters_settled=True,
     )  # fmt: skip
@@ -32,8 +30,10 @@ def verdict(tracking, errors, tests=GOOD):
     robot = SimpleNamespace(kind="simulated", percent=tracking, by_joint=direct)
     settled = dataclasses.replace(settled, z=(robot,))
     # whether M is positive is asked of each recording
-    none = SimpleNamespace(problems=(), unknowns=SimpleNamespace(arms=()), tasks=list)
-    return status_of(none, (settled,), dataclasses.replace(settled, confirmed_by=(robot,)), tests)
+    none = SimpleNamespace(equations=())
+    return status_of(
+        none, (settled,), dataclasses.replace(settled, confirmed_by=(robot,)), first_stage_F
+    )
 
 
 def test_every_joint_has_to_track():
@@ -48,7 +48,7 @@ def test_every_joint_has_to_track():
 
 
 def test_instruments_that_explain_nothing_are_not_converged():
-    assert verdict(1.0, [1.0], dataclasses.replace(GOOD, first_stage_F=0.5))[0] == "diverged"
+    assert verdict(1.0, [1.0], 0.5)[0] == "diverged"
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     slow = msgspec.structs.replace(signals.robot.controller, sample_rate_hz=50.0)
     robot = dataclasses.replace(signals.robot, controller=slow)

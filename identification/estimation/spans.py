@@ -1,4 +1,4 @@
-"""The rows of a recording by joint and span of time: one form for a short one and for an hour.
+"""Collects rows of a recording by joint and span of time: one form for a short one and an hour.
 
 Where a span has more rows than columns it keeps their R factor, A = Q R: it has the same products
 of columns, hence the same least squares and instrumental variables, and avoids the loss of digits
@@ -6,29 +6,24 @@ of squared sums. A half of a recording is half of its spans; several recordings 
 other.
 """
 
-from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Spans, r_factor
+from .system import equal_spans, is_short, r_factor, spans_of
 
 
 class SpanRows:
-    """Collects the rows of a recording, such as [Z W Y], by joint and span of time.
-
-    Where a span has more rows than columns it keeps their R factor, A = Q R: it has the same
-    products of columns, hence the same least squares and instrumental variables, and avoids the
-    loss of digits of squared sums.
-    """
+    """Collects the rows of a recording, such as [Z J r], by joint and span of time."""
 
     def __init__(self, instants: int, n: int) -> None:
         """Of `instants` of n joints, without any rows yet."""
-        self.spans = Spans.of(instants)
+        self.spans, self._short = equal_spans(instants), is_short(instants)
         self._rows, self._columns = np.zeros(n), 0
-        self._parts = dict[tuple[int, int, bool], Array]()  # by joint, span, and whether fast
+        # by joint and place: rows, and twice their span, one more for fast ones
+        self._parts = dict[tuple[int, int], tuple[Array, NDArray[np.intp]]]()
 
     def add(
         self, first: int, A: Array, share: Array, fast: NDArray[np.bool_] | None = None
@@ -36,25 +31,32 @@ class SpanRows:
         """Add the instants from `first` on: A (n, columns, T), and `share` (T, n), the weights, 0
         for rows that do not count. Rows that are `fast` (n, T) have factors of their own.
         """
-        span = np.arange(first, first + len(share)) * self.spans.count // self.spans.instants
+        instant = np.arange(first, first + len(share))
+        span = np.searchsorted(self.spans, instant, side="right") - 1
         self._rows, self._columns = self._rows + (share**2).sum(axis=0), A.shape[1]
         fast = np.zeros(share.T.shape, dtype=bool) if fast is None else fast
-        for j, kind in product(range(len(A)), (False, True)):
-            counts = (share[:, j] > 0) & (fast[j] == kind)
-            rows, of_row = A[j][:, counts].T, span[counts]
-            first_rows = np.flatnonzero(np.diff(of_row, prepend=-1))
-            for k, own in zip(of_row[first_rows], np.split(rows, first_rows)[1:], strict=True):
-                before = self._parts.get(key := (j, int(k), kind))
-                self._parts[key] = _reduced(own if before is None else np.r_[before, own])
+        for j, own in enumerate(A):
+            counts = share[:, j] > 0
+            rows, kind = own[:, counts].T, 2 * span[counts] + fast[j, counts]
+            if self._short:
+                self._parts[j, first] = rows, kind
+                continue
+            for k in np.unique(kind).tolist():
+                before, _ = self._parts.get((j, k), (rows[:0], kind))
+                R = _reduced(np.r_[before, rows[kind == k]])
+                self._parts[j, k] = R, np.full(len(R), k)
 
     def rows(self) -> tuple[Array, NDArray[np.bool_], dict[str, Any]]:
         """The rows (r, columns), joint by joint in the order of time, which are fast (r,), and how
         they follow: the further attributes of a `System`. Once only.
         """
         each = sorted(self._parts)
-        lengths = [len(self._parts[key]) for key in each]
-        rows = np.concatenate([np.zeros((0, self._columns)), *map(self._parts.pop, each)])
-        joint, span, fast = np.repeat(np.array(each, dtype=np.intp).reshape(-1, 3), lengths, 0).T
+        lengths = [len(self._parts[key][1]) for key in each]
+        rows, kind = np.empty((sum(lengths), self._columns)), np.empty(sum(lengths), dtype=np.intp)
+        for key, at in zip(each, spans_of(lengths), strict=True):  # never twice in memory
+            rows[at], kind[at] = self._parts.pop(key)
+        joint = np.repeat(np.array([j for j, _ in each], dtype=np.intp), lengths)
+        span, fast = np.divmod(kind, 2)
         followed = {"joint_of_row": joint, "span": span, "rows": self._rows, "spans": (self.spans,)}
         return rows, fast.astype(bool), followed
 

@@ -1,0 +1,360 @@
+"""The model of a fit: its recordings, each with its equation of motion, and their unknowns x."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import regression
+from ..arrays import Array
+from ..data import RecordingFile, Recordings, Signals, check_one_robot
+from ..estimation import Estimate, System, combined
+from ..regression import (
+    NOTHING,
+    Candidate,
+    Equation,
+    KnownLag,
+    Lag,
+    Overrides,
+    Problem,
+    Rows,
+    Settings,
+    Unknowns,
+    combined_lag,
+    equation_of,
+    rows_of_recording,
+    stacked_rows,
+    torque_of_recording,
+)
+from ..simulation import COARSE, FINE, Simulated, SimulatedRecording, rows_along_reference, simulate
+from ..trust import Candidates
+from .observation import (
+    Observed,
+    Replayed,
+    Say,
+    observation_of,
+    observe_all,
+    settings_at,
+    with_common_rate,
+)
+
+# by recording, what prepares it at a rate per period of the bandwidth
+Robots = Sequence[Callable[[float], SimulatedRecording]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """The recordings of a fit, in the order of their digests, so that sums do not depend on the
+    order given; read-only.
+
+    Attributes:
+        recordings: in the order of the digests; `overrides`: their settings.
+        problems: the recordings with their settings.
+        replays: the described control law of each against its recorded effort.
+        order: places of the recordings in the order given.
+        unknowns: x.
+        left_out: friction terms left out, each with the reason.
+    """
+
+    recordings: Recordings
+    overrides: Overrides
+    problems: tuple[Problem, ...]
+    replays: tuple[Replayed, ...]
+    order: tuple[int, ...]
+    unknowns: Unknowns
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def problem(self) -> Problem:
+        """That of the recording given first; all have the same robot, model and base parameters."""
+        return self.problems[self.order[0]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the free unknowns, the first of x."""
+        return self.unknowns.names
+
+    @cached_property
+    def equations(self) -> tuple[Equation, ...]:
+        """Of each recording, for tasks: without samples if a task can read them itself."""
+        found = []
+        for k, (source, problem) in enumerate(
+            zip(self.recordings.sources, self.problems, strict=True)
+        ):
+            if isinstance(source, RecordingFile) and self.recordings.work.workers != 1:
+                problem = problem.without_samples()
+            problem = problem if len(problem.signals.q) else replace(problem, source=source)
+            found.append(equation_of(problem, self.unknowns, k))
+        return tuple(found)
+
+    @cached_property
+    def load(self) -> NDArray[np.intp]:
+        """Places of the parameters of load friction in x."""
+        found = regression.load_friction(self.problem.model, self.problem.base)
+        names = [self.problem.base.names[place] for place in found.places] if found else []
+        return np.array([self.names.index(name) for name in names], dtype=np.intp)
+
+    @property
+    def exogenous(self) -> bool:
+        """Whether all references are recorded: else instruments have the noise of positions."""
+        return all(problem.signals.q_ref is not None for problem in self.problems)
+
+    @property
+    def lags(self) -> tuple[Lag, ...]:
+        """The lag of each group of recordings as known without a fit."""
+        replayed = [one for _, one in self.replays]
+        known = known_lags(self.problems, replayed, self.unknowns.groups)
+        return tuple(combined_lag(one, None) for one in known)
+
+    def start(self) -> Array:
+        """x (p,) of nothing but described gains and known lags."""
+        return self.unknowns.start([lag.value_s for lag in self.lags])
+
+    def x_of(self, estimate: Estimate, x: Array) -> Array:
+        """x with the values of an estimate; those of the free unknowns that it lacks are zero,
+        gains stay.
+        """
+        found, own = x.copy(), slice(0, len(self.names))
+        found[own] = estimate.values_of(self.names)
+        lacks = [
+            i for i in range(len(x))[self.unknowns.gains] if self.names[i] not in estimate.names
+        ]
+        found[lacks] = x[lacks]
+        return found
+
+    def concluded(self, x: Array) -> tuple[Problem, ...]:
+        """The problems with the lags and gains of x, and where to read them."""
+        kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
+        return tuple(
+            replace(
+                problem.with_results(float(x[one.drives.lag]), kappa),
+                source=one.problem.source if not len(problem.signals.q) else None,
+            )
+            for problem, one in zip(self.problems, self.equations, strict=True)
+        )
+
+    def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
+        """The results of a task for each recording, on the workers of the fit."""
+        tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
+        return list(self.recordings.work.run(task, tasks))
+
+    def candidates(
+        self, x: Array, speed: Array, *, simulated: bool = False
+    ) -> tuple[Candidates, ...]:
+        """By recording the terms that are not in the model, about x, along the measured or the
+        simulated motion; `speed` (rows, n) is the measured one of all.
+        """
+        sliding = np.abs(speed @ self.problem.model.coulomb_directions.T)
+        return tuple(
+            Candidates(
+                problem=one.problem,
+                beta=one.arm.beta(x),
+                peak=np.abs(speed).max(axis=0),
+                sliding=sliding.max(axis=0),
+                simulated=simulated and self.exogenous,
+                gains=bool(self.unknowns.motors),
+            )
+            for one in self.equations
+        )
+
+    def rows(self, x: Array, further: Sequence[Candidate] = ()) -> Rows:
+        """[C Z J r] of all recordings about x, along the measured motion."""
+        each = [(x, *further[k : k + 1]) for k in range(len(self.problems))]
+        return stacked_rows(self.run(rows_of_recording, each))
+
+    def along(self, z: Sequence[Simulated]) -> Rows:
+        """[C Z J r] of all recordings, along the motion of simulated robots."""
+        return stacked_rows([rows for one in z if (rows := one.rows) is not None])
+
+    def combined(self, system: System, estimate: Estimate) -> Estimate:
+        """An estimate from these rows, combined with the stated centres of mass."""
+        for payload in self.unknowns.payloads:
+            estimate = combined(system, estimate, payload.stated)
+        return estimate
+
+    def torques(
+        self, x: Array, *estimates: Estimate, by_recording: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """Decimated torque, as measured by x and as predicted, and speed, (rows, n) each.
+
+        Of an estimate; of several, each in equal spans of a recording, or in one recording.
+        """
+        each = [
+            (x, *map(arm.values, estimates[k : k + 1] if by_recording else estimates))
+            for k, arm in enumerate(self.unknowns.arms)
+        ]
+        of = zip(*self.run(torque_of_recording, each), strict=True)
+        tau, predicted, speed = map(np.concatenate, of)
+        return tau, predicted, speed
+
+    def predicted(self, x: Array, *estimates: Estimate, by_recording: bool = False) -> Array:
+        """The predicted of `torques`."""
+        return self.torques(x, *estimates, by_recording=by_recording)[1]
+
+    def along_reference(self, robots: Robots, x: Array) -> Rows:
+        """[Z J r] of all recordings about x, along the motion that the reference predicts."""
+        tasks = list(zip(robots, self.equations, [x] * len(robots), strict=True))
+        return stacked_rows(list(self.recordings.work.run(rows_along_reference, tasks)))
+
+    def robots(self, x: Array, *, gain_update: bool = True) -> Robots:
+        """What prepares each recording for simulations; the loops have the gains of x, and are set
+        for its inertias.
+        """
+        each = [
+            partial(
+                SimulatedRecording,
+                replace(one.problem, gains=one.drives.factors(x)),
+                one.arm.beta(x),
+                gain_update=gain_update,
+            )
+            for one in self.equations
+        ]
+        # Once in this process; each task of a worker prepares its own.
+        return [cache(one) for one in each] if self.recordings.work.workers == 1 else each
+
+    def simulated(
+        self,
+        robots: Robots,
+        x: Array,
+        asked: tuple[Array, Array | None] | None = None,
+        further: Sequence[Candidate] = (),
+        *,
+        of_lag: bool = False,
+    ) -> tuple[Simulated, ...]:
+        """By recording, `simulate` with what is asked, values of x and their covariance, or
+        coarsely along the motion that the reference predicts; rows are about x.
+        """
+        own = self.unknowns.simulated(*asked) if asked else [None] * len(robots)
+        rate = FINE if asked else COARSE
+        more: Sequence[Candidate | None] = further or [None] * len(robots)
+        tasks = [
+            (robot, rate, one, (x, beta), term, of_lag)
+            for robot, one, beta, term in zip(robots, self.equations, own, more, strict=True)
+        ]
+        return tuple(self.recordings.work.run(simulate, tasks))
+
+    def without(self, left_out: dict[str, str]) -> "Model":
+        """The same without friction terms that are regrouped with nothing;
+        `left_out` has the reasons.
+        """
+        if not left_out:
+            return self
+        problems = [problem.without_terms(left_out) for problem in self.problems]
+        return replace(self._of(problems), left_out=self.left_out | left_out)
+
+    def at_cutoff(self, cutoff_hz: float) -> "Model":
+        """The same recordings with another low-pass."""
+        of = [
+            (replace(self.overrides, cutoff_hz=cutoff_hz, decimation=one.settings.decimation),)
+            for one in self.problems
+        ]
+        return self._with_settings(self.run(settings_at, of))
+
+    def with_ramps(self, ramp_rows: float) -> "Model":
+        """The same recordings with other ramps of the weights of samples."""
+        if all(problem.settings.ramp_rows == ramp_rows for problem in self.problems):
+            return self
+        found = replace(self, overrides=replace(self.overrides, ramp_rows=ramp_rows))
+        return found._with_settings(
+            [replace(one.settings, ramp_rows=ramp_rows) for one in self.problems]
+        )
+
+    def behind_rule(self) -> "Model | None":
+        """The same with the rule's low-pass; None if all have it or a lower one.
+
+        Raises `NoFitError` if one is too short.
+        """
+        if all(problem.settings.filtered for problem in self.problems):
+            return None
+        return self.at_cutoff(min(regression.rule_cutoff_hz(one.signals) for one in self.problems))
+
+    def _with_settings(self, settings: Sequence[Settings]) -> "Model":
+        pairs = zip(self.problems, settings, strict=True)
+        return replace(self, problems=tuple(replace(one, settings=own) for one, own in pairs))
+
+    def _of(self, problems: Sequence[Problem]) -> "Model":
+        observed = list(zip(problems, self.replays, strict=True))
+        return model_of(self.recordings, self.overrides, observed, self.order)
+
+
+def model_of(
+    recordings: Recordings,
+    overrides: Overrides,
+    observed: Sequence[Observed],
+    order: tuple[int, ...],
+) -> Model:
+    """The model of recordings."""
+    problems, replays = zip(*observed, strict=True)
+    names, wanted = [m.name for m in problems[0].signals.robot.motors], overrides.gains or ()
+    motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
+    of_gains = ("Fv", "Fc") if overrides.gains else ()
+    return Model(
+        recordings=recordings,
+        overrides=overrides,
+        problems=problems,
+        replays=replays,
+        order=order,
+        unknowns=regression.make_unknowns(problems, motors, of_gains),
+    )
+
+
+def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> Model:
+    """The model of one recording or several, each filtered and decimated separately: with the
+    lowest cut-off and rate of rows that the rules give. Raises `BadInputError` if the recordings
+    are not of one robot, and as `make_problem`.
+    """
+    if isinstance(given, Signals):
+        given = Recordings(sources=(given,))
+    if len(given.sources) == 1:
+        (source,) = given.sources
+        signals = source if isinstance(source, Signals) else source.load()
+        one = observation_of(regression.make_problem(signals, overrides))
+        return model_of(Recordings(sources=(signals,)), overrides, (one,), (0,))
+    say(f"reading {len(given.sources)} recordings")
+    found = observe_all(given, [overrides] * len(given.sources))
+    check_one_robot([problem.signals for problem, _ in found])
+    found = with_common_rate(given, found, overrides)
+    each = [problem.signals for problem, _ in found]
+    by_digest = sorted(range(len(found)), key=lambda k: (each[k].sha256, each[k].recording))
+    return model_of(
+        replace(given, sources=tuple(given.sources[k] for k in by_digest)),
+        overrides,
+        [found[k] for k in by_digest],
+        tuple(by_digest.index(k) for k in range(len(found))),
+    )
+
+
+def refuse_standing_joints(model: Model, share: Array) -> None:
+    """Refuse recordings in none of which a row of a joint counts, by the weights (T, n)."""
+    signals = [problem.signals for problem in model.problems]
+    regression.refuse_standing_joints(
+        share,
+        tuple(joint.name for joint in signals[0].robot.joints),
+        ", ".join(one.recording for one in signals),
+        signals[0].robot.bandwidth_hz,
+        "; ".join(one.unmeasured for one in signals if one.unmeasured),
+    )
+
+
+def known_lags(
+    problems: Sequence[Problem],
+    replayed: Sequence[KnownLag | None],
+    groups: Sequence[Sequence[int]],
+) -> list[KnownLag]:
+    """The known lag of each group of recordings: their mean, with the smallest deviation."""
+    found = []
+    for group in groups:
+        each = [_known(problems[k].settings.known_lag, replayed[k]) for k in group]
+        best = min(each, key=lambda known: known.sd_s)
+        found.append(replace(best, value_s=float(np.mean([known.value_s for known in each]))))
+    return found
+
+
+def _known(known: KnownLag, replayed: KnownLag | None) -> KnownLag:
+    """The lag of a torque as known without an estimate, with the replay of its control law."""
+    if known.stated or replayed is None:
+        return known
+    return replayed if known.source == NOTHING else known.with_other(replayed)

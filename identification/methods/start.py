@@ -1,0 +1,346 @@
+"""Least squares, equation (B): the start of the passes, and a method of its own.
+
+    x <- x + (Z'J)^-1 Z'r,   Z = J
+
+but the instruments of drive gains are the torques that x predicts (I), as the recorded ones are
+noisy: least squares is biased towards gains of 0. A friction term whose column is nearly a sum of
+others is left out, with a message; so is load friction whose interval contains 0, before the first
+step. Gains and load friction take several steps, which end when no parameter changes by more than
+a thousandth of its deviation.
+
+The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method:
+long ones keep noise above the low-pass out of the rows, short ones leave more of short moves. Those
+of least squares with noisy positions say little of instrumental variables, whose half-widths come
+from instruments along the reference, which need no simulation.
+"""
+
+from collections.abc import Collection
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import estimation
+from ..arrays import Array
+from ..errors import BadInputError, NoFitError
+from ..estimation import (
+    Estimate,
+    System,
+    autocorrelation,
+    instrumental_variables,
+    intervals_of,
+    r_factor,
+    weighted_least_squares,
+)
+from ..model import SHAPES
+from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
+from ..report import Method
+from .fit import LeastSquares
+from .model import Model, refuse_standing_joints
+from .observation import solver_of
+
+# share of the norm of an identifiable column that is independent of the others
+MIN_INDEPENDENT_NORM = 0.01
+# of load friction and gains: deviations at the end; shares of a step
+MAX_STEPS, MAX_STEP, MIN_STEP = 30, 1e-3, 0.1
+# of the largest value: smaller changes are rounding, also where exact data have no deviation
+MIN_CHANGE = 1e-10
+MIN_KNOWN_SHARE = 1e-6  # of the norm of Y, outside the span of W and L
+LONG, SHORT, *OTHERS = RAMPS
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solution:
+    """A solution by least squares.
+
+    Attributes:
+        model: without the terms that are left out.
+        x: (p,) unknowns; `rows`: about the values before the last step.
+        estimate: the last step's; `settled`: whether steps came to an end.
+    """
+
+    model: Model
+    x: Array
+    rows: Rows
+    estimate: Estimate
+    settled: bool
+
+
+def least_squares(model: Model, rows: Rows, method: Method = "wls") -> Solution:
+    """Least squares with the identifiable terms from rows about nothing but described gains. Raises
+    `NoFitError` as the estimators, and `BadInputError` if nothing determines the scale of gains.
+    """
+    model, rows = leave_out_collinear_terms(model, rows)
+    x = rows.x
+    arm = np.setdiff1d(model.unknowns.arm, model.load)
+    if model.unknowns.motors:
+        refuse_without_scale(model, rows, arm)
+    # First of the unknowns that have columns about nothing known: by the described gains, whose
+    # own columns would let them become 0.
+    if len(arm) < len(model.names):
+        x = model.x_of(solver_of(method)(rows.of(arm)), x)
+        if len(model.load):
+            model, x = leave_out_load(model, x, method)
+        rows = model.rows(x)
+    try:
+        return settle(model, x, rows, method)
+    except NoFitError as error:
+        if not model.unknowns.motors:
+            raise
+        raise BadInputError(
+            f"drive gains and the arm cannot be separated ({error.args[0]}): the payload "
+            "does not show in the recordings",
+            key="gains",
+            expected="a payload on one recording, and its mass as stated",
+        ) from error
+
+
+def at_gains(found: Solution) -> Solution:
+    """Least squares of all other unknowns with the gains of a solution; itself without gains."""
+    model = found.model
+    if not model.unknowns.motors:
+        return found
+    rows = model.rows(found.x)
+    system = rows.of(model.unknowns.arm)
+    estimate = model.combined(system, weighted_least_squares(system))
+    return replace(found, x=model.x_of(estimate, found.x), rows=rows, estimate=estimate)
+
+
+def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
+    """Equation (C) about the x of the rows: of all free unknowns."""
+    if model.unknowns.motors:
+        weights = joint_weights_of(rows)
+        found = instrumental_variables(rows.system, rows.Z, weights)
+    else:
+        found = solver_of(method)(rows.system)
+    return model.combined(rows.system, found)
+
+
+def joint_weights_of(rows: Rows) -> Array:
+    """1/s_j (n,) of the residuals about x, N m or N: at wrong gains least squares has others."""
+    system = rows.system
+    rho = system.Y - system.W @ rows.x[: len(system.names)]
+    s = np.sqrt(
+        np.bincount(system.joint_of_row, rho**2, len(system.rows)) / np.maximum(1, system.rows)
+    )
+    return np.asarray(1.0 / np.where(s > 0, np.maximum(s, 1e-6 * s.max()), 1.0))
+
+
+def settle(model: Model, x: Array, rows: Rows, method: Method) -> Solution:
+    """Steps x + (Z'J)^-1 Z'r, equation (C), until none is above a thousandth of a deviation, halved
+    where the next one would move more torque, by the weights of the step before: those of least
+    squares rise as the residual falls. One is enough without load friction and gains.
+    """
+    estimate, settled = step_of(model, rows, method), True
+    for _ in range(MAX_STEPS if len(model.load) or model.unknowns.motors else 0):
+        step = model.x_of(estimate, x) - x
+        sigma = model.x_of(replace(estimate, beta=estimate.sigma), 0 * x)
+        if (np.abs(step) <= np.maximum(MAX_STEP * sigma, MIN_CHANGE * np.abs(x).max())).all():
+            break
+        share, before = 1.0, _torque(rows, step, estimate.weights)
+        while share > MIN_STEP:
+            tried = model.rows(x + share * step)
+            found = step_of(model, tried, method)
+            left = model.x_of(found, x) - x - share * step
+            if _torque(tried, left, estimate.weights) <= before:
+                break
+            share /= 2
+        else:  # at an edge of the absolute value, from which every step leads back
+            break
+        x, rows, estimate = x + share * step, tried, found
+    else:
+        settled = not model.unknowns.motors
+    x = model.x_of(estimate, x)
+    return Solution(model=model, x=x, rows=rows, estimate=estimate, settled=settled)
+
+
+def _torque(rows: Rows, step: Array, weights: Array) -> float:
+    """|J step| with `weights` (n,): the torque that a step moves."""
+    W = rows.system.weighted(weights)[0]
+    return float(np.linalg.norm(W @ step[: W.shape[1]]))
+
+
+def solution_of(found: Solution, *, essential: bool) -> LeastSquares:
+    """Least squares with its reduction, intervals and torque, from the rows before the last step,
+    which is small or, of linear terms, the only one.
+    """
+    model, rows = found.model, found.rows
+    full = found.estimate
+    tau, predicted, _ = model.torques(found.x, full)
+    rho = (tau - predicted) * full.weights * rows.counts
+    system = rows.of(np.arange(len(full.names)))
+    of_full = intervals_of(system, full)
+    reduction = estimation.essential_parameters(
+        system, full, correlation=autocorrelation(rho) or 0.0
+    )
+    estimate = full
+    if essential:
+        system = system.with_columns(reduction.kept)
+        estimate = model.combined(system, reduction.estimate)
+        predicted = model.predicted(found.x, estimate)
+    return LeastSquares(
+        estimate=estimate,
+        intervals=intervals_of(system, estimate),
+        full=full,
+        of_full=of_full,
+        essential=reduction,
+        tau_predicted=predicted,
+    )
+
+
+def refuse_without_scale(model: Model, rows: Rows, arm: NDArray[np.intp]) -> None:
+    """Refuse recordings whose known torques are no more than the robot's parameters could give."""
+    of, system = model.unknowns, rows.system
+    Y, W = system.Y, system.W[:, arm]
+    size = np.linalg.norm(W, axis=0)
+    A = W / np.where(size > 0, size, 1.0)
+    left = np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y, rcond=1e-10)[0])
+    typical = np.linalg.norm(rows.tau * rows.share)
+    if left > MIN_KNOWN_SHARE * max(float(np.linalg.norm(Y)), 1e-9 * float(typical)):
+        return
+    payloads = {one.payload for one in of.payloads}
+    several = len(payloads) + any(one.payload is None for one in of.arms) > 1
+    if several and any(payload.center_of_mass_m is None for payload in payloads):
+        raise BadInputError(
+            "an unknown mass does not determine the scale: weigh it, or fit with drive gains "
+            "that are known"
+            if any(payload.mass_kg is None for payload in payloads)
+            else "the mass alone does not determine the scale: give its centre of mass",
+            key="payload",
+            expected="KG@X,Y,Z",
+        )
+    raise BadInputError(
+        "no recording differs in payload",
+        place=", ".join(problem.signals.recording for problem in model.problems),
+        key="gains",
+        expected="one recording without and one with a payload",
+    )
+
+
+def leave_out_load(model: Model, x: Array, method: Method) -> tuple[Model, Array]:
+    """The model without load friction that may be zero about x, the least certain first, and x."""
+    rows, left_out = model.rows(x), dict[str, str]()
+    arm, names = rows.of(model.unknowns.arm), [model.names[i] for i in model.load]
+    while names := [name for name in names if name not in left_out]:
+        kept = arm.with_columns(np.flatnonzero([name not in left_out for name in arm.names]))
+        if worst := most_collinear(model.problem, kept, names):
+            left_out |= worst
+            continue
+        found = intervals_of(kept, estimate := solver_of(method)(kept))
+        places = [estimate.names.index(name) for name in names]
+        value, half = estimate.beta[places], found.half[places]
+        least = int(np.argmin(np.abs(value) / np.maximum(half, 1e-300)))
+        if abs(value[least]) >= half[least]:
+            break
+        joint = model.problem.joint_of(names[least])
+        text = f"{names[least]} = {value[least]:.2g} ± {half[least]:.2g} may be zero"
+        left_out[names[least]] = f"load friction of joint {joint} left out: {text}"
+    return model.without(left_out), x[[name not in left_out for name in model.unknowns.all]]
+
+
+def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
+    """The model without the friction terms, other than load friction, whose columns are nearly a
+    sum of others; and its rows.
+    """
+    of, base = model.problem.model, model.problem.base
+    kinds = {
+        name: getattr(of.sources[c], "kind", None)
+        for name, c in zip(base.names, base.columns, strict=True)
+    }
+    shapes = [name for name, kind in kinds.items() if kind in SHAPES and kind != "load"]
+    left_out = dict[str, str]()
+    refuse_standing_joints(model, rows.share)
+    places = np.arange(len(model.names))
+    while worst := most_collinear(model.problem, rows.system.with_columns(places), shapes):
+        left_out |= worst
+        shapes = [name for name in shapes if name not in left_out]
+        places = np.flatnonzero([name not in left_out for name in model.names])
+    return model.without(left_out), rows.without(left_out)
+
+
+def most_collinear(problem: Problem, system: System, indices: Collection[str]) -> dict[str, str]:
+    """The most collinear of these parameters and a message; {} if none exceeds the limit."""
+    shares = independent_norm(system, indices)
+    lowest = min(shares, key=lambda name: shares[name], default=None)
+    if lowest is None or shares[lowest] >= MIN_INDEPENDENT_NORM:
+        return {}
+    kind = problem.term_of(lowest).kind
+    finding = (
+        f"{kind} friction of joint {problem.joint_of(lowest)} left out: {lowest} cannot be "
+        "distinguished from the others"
+    )
+    return {lowest: f"{finding} ({100 * shares[lowest]:.1f} % of its column is independent)"}
+
+
+def independent_norm(system: System, names: Collection[str]) -> dict[str, float]:
+    """By parameter the share of its column's norm that is independent of the other
+    columns, in the rows used.
+    """
+    if not names:
+        return {}
+    norms = np.linalg.norm(system.W, axis=0)
+    seen = norms > 1e-12 * norms.max()
+    _, singular, Vt = np.linalg.svd(r_factor(system.W[:, seen] / norms[seen]))
+    # Row i of the inverse is normal to all other columns; 1 over its length is
+    # the share of column i.
+    left = 1.0 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
+    shares = dict.fromkeys(names, 0.0)
+    of_seen = (name for name, s in zip(system.names, seen, strict=True) if s)
+    return shares | {
+        name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares
+    }
+
+
+def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
+    """The model with the ramps that give smaller half-widths, in the median of the parameters; and
+    its rows about the start.
+
+    No weights, but rows in which joints move, are tried where moves are short; abrupt weights where
+    no ramps determine the parameters. Unchanged where no sample stands, or the ramps are stated.
+    """
+    x, ramps = model.start(), [LONG, SHORT]
+    longest = [sample_weights(one.problem.with_samples()) for one in model.equations]
+    stand = any(((w.of_rows > 0) & (w.of_rows < 1)).any() for w in longest)
+    if model.overrides.ramp_rows is not None or not stand:
+        return model, model.rows(x)
+    if any(min(weights.ramps) < LONG for weights in longest):
+        ramps.append(ROWS)
+    robots = model.robots(x) if instruments else ()
+
+    def at(ramp: float) -> tuple[Model, Rows]:
+        one = model.with_ramps(ramp)
+        with suppress(BadInputError):  # what cannot be simulated is told after least squares
+            return one, one.along_reference(robots, x) if instruments else one.rows(x)
+        return one, one.rows(x)
+
+    tried, half = {ramp: at(ramp) for ramp in ramps}, dict[float, dict[str, float]]()
+    # a joint that the reference holds has no instruments along it
+    for along in (instruments, False):
+        if len(half) < len(tried):
+            each = {ramp: _half_widths(*one, along=along) for ramp, one in tried.items()}
+            half = {ramp: found for ramp, found in each.items() if found}
+    if not half:
+        others = (one for ramp in OTHERS if _half_widths(*(one := at(ramp)), along=False))
+        return next(others, tried[LONG])
+    best = next(iter(half))
+    for ramp, of in half.items():
+        if np.median([of[x] / half[best][x] for x in of.keys() & half[best].keys()]) < 1:
+            best = ramp
+    return tried[best]
+
+
+def _half_widths(model: Model, rows: Rows, *, along: bool) -> dict[str, float]:
+    """Half-widths by parameter, without load friction, of least squares or of the instruments
+    `along` another motion; {} where parameters are undetermined.
+    """
+    with suppress(NoFitError):
+        model, rows = leave_out_collinear_terms(model, rows)
+        places = np.setdiff1d(model.unknowns.arm, model.load)
+        system = rows.of(places)
+        estimate = weighted_least_squares(system)
+        if along and rows.Z.size:
+            estimate = instrumental_variables(system, rows.Z[:, places], estimate.weights)
+        half = intervals_of(system, estimate).half
+        return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}
+    return {}

@@ -1,0 +1,148 @@
+"""The lag of the recorded torque, equation (G): by rows of its own, fast ones, whitened, combined
+by variances with what is known (effort timing of the recording, replay of the described law).
+
+To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It
+is that of the simulated torque, as column and as instrument, so that position noise does not bias
+it; least squares would find a false lag. Near a reversal friction rises smoothly where the model
+has a step, which looks like a lag, so only rows faster than a fifth of the peak speed count.
+Position noise grows with frequency and hides a lag: the rows of joint j are filtered along time by
+1 - a_1 B ... - a_6 B^6, B the row before, of its residual. Drive gains are held in them, as the
+recorded torque is noise in whitened rows.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..arrays import Array
+from ..errors import NoFitError
+from ..estimation import (
+    LEVEL,
+    SpanRows,
+    System,
+    autoregression,
+    instrumental_variables,
+    intervals_of,
+    t_quantile,
+)
+from .blocks import MotionBlock
+from .problem import Problem
+from .settings import KnownLag
+from .states import LAG_ORDER, fast_for_lag, fast_for_lag_by
+
+CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lag:
+    """The lag of the torque of recordings of equal timing, s, positive: late.
+
+    Attributes:
+        value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval
+            is `reach` deviations.
+        source: where the value comes from; `prior`: the lag as known without a fit.
+        found: value, deviation and its degrees of freedom by the instruments alone; None where
+            they do not determine it.
+        delay_s: time from command to torque and half its interval, where the described
+            controller was replayed.
+        moved: (b,) shift of each parameter by one deviation of the lag.
+        recordings: their names.
+    """
+
+    value_s: float
+    sd_s: float
+    reach: float
+    source: str
+    prior: KnownLag
+    found: tuple[float, float, int] | None
+    delay_s: tuple[float, float] | None = None
+    moved: Array = field(default_factory=lambda: np.zeros(0))
+    recordings: tuple[str, ...] = ()
+
+    @property
+    def half_width_s(self) -> float:
+        """Half its 95 % interval."""
+        return self.reach * self.sd_s
+
+
+def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag:
+    """The lag of a group from its prior and the data, `found` as in `Lag`, compared by
+    Student's t as of Welch (1947).
+    """
+    counted, reach = prior, 2.0
+    if found is not None and not prior.stated:
+        value, sd, freedom = found
+        data, both = (
+            KnownLag(value_s=value, sd_s=sd, source="data"),
+            float(np.hypot(sd, prior.sd_s)),
+        )
+        reach = t_quantile(0.5 + LEVEL / 2, freedom)
+        far = (
+            abs(value - prior.value_s)
+            > t_quantile(1 - CHANCE / 2, freedom * (both / sd) ** 4) * both
+        )
+        counted = data if far else prior.with_other(data)
+    value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
+    return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
+
+
+def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
+    """The lags (K,) that rows of the lag about `now_s` (K,) and their instruments find, together
+    with what is known.
+    """
+    found: list[tuple[float, float, int] | None] = [None] * len(lags)
+    with suppress(NoFitError):  # the rows do not determine them
+        found = list(_found(*late, now_s))
+    return [combined_lag(lag.prior, one) for lag, one in zip(lags, found, strict=True)]
+
+
+def _found(system: System, Z: Array, now_s: Array) -> list[tuple[float, float, int]]:
+    """Lags, s, their deviations and degrees of freedom, by instruments Z."""
+    K = len(now_s)
+    size = np.sqrt(
+        np.bincount(system.joint_of_row, system.Y**2, len(system.rows)) / np.maximum(1, system.rows)
+    )
+    if not size.max() > 0:
+        raise NoFitError("the fit is exact")
+    step = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
+    within = intervals_of(system, step)
+    values, sd = (now_s + step.beta[-K:]).tolist(), within.sigma[-K:].tolist()
+    return [(*one, within.freedom) for one in zip(values, sd, strict=True)]
+
+
+class LagCollector:
+    """Collects the rows of a recording that show its lag, block by block."""
+
+    def __init__(self, problem: Problem, share: Array, left: Array, speed: Array) -> None:
+        """Of a recording with the weights `share`, whose residuals `left` set the filters, by the
+        measured `speed`; all (T, n).
+        """
+        self._share = share
+        self._sliding = np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
+        used = fast_for_lag_by(problem, speed, self._sliding) & (share.T > 0)
+        self._filters = [
+            np.r_[1.0, -autoregression(r * fast, LAG_ORDER)]
+            for r, fast in zip(left.T, used, strict=True)
+        ]
+        self._collected = SpanRows(*share.shape)
+
+    def add(self, rows: Array, z: MotionBlock) -> None:
+        """Add the rows [Z J r] (n, columns, T) of a block, of those that are fast along z."""
+        at = z.at
+        share = self._share[at.first : at.last]
+        used = fast_for_lag(z, self._sliding) & (share.T > 0)
+        white, counts, T = np.zeros_like(rows), used.copy(), rows.shape[2]
+        counts[:, :LAG_ORDER] = False
+        for k in range(LAG_ORDER + 1):
+            h = np.array([own[k] for own in self._filters])[:, None, None]
+            white[..., k:] += h * rows[..., : T - k]
+            counts[:, LAG_ORDER:] &= used[:, LAG_ORDER - k : T - k]
+        self._collected.add(at.first, white, share * counts.T)
+
+    def rows(self, names: tuple[str, ...]) -> tuple[System, Array]:
+        """The system of the unknowns with these `names`, and its instruments (r, columns)."""
+        A, _, followed = self._collected.rows()
+        Z, J, r = np.split(A, [len(names), 2 * len(names)], axis=1)
+        return System(W=J, Y=r[:, 0], names=names, **followed), Z

@@ -1,0 +1,296 @@
+"""The rows of a recording about values of the unknowns, equations (5), (6) and (C): weighted,
+decimated, stacked by joint and span of time.
+
+    r(x) = F[w (known + drives(x) - arm(x) - load(x))]     the residual, along the measured motion
+    J = -dr/dx                                             the columns of all terms, along it
+    Z                                                      the same columns along another motion
+
+Where a span has more rows than columns it has their QR factor, with the same products of columns.
+Linear terms give Y = W beta + rho with W = J and Y = r + J x.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise, repeat
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..estimation import SpanRows, System, by_joint, one_thread, stacked
+from .blocks import MotionBlock, motion_blocks, predicted_torque
+from .lag import LagCollector
+from .problem import Problem
+from .states import fast_for_lag
+from .terms import Drives, Load, Term, load_friction
+from .unknowns import Arm, Unknowns, make_unknowns
+from .weights import sample_weights
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equation:
+    """The equation of motion of a recording, a sum of terms (C).
+
+    Attributes:
+        problem: recording, settings, and model of the robot.
+        arm: its term; `terms`: all of them.
+        drives: the term of the drives.
+        names: (f,) of the free unknowns, the first of x.
+        gains: places of those that are gains of drives; `lags`: places of the lags in x.
+    """
+
+    problem: Problem
+    arm: Arm
+    drives: Drives
+    terms: tuple[Term, ...]
+    names: tuple[str, ...]
+    gains: NDArray[np.intp]
+    lags: NDArray[np.intp]
+
+    @cached_property
+    def regressors(self) -> NDArray[np.intp]:
+        """Places of the unknowns whose columns are of the measured motion: all but the lags, as
+        the rate of a recorded torque is noise.
+        """
+        return np.arange(len(self.arm.unknowns) - len(self.lags))
+
+    def instruments(self, *, along: bool) -> NDArray[np.intp]:
+        """Places of the unknowns that have an instrument `along` another motion: all free ones and
+        the lags; along the measured one, gains and lags, whose torque has no noise.
+        """
+        free = np.arange(len(self.names))
+        return np.concatenate([free if along else self.gains, self.lags])
+
+    def residual(self, x: Array, motion: MotionBlock) -> Array:
+        """r (n, rows): the known torque that no term explains."""
+        return np.asarray(motion.known - sum(term.torque(x, motion) for term in self.terms))
+
+    def columns(self, x: Array, motion: MotionBlock) -> Array:
+        """J = -dr/dx (n, p, rows), or Z along another motion."""
+        return np.asarray(sum(term.columns(x, motion) for term in self.terms))
+
+
+def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
+    """The equation of motion of recording k."""
+    arm, robot = unknowns.arms[k], problem.signals.robot
+    drives = Drives(R=robot.R, gains=unknowns.gain_places(robot), lag=unknowns.lag_of(k))
+    load = load_friction(problem.model, problem.base)
+    of_load = () if load is None else (Load(P=arm.P, known=arm.known, of=load),)
+    return Equation(
+        problem=problem,
+        arm=arm,
+        drives=drives,
+        terms=(arm, drives, *of_load),
+        names=unknowns.names,
+        gains=np.arange(len(unknowns.names))[unknowns.gains],
+        lags=unknowns.lags,
+    )
+
+
+def equation_alone(problem: Problem) -> tuple[Equation, Array]:
+    """The equation of motion of a recording by itself, and x of nothing but its lag."""
+    unknowns = make_unknowns([problem])
+    return equation_of(problem, unknowns, 0), unknowns.start([problem.settings.torque_lag_s])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """The rows of recordings about x, and the measurements at their decimated instants.
+
+    Attributes:
+        x: (p,) values of the unknowns.
+        period_s: of the samples of the recording.
+        system: of the free ones: W = J, Y = r + J x.
+        L: (r, h + K) columns of what is held, and of the lags.
+        C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for;
+            `fast`: (r,) which rows of them show a lag.
+        Z: (r, f) instruments of the free unknowns; (r, 0) where they are W itself.
+        share: (T, n) weights of the decimated samples, 0 for those that do not count.
+        tau: (T, n) decimated torques by x, not weighted.
+        speed: (T, n) joint speeds.
+        recorded: whether Z are along the measured motion.
+        late: rows of the lag, of unknowns but gains: residual r, columns J and last of the lags;
+            and their instruments. None along the measured motion.
+    """
+
+    x: Array
+    period_s: float
+    system: System
+    L: Array
+    C: Array
+    fast: NDArray[np.bool_]
+    Z: Array
+    share: Array
+    tau: Array
+    speed: Array
+    recorded: bool
+    late: tuple[System, Array] | None = None
+
+    @property
+    def parts(self) -> tuple[int, ...]:
+        """Numbers of decimated samples of the recordings, in sequence."""
+        return tuple(int(spans[-1]) for spans in self.system.spans)
+
+    @property
+    def counts(self) -> NDArray[np.bool_]:
+        """(T, n) whether a decimated sample counts."""
+        return self.share > 0
+
+    def of(self, places: NDArray[np.intp]) -> System:
+        """The system of some of the free unknowns; the others are held at x."""
+        system, held = self.system, np.delete(np.arange(len(self.system.names)), places)
+        Y = system.Y - system.W[:, held] @ self.x[held] if len(held) else system.Y
+        return replace(system, Y=Y).with_columns(places)
+
+    def without(self, names: Collection[str]) -> "Rows":
+        """The same without the columns of some parameters."""
+        if not names:
+            return self
+        stay = np.array([name not in names for name in self.system.names])
+        x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
+        Z = self.Z[:, stay] if self.Z.size else self.Z
+        return replace(self, x=x, Z=Z, system=self.system.with_columns(np.flatnonzero(stay)))
+
+    def about(self, x: Array) -> "Rows":
+        """The same about other values of what is held and of the lags, to first order."""
+        f = len(self.system.names)
+        Y = self.system.Y - self.L @ (x - self.x)[f:]
+        return replace(self, x=x, system=replace(self.system, Y=Y))
+
+
+class Candidate(Protocol):
+    """What is asked for its columns along a motion of a recording, beside the terms."""
+
+    @property
+    def sliding(self) -> Array:
+        """(c,) largest speeds along the directions of Coulomb friction."""
+
+    def columns(self, motion: MotionBlock) -> Array:
+        """(n, k, rows), weighted and decimated."""
+
+
+@one_thread
+def rows_of_recording(
+    equation: Equation,
+    x: Array,
+    further: Candidate | None = None,
+    along: Iterable[MotionBlock] | None = None,
+    *,
+    of_lag: bool = False,
+) -> Rows:
+    """The rows [C Z J r] of a recording about x (p,), block by block: J is never whole in memory.
+
+    Z are the columns `along` another motion, given by block; without one, along the measured one,
+    with the torque of the drives that x predicts, as the recorded one is noisy. `further` columns
+    are C. With `of_lag` there are rows of the lag, along the other motion.
+    """
+    problem = equation.problem.with_samples()
+    share, beta, names = sample_weights(problem).of_rows, equation.arm.beta(x), equation.names
+    collected, parts = SpanRows(*share.shape), list[tuple[Array, Array]]()
+    arm = np.setdiff1d(np.arange(len(names)), equation.gains)
+    of_late = np.r_[arm, equation.lags]
+    lag = LagCollector(problem, share, *residuals(equation, x)) if of_lag else None
+    places, k = equation.instruments(along=along is not None), 0
+    others: Iterable[MotionBlock | None] = repeat(None) if along is None else along
+    for motion, other in zip(motion_blocks(problem), others, strict=False):
+        # The robot may have been prepared for other weights.
+        z = (motion if other is None else replace(other, problem=problem)).with_torque_of(beta)
+        J, Z = equation.columns(x, motion), equation.columns(x, z)
+        r, C, fast = equation.residual(x, motion)[:, None], J[:, :0], None
+        if lag is not None:
+            J[:, equation.lags] = Z[:, equation.lags]
+            lag.add(np.concatenate([Z[:, of_late], J[:, of_late], r], axis=1), z)
+        if further is not None:
+            C = further.columns(z)
+            fast = fast_for_lag(z, further.sliding)
+        k = C.shape[1]
+        A = np.concatenate([C, Z[:, places], J[:, equation.regressors], r], axis=1)
+        collected.add(motion.at.first, A, motion.share.T, fast)
+        tau = motion.filtered(equation.drives.measured(x, motion).T).T
+        parts.append((tau, motion.kept(motion.dq)))
+    tau, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
+    rows, fast_rows, followed = collected.rows()
+    C, Z, J, r = np.split(rows, np.cumsum([k, len(places), len(equation.regressors)]), axis=1)
+    W, f = J[:, : len(names)], len(names)
+    own = len(places) - len(equation.lags)
+    instruments = Z[:, :own]
+    if 0 < own < f:
+        instruments = W.copy()
+        instruments[:, equation.gains] = Z[:, :own]
+    of_lag_names = (*(names[i] for i in arm), *(equation.arm.unknowns[i] for i in equation.lags))
+    return Rows(
+        x=x,
+        period_s=1 / problem.signals.sample_rate_hz,
+        system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names, **followed),
+        L=np.c_[J[:, f:], Z[:, own:]],
+        C=C,
+        fast=fast_rows,
+        Z=instruments,
+        share=share,
+        tau=tau,
+        speed=speed,
+        recorded=along is None,
+        late=None if lag is None else lag.rows(of_lag_names),
+    )
+
+
+def residuals(equation: Equation, x: Array) -> tuple[Array, Array]:
+    """The residuals (T, n) of a recording about x, weighted, and the speeds (T, n)."""
+    tau, predicted, speed = torque_of_recording(equation, x)
+    share = sample_weights(equation.problem.with_samples()).of_rows
+    return share * (tau - predicted), speed
+
+
+def stacked_rows(each: Sequence[Rows]) -> Rows:
+    """The rows of recordings about the same x, stacked joint by joint, in the order given."""
+    if len(each) == 1:
+        return each[0]
+    order = by_joint([rows.system for rows in each])
+    of_rows = {name: np.concatenate([getattr(r, name) for r in each])[order] for name in "LCZ"}
+    of_time = {n: np.concatenate([getattr(r, n) for r in each]) for n in ("share", "tau", "speed")}
+    late, instruments = zip(*(rows.late or (None, None) for rows in each), strict=True)
+    return Rows(
+        x=each[0].x,
+        period_s=each[0].period_s,
+        system=stacked([rows.system for rows in each]),
+        fast=np.concatenate([rows.fast for rows in each])[order],
+        **of_rows,
+        **of_time,
+        recorded=each[0].recorded,
+        late=None if None in late else (stacked(late), np.concatenate(instruments)[by_joint(late)]),
+    )
+
+
+@one_thread
+def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Array, Array, Array]:
+    """Torque measured and predicted, and joint speed, each (T, n), decimated;
+    without W, and no weights.
+
+    The measured torque has lag and gains of x (p,). Each of `betas`, (b,) each, by default that of
+    x, predicts one of as many equal spans of the rows.
+    """
+    problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
+    parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)
+    rows, fs = len(settings.instants), problem.signals.sample_rate_hz
+    # as spans of time end
+    edges = settings.stop - settings.decimation * (
+        rows + -np.arange(len(betas) + 1) * rows // len(betas)
+    )
+    for motion in motion_blocks(problem):
+        N = len(motion.q)
+        cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
+        predicted = np.concatenate(
+            [
+                predicted_torque(motion.part(slice(first, last)), *of, beta)
+                for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
+                if first < last
+            ]
+        )
+        measured = equation.drives.measured(x, motion)
+        parts.append(
+            (motion.filtered(measured.T).T, motion.filtered(predicted.T).T, motion.kept(motion.dq))
+        )
+    tau, predicted, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return tau, predicted, speed

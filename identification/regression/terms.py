@@ -1,0 +1,159 @@
+"""The model as a sum of terms, equation (C): known torque = sum of the torques of all terms + r.
+
+A term is asked two things along a motion, measured or simulated: the torque that it explains, and
+its columns, the derivatives of that torque by the unknowns x. The torques of `Drives` are negative,
+as they stand on the other side. J and Z are the same columns along two motions. The term `Arm` of
+links, rotors, friction and payload stands in `unknowns`.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..model import BaseParameters, InverseModel, JointTerm, direct_model
+from .blocks import MotionBlock
+
+
+class Term(Protocol):
+    """A part of the equation of motion; all arrays are weighted and decimated, in N m or N."""
+
+    def torque(self, x: Array, motion: MotionBlock) -> Array:
+        """Torque (n, rows) by the unknowns x (p,)."""
+
+    def columns(self, x: Array, motion: MotionBlock) -> Array:
+        """Derivatives (n, p, rows) of the torque by the unknowns, about x (p,)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drives:
+    """The torque of the drives, -sum_m kappa_m E_m(t + L), equation (I): factors kappa on the
+    described gains and the lag L are unknowns.
+
+    E_m is the torque at the joints of motor m by its described gain.
+
+    Attributes:
+        R: (n, n) motor matrix.
+        gains: (n,) places of kappa in x; -1 for a gain that is described.
+        lag: place of L in x, in s; positive: the torque is recorded late.
+    """
+
+    R: Array
+    gains: NDArray[np.intp]
+    lag: int
+
+    def factors(self, x: Array) -> Array | None:
+        """kappa (n,); None where all gains are described."""
+        of = self.gains >= 0
+        return np.where(of, x[self.gains], 1.0) if of.any() else None
+
+    def at_joints(self, x: Array, motion: MotionBlock) -> Array:
+        """sum_m kappa_m E_m(t + L), (N, n); a torque that is not recorded is that already."""
+        tau, kappa = motion.drives(x[self.lag]), self.factors(x)
+        if kappa is None or not motion.recorded:
+            return tau
+        return np.asarray((np.linalg.solve(self.R.T, tau.T).T * kappa) @ self.R)
+
+    def measured(self, x: Array, motion: MotionBlock) -> Array:
+        """The torque (N, n) at the joints, of the drives and the known one."""
+        tau, known = self.at_joints(x, motion), motion.problem.known(motion.t_s)
+        return tau if known is None else tau + known
+
+    def torque(self, x: Array, motion: MotionBlock) -> Array:
+        """-F[w sum_m kappa_m E_m(t + L)]."""
+        return -motion.weighted(self.at_joints(x, motion).T)
+
+    def columns(self, x: Array, motion: MotionBlock) -> Array:
+        """-F[w E_m(t + L)] of kappa_m, and of L minus the rate of the torque."""
+        tau, found = self.at_joints(x, motion), np.zeros((len(self.R), len(x), len(motion.share.T)))
+        if (kappa := self.factors(x)) is not None:
+            E = np.linalg.solve(self.R.T, tau.T) / kappa[:, None]
+            for m in np.flatnonzero(self.gains >= 0):
+                acts = np.flatnonzero(self.R[m])
+                column = motion.weighted(self.R[m, acts, None] * E[m], acts)
+                found[acts, self.gains[m]] = -column
+        found[:, self.lag] = -motion.weighted(motion.rate(tau).T)
+        return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadFriction:
+    """Joints (k,) with load friction, and the places (k,) of their mu in the b base
+    parameters `base` of `model`.
+    """
+
+    joints: NDArray[np.intp]
+    places: NDArray[np.intp]
+    model: InverseModel
+    base: BaseParameters
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Load:
+    """Load friction, equation (H): mu_j |tau_links| sign(dq_j), with tau_links the torque of the
+    links alone on the motion's own grid, before any decimation.
+
+    About x its columns are |tau_links| sign(dq) of mu_j, and mu_j s W of the links' parameters,
+    s = sign(tau_links) sign(dq): the residual is that of the model itself, so steps converge to
+    the best fit, and intervals are valid for mu and the links together.
+
+    Attributes:
+        P, known: the base parameters P x + known, (b,), as of `Arm`.
+        of: its joints and places.
+    """
+
+    P: Array
+    known: Array
+    of: LoadFriction
+
+    def torque(self, x: Array, motion: MotionBlock) -> Array:
+        """F[w mu_j |tau_links| sign(dq_j)]."""
+        beta, found = self.P @ x + self.known, np.zeros_like(motion.share)
+        found[self.of.joints] = beta[self.of.places, None] * self._sizes(beta, motion)[0]
+        return found
+
+    def columns(self, x: Array, motion: MotionBlock) -> Array:
+        """Those of mu_j, and of the links' parameters beside their own."""
+        beta, links, W = self.P @ x + self.known, self.of.base.links, np.zeros_like(motion.W)
+        each = zip(self.of.joints, self.of.places, *self._sizes(beta, motion), strict=True)
+        for j, place, size, s in each:
+            W[j, links] = beta[place] * s * motion.W[j, links]
+            W[j, place] = size
+        return times(W, self.P)
+
+    def _sizes(self, beta: Array, motion: MotionBlock) -> tuple[Array, Array]:
+        """F[w |tau_links| sign(dq)] and s at the rows, (k, rows) each."""
+        joints, of = self.of.joints, (self.of.model, self.of.base, beta)
+        links = torque_of_links(*of, motion.q, motion.dq, motion.ddq)[:, joints]
+        sign = np.sign(motion.dq[:, joints])
+        # s is only a derivative: without the filter it does not move the solution.
+        s = motion.kept(np.sign(links) * sign).T
+        return motion.weighted((np.abs(links) * sign).T, joints), s
+
+
+def times(W: Array, P: Array) -> Array:
+    """W P (n, p, rows) of W (n, b, rows) and P (b, p)."""
+    return np.asarray(np.matmul(P.T, W))
+
+
+def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction | None:
+    """The load friction in the base parameters of a robot; None if there is none."""
+    found = [
+        (int(source.rows[0]), place)
+        for place, source in enumerate(model.sources[c] for c in base.columns)
+        if isinstance(source, JointTerm) and source.kind == "load"
+    ]
+    if not found:
+        return None
+    joints, places = np.array(found, dtype=np.intp).T
+    return LoadFriction(joints=joints, places=places, model=model, base=base)
+
+
+def torque_of_links(
+    model: InverseModel, base: BaseParameters, beta: Array, q: Array, dq: Array, ddq: Array
+) -> Array:
+    """tau_rigid (N, n) of base parameters beta (b,) along a motion."""
+    links = direct_model(model, base.standard_parameters(np.where(base.links, beta, 0.0)))
+    return links.torque(q, dq, ddq)
