@@ -83,17 +83,13 @@ class Loop:
             self.fitted = np.union1d(ls.essential.kept, others)
 
     def simulated(
-        self, x: Array, asked: tuple[Array, Array | None] | None, *, of_lag: bool
+        self, x: Array, asked: tuple[Array, Array | None] | None, *, tests: bool, of_lag: bool
     ) -> tuple[Simulated, ...]:
-        """The robot simulated with what is asked, as of `Model.simulated`, and rows about x with
-        the columns of terms that are not in the model.
+        """The robot simulated with what is asked, as of `Model.simulated`, and rows about x, for
+        `tests` with the columns of terms that are not in the model.
         """
-        model = self.model
-        further, of_lag = (
-            model.candidates(x, self.speed, simulated=True),
-            of_lag and model.exogenous,
-        )
-        return model.simulated(self.robots, x, asked, further, of_lag=of_lag)
+        further = self.model.candidates(x, self.speed, simulated=True) if tests else ()
+        return self.model.simulated(self.robots, x, asked, further, of_lag=of_lag)
 
     def step(self, rows: Rows) -> Estimate:
         """Equations (C), (D): (Z'J)⁻¹ Z'r."""
@@ -111,7 +107,10 @@ class Loop:
     ) -> Pass:
         """The pass about x with what is simulated: its estimate, changes, whether it settled."""
         names, other = self.model.names, asked is not None and asked[0] is not x
-        z = self.simulated(x, asked, of_lag=not other)  # q_s, dq_s, ddq_s, with (E)
+        of_lag = self.model.exogenous and not other
+        # The first pass is not the last one where a lag is looked for, and needs no tests.
+        tests = not of_lag or before is not None or all(lag.prior.stated for lag in lags)
+        z = self.simulated(x, asked, tests=tests, of_lag=of_lag)  # q_s, dq_s, ddq_s, with (E)
         rows = self.model.along(z)  # (6)
         rows, lags, settled = with_lags_found(rows, lags, first=before is None)  # (G)
         try:
@@ -228,11 +227,10 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     after = confirmed(last.estimate, last.covariance)
     tracked = [_tracking(one.z) for one in passes[1:]] + [_tracking(after)]
     best = passes[int(np.argmin(tracked)) if min(tracked) < np.inf else -1]
-    if best is last and last.failure is None:
+    if best is last and last.rows is not None and last.rows.C.size and last.failure is None:
         return replace(last, confirmed_by=after)
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
-    z = loop.simulated(x, best.asked, of_lag=False)
-    rows = model.along(z)
+    rows = model.along(z := loop.simulated(x, best.asked, tests=True, of_lag=False))
     estimate = loop.step(rows)
     if best is not last:
         after = confirmed(estimate, best.covariance)
