@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from conftest import REPLAY
+from described_truth import off
 from independent_robots import plant
 from independent_simulator import Imperfections, Runs, described_controller, references, simulate
 
@@ -14,7 +15,6 @@ from acquisition.importing import import_tables
 from acquisition.robot import load_robot
 from identification.data import load_signals
 from identification.methods import identify_ls
-from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
 STEPS_MS, SHARES = (8, 9, 10, 11, 12, 13), (0.1, 0.2, 0.4, 0.15, 0.1, 0.05)
@@ -95,6 +95,5 @@ def covered(folder: Path, runs: int, duration_s: float = 10.0) -> Jittered:
             table = write_table(folder, found, run, seed)
             log = import_tables([table], robot, folder / "map.toml", folder / "log.mcap").out
             fit = identify_ls(load_signals(log, robot), Overrides())
-            true = described_parameters(InverseModel(robot), fit.base)
-            inside.append((fit.intervals.low <= true) & (true <= fit.intervals.high))
+            inside.append(off(fit, robot) <= 1)
     return Jittered(inside=np.array(inside))

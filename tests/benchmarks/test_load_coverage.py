@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY
+from described_truth import off
 from independent_robots import plant
 from independent_simulator import (
     Imperfections,
@@ -27,7 +28,6 @@ from independent_simulator import (
 from identification.data import Recordings
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
 RUNS = int(os.environ.get("LOAD_RUNS", "20"))
@@ -65,16 +65,11 @@ def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest,
                 if method == "LS"
                 else identify_iv(given, Overrides(), Iteration())
             )
-            beta = described_parameters(InverseModel(replace(robot, parameters=values)), fit.base)
-            true = dict(zip(fit.base.names, beta, strict=True))
-            off = (
-                np.abs(fit.estimate.beta - [true[name] for name in fit.estimate.names])
-                / fit.intervals.half
-            )
-            inside += list(off < 1)
+            apart = off(fit, replace(robot, parameters=values))
+            inside += list(apart < 1)
             of_mu += [
                 x < 1
-                for x, name in zip(off, fit.estimate.names, strict=True)
+                for x, name in zip(apart, fit.estimate.names, strict=True)
                 if name.startswith("mu")
             ]
             left_out += not {"mu1", "mu2"} < set(fit.estimate.names)

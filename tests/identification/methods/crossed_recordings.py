@@ -2,14 +2,12 @@
 found, and their fits.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
-from friction_models import described, model_of
+from friction_models import described
 from gain_cases import CENTRE, robot_of, with_motors
 from gain_cases import with_gains as described_with
 
@@ -17,7 +15,6 @@ from acquisition.robot import Payload, Robot
 from identification.data import RecordingFile, Recordings, Signals, Work
 from identification.methods import Fit, identify
 from identification.regression import Overrides
-from identification.regression.problem import row_blocks
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
 RATE_HZ = 500.0
@@ -27,7 +24,6 @@ COLUMNS = ("velocity", "known_torque", "feedforward", "reference", "payload")
 CONCERNS = ("load", "own", "gains")
 CARRIED = Payload(1.0, CENTRE["scara"])
 KNOWN = np.array([1.0, 0.05])  # N m, known torques
-STATED = {"decimation": 5, "ramp_rows": 0.5, "torque_lag_s": 0.0}
 
 
 @cache
@@ -103,22 +99,6 @@ def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: 
     return identify(Recordings(sources=tuple(map(RecordingFile.at, paths)), work=work), overrides)
 
 
-def as_long(fit: Callable[[], Fit]) -> Fit:
-    """`fit` where rows come block by block."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("identification.regression.problem._SERIES_BLOCK", 20_000)
-        found = fit()
-        assert all(len(row_blocks(one.problem)) > 1 for one in found.recordings)
-    return found
-
-
 def bits(fit: Fit) -> list[bytes]:
     arrays = fit.estimate.beta, fit.intervals.covariance, fit.tau_predicted
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
-
-
-def off(fit: Fit) -> np.ndarray:
-    """Distances from the truth in half-widths."""
-    truth = dict(zip(fit.base.names, model_of(fit.problem.signals.robot)[2], strict=True))
-    true = np.array([truth[name.partition("@")[0]] for name in fit.estimate.names])
-    return np.abs(fit.estimate.beta - true) / fit.intervals.half

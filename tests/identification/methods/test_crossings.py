@@ -1,7 +1,8 @@
 """Recordings with every optional column x load friction, own parameters, drive gains x
-two workers.
+two workers, long ones, instruments along the reference.
 """
 
+import numpy as np
 import pytest
 from crossed_recordings import (
     COLUMNS,
@@ -9,26 +10,34 @@ from crossed_recordings import (
     TRUE,
     bits,
     fitted,
-    off,
     written,
 )
+from described_truth import off
 
 import identification
 from identification import validate
 from identification.data import Work
+from identification.estimation import system
+from identification.regression import problem
+
+TRACKED = "identification.methods.status.MAX_TRACKING_PERCENT"
 
 
 @pytest.mark.parametrize(
-    ("concerns", "columns"),
+    ("concerns", "columns", "tracked"),
     [
-        *((concerns, "all") for concerns in ("plain", "all")),
-        *((concerns, "reference") for concerns in CONCERNS),
-        *((concerns, "payload") for concerns in ("plain", "load", "all")),
-        ("own", "velocity"),
-        ("gains", "known_torque"),
+        *((concerns, "all", 20.0) for concerns in ("plain", "all")),
+        *((concerns, "reference", 20.0) for concerns in CONCERNS),
+        *((concerns, "payload", 20.0) for concerns in ("plain", "load", "all")),
+        ("own", "velocity", 20.0),
+        ("gains", "known_torque", 20.0),
+        ("all", "all", 0.0),  # no simulated robot tracks: instruments along the reference
     ],
 )
-def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_path):
+def test_two_recordings_are_fitted_with_what_they_have(
+    concerns, columns, tracked, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(TRACKED, tracked)
     concerns = frozenset({"all": CONCERNS, "plain": ()}.get(concerns, (concerns,)))
     columns = frozenset(COLUMNS if columns == "all" else (columns,))
     paths = written(tmp_path, concerns, columns)
@@ -36,7 +45,8 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_pa
     assert bits(fitted(paths, concerns, Work(2))) == bits(fit)
     assert fit.status == ("converged" if "reference" in columns else "solved")
     assert fit.iv is None or (
-        fit.iv.controller == "found"
+        (fit.iv.passes[-1].by_reference is None) == bool(tracked)
+        and fit.iv.controller == "found"
         and all(one.problem.law.reason is None for one in fit.recordings)
     )
     assert (off(fit) < 1.5).all()
@@ -60,3 +70,41 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_pa
             one.errors[-1].relative_error_percent, rel=tolerance
         )
         assert again.warnings == []
+
+
+def test_long_recordings_are_fitted_the_same_by_two_workers(tmp_path):
+    concerns = frozenset({"own"})
+    paths = written(tmp_path, concerns, frozenset({"payload"}), 25.0)
+    fit, other = (fitted(paths, concerns, Work(n), decimation=1) for n in (1, 2))
+    assert len(fit.tau_predicted) / 2 > system.SHORT
+    assert bits(fit) == bits(other)
+
+
+@pytest.mark.parametrize(("tracked", "block", "tolerance"), [(20, None, 1e-9), (0, 20_000, 0.01)])
+def test_long_recordings_are_fitted_as_short_ones(tracked, block, tolerance, tmp_path, monkeypatch):
+    """R factors of spans in place of the rows, and samples read again where they are needed; with a
+    simulated robot, and where none tracks, along the reference and with blocks of rows, the first
+    of which do not show a lag.
+    """
+    monkeypatch.setattr(TRACKED, tracked)
+    monkeypatch.setattr(system, "FINE_SPANS", 24)
+    monkeypatch.setattr(system, "SPANS", 24)
+    concerns = frozenset(CONCERNS)
+    paths = written(tmp_path, concerns, frozenset(COLUMNS), 10.0)
+    short = fitted(paths, concerns, Work(), decimation=2)
+    monkeypatch.setattr(system, "SHORT", 0)
+    monkeypatch.setattr(problem, "_SERIES_BLOCK", block or problem._SERIES_BLOCK)
+    monkeypatch.setattr("identification.methods.observation.MAX_CACHED_NUMBERS", 100)
+    fit = fitted(paths, concerns, Work(), decimation=2)
+    assert (len(problem.row_blocks(fit.problem)) > 1) == bool(block)
+    assert len(fit.data.observed.system.Y) < 0.7 * len(short.data.observed.system.Y)
+    assert (fit.estimate.names, fit.status) == (short.estimate.names, "converged")
+    moved = np.abs(fit.estimate.beta - short.estimate.beta) / short.intervals.half
+    assert moved.max() < tolerance
+    np.testing.assert_allclose(fit.intervals.half, short.intervals.half, rtol=tolerance)
+    for one, other in zip(fit.recordings, short.recordings, strict=True):
+        told, expected = (x.errors[-1].relative_error_percent for x in (one, other))
+        assert told == pytest.approx(expected, rel=tolerance)
+    for x, y in zip(fit.trust.lines, short.trust.lines, strict=True):
+        assert (x.test, x.level, x.finding) == (y.test, y.level, y.finding)
+        assert x.value == (y.value and pytest.approx(y.value, rel=100 * tolerance))

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_runs import refused
+from described_truth import off, truth_of
 from gain_cases import GainCase, fit_with_gains, with_gains
 from planned_pairs import planned, planned_pair
 
@@ -38,11 +39,6 @@ from identification.study import write_signals
 
 WHITE = GainCase(robot="scara", white=5.0)
 ALL = Overrides(gains=("all",))
-
-
-def truth_of(fit):
-    """(b,) base parameters of the arm without payload."""
-    return described_parameters(InverseModel(fit.problem.signals.robot), fit.base)
 
 
 def fitted(*signals, **overrides):
@@ -80,7 +76,7 @@ def test_rows_made_by_the_model_give_gains_and_parameters_exactly(robot, catalog
     fit = fit_with_gains(*planned_pair(case))
     np.testing.assert_allclose(fit.gains.values, case.gains, rtol=1e-6)
     true = truth_of(fit)
-    np.testing.assert_allclose(fit.beta, true, rtol=1e-6, atol=1e-6 * np.abs(true).max())
+    np.testing.assert_allclose(fit.estimate.beta, true, rtol=1e-6, atol=1e-6 * np.abs(true).max())
 
 
 def test_a_known_gain_tells_the_scale_without_a_payload():
@@ -260,7 +256,7 @@ def test_free_and_loaded_share_the_arm_and_equal_payloads_their_parameters(pair)
     free, loaded = (with_gains(one, WHITE.gains, None) for one in pair)
     fit = fitted(free, loaded, with_gains(planned(WHITE, loaded.payload, 9), WHITE.gains, None))
     assert fit.estimate.names == fit.base.names
-    assert (np.abs(fit.beta - truth_of(fit)) <= 2.5 * fit.intervals.half).all()
+    assert (off(fit) <= 2.5).all()
     (found,), true = fit.payloads, payload_parameters(InverseModel(free.robot), loaded.payload)
     assert abs(found.values[5] - true[5]) <= 2 * found.half[5] < 0.2 * true[5]
 
@@ -276,11 +272,11 @@ def test_a_lone_loaded_recording_says_whose_parameters_they_are(pair):
         fit = identify_ls(replace(loaded, payload=stated), Overrides())
         model, left = fit.problem.model, np.zeros(10)
         left[within] = payload_parameters(model, loaded.payload)[within]
-        off = fit.beta - truth_of(fit)
+        apart = fit.beta - truth_of(fit)
         assert (
-            np.abs(off - fit.base.K[:, link_columns(model)[-1]] @ left) <= 2 * fit.intervals.half
+            np.abs(apart - fit.base.K[:, link_columns(model)[-1]] @ left) <= 2 * fit.intervals.half
         ).all()
-        assert (np.abs(off) > 2 * fit.intervals.half).any()
+        assert (np.abs(apart) > 2 * fit.intervals.half).any()
         assert fit.trust.line("position noise").level == "ok"
         (why,) = [one.why for one in fit.trust.assumed if one.what == "payload"]
         assert "the parameters include what is not stated of the lightest" in why

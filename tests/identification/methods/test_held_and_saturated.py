@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from described_truth import off
 from independent_robots import plant
 from independent_simulator import (
     Imperfections,
@@ -23,7 +24,6 @@ from acquisition.robot import Joint, Robot
 from identification.data import Signals
 from identification.errors import RobotIdimError
 from identification.methods import Iteration, identify_iv
-from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, largest_of_type
 
 CELL = Imperfections(encoder_noise=2e-5, encoder_step=1e-5, torque_noise_percent=1.0)
@@ -77,10 +77,8 @@ def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
         dataclasses.replace(signals, effort_timing="command"), Overrides(), Iteration()
     )
     assert fit.status == "converged"
-    idm = InverseModel(signals.robot)
-    off = np.abs(fit.beta - described_parameters(idm, base_parameters(idm))) / fit.intervals.half
     moved = [not (held == 0 and name in ("Fv1", "Fc1")) for name in fit.estimate.names]
-    assert off[moved].max() < 1.5
+    assert off(fit)[moved].max() < 1.5
     errors = [joint.position_error_percent for joint in fit.iv.direct]
     assert errors[held] is None
     assert errors[1 - held] < 1.0

@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 from command_runs import refused
 from conftest import REPLAY, robot_named
+from described_truth import truth_of
 from fits_of_records import iv_of, ls_of, signals_of
 
 from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import BadInputError, RobotIdimError
+from identification.estimation import system
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import (
-    InverseModel,
-    base_parameters,
-    described_parameters,
     direct_model,
     why_not_positive,
 )
@@ -97,35 +96,47 @@ def error_percent(beta: np.ndarray, true: np.ndarray) -> float:
 
 
 @cache
-def simulated(noise: Noise) -> tuple[Signals, np.ndarray]:
-    """10 s of the described SCARA, and its base parameters."""
+def simulated(noise: Noise) -> Signals:
+    """10 s of the described SCARA."""
     robot = robot_named("scara")
-    dynamics = InverseModel(robot)
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
-    signals = closed_loop(robot, q_ref, 1000.0, noise=noise, seed=3)
-    return signals, described_parameters(dynamics, base_parameters(dynamics))
+    return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=3)
 
 
 def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     """The wrong filter is none."""
-    signals, true = simulated(Noise(position=1e-4, effort_percent=2.0))
+    signals = simulated(Noise(position=1e-4, effort_percent=2.0))
     ls, iv = (
         identify_ls(signals, Overrides(cutoff_hz=0, low_speed_percent=0.0)),
         identify_iv(signals, RAW, Iteration()),
     )
     assert iv.status == "converged"
-    assert error_percent(ls.beta, true) > 2
-    assert error_percent(iv.beta, true) < 0.5
+    assert error_percent(ls.beta, truth_of(ls)) > 2
+    assert error_percent(iv.beta, truth_of(iv)) < 0.5
     ls, iv = identify_ls(signals, Overrides()), identify_iv(signals, Overrides(), Iteration())
-    assert error_percent(ls.beta, true) < 1
+    assert error_percent(ls.beta, truth_of(ls)) < 1
     assert error_percent(iv.beta, ls.beta) < 1
+
+
+def test_spans_of_time_let_little_position_noise_into_intervals(monkeypatch):
+    """20 µm on the EMPS: half-widths by spans beside those by instants, in the mean of four."""
+    signals, rng = load_signals(REPLAY / "emps" / "session.mcap"), np.random.default_rng(0)
+    q, half = [signals.q + 20e-6 * rng.standard_normal(signals.q.shape) for _ in range(4)], []
+    for spans in (system.FINE_SPANS, 1_000_000):
+        monkeypatch.setattr(system, "FINE_SPANS", spans)
+        fits = (
+            identify_iv(dataclasses.replace(signals, q=x), Overrides(torque_lag_s=0.0), Iteration())
+            for x in q
+        )
+        half.append([fit.intervals.half for fit in fits])
+    assert np.mean(np.divide(*np.mean(half, axis=1))) < 1.2
 
 
 def test_recordings_of_few_samples_are_fitted():
     """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered
     are shorter than borders.
     """
-    signals, true = simulated(Noise(position=1e-6, effort_percent=1.0))
+    signals = simulated(Noise(position=1e-6, effort_percent=1.0))
     # the controller still runs at the full rate
     thinned = {name: getattr(signals, name)[::25] for name in SERIES}
     slow = dataclasses.replace(signals, sample_rate_hz=40.0, **thinned)
@@ -133,7 +144,7 @@ def test_recordings_of_few_samples_are_fitted():
     for few, overrides, most in ((slow, Overrides(), 5), (short, RAW, 10)):
         fit = identify_iv(few, overrides, Iteration())
         assert (fit.settings.cutoff_hz, fit.status) == (None, "converged")
-        assert error_percent(fit.beta, true) < most
+        assert error_percent(fit.beta, truth_of(fit)) < most
     with pytest.raises(RobotIdimError, match="30 decimated rows"):
         identify_ls(short, Overrides())
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from conftest import REPLAY, described_chi, robot_named
+from described_truth import off
 from fits_of_records import ls_of
 
 from acquisition.robot import fourier_reference
@@ -56,8 +57,7 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
 
 def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     fit = ls_of(REPLAY / "scara" / "session.mcap")
-    true = described_parameters(InverseModel(robot_named("scara")), fit.base)
-    assert (np.abs(fit.beta - true) < 1.75 * fit.intervals.half).all()
+    assert (off(fit) < 1.75).all()
     assert fit.errors[-1].moving_relative_error_percent < 1.0
 
 

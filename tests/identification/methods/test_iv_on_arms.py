@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from conftest import REPLAY
+from described_truth import off
 from fits_of_records import iv_of, ls_of, signals_of
 from independent_robots import Plant, plant
 from independent_simulator import (
@@ -29,7 +30,6 @@ from independent_simulator import (
 from acquisition.robot import Robot
 from identification.data import Signals
 from identification.methods import Fit, Iteration, identify_iv
-from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides
 
 SETTLED = ("converged", "not_confirmed")
@@ -58,15 +58,9 @@ def half_widths_off(fit: Fit) -> float:
     """How far the worst essential parameter is from the truth of the described robot, in
     half-widths of its interval.
     """
-    dynamics = InverseModel(description(REPLAY / "tx40" / "robot.toml"))
-    off = (
-        np.abs(fit.beta - described_parameters(dynamics, base_parameters(dynamics)))
-        / fit.intervals.half
-    )
-    essential = set(fit.least_squares.essential.estimate.names)
-    return float(
-        max(x for x, name in zip(off, fit.estimate.names, strict=True) if name in essential)
-    )
+    apart = off(fit, description(REPLAY / "tx40" / "robot.toml"))
+    essential = np.isin(fit.estimate.names, fit.least_squares.essential.estimate.names)
+    return float(apart[essential].max())
 
 
 def fits(runs: Runs, robot: Robot) -> Iterator[Fit]:

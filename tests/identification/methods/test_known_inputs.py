@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, described_chi, robot_named
+from described_truth import off
 from friction_models import moved, upright
 from independent_robots import Array, Plant, plant
 from independent_simulator import Imperfections, described_controller, references, simulate
@@ -69,11 +70,6 @@ def fitted(signals: Signals, method: str) -> Fit:
     return identify_signals(signals, Overrides(), method=method)
 
 
-def inside(fit: Fit) -> np.ndarray:
-    true = described_parameters(InverseModel(fit.problem.signals.robot), fit.base)
-    return (fit.intervals.low <= true) & (true <= fit.intervals.high)
-
-
 @cache
 def without(column: str) -> Signals:
     return replace(records()[0], **{column: None})
@@ -81,7 +77,7 @@ def without(column: str) -> Signals:
 
 def test_with_both_the_truth_is_in_the_intervals():
     fit = fitted(records()[0], "iv")
-    assert inside(fit).all()
+    assert (off(fit) < 1).all()
     assert "caution" not in [line.level for line in fit.trust.lines]
     assert fit.errors[-1].moving_relative_error_percent < 2.0
     assert fit.trust.line("control law").figures[0].value == pytest.approx(1.0, abs=0.002)
@@ -94,7 +90,7 @@ def test_with_both_the_truth_is_in_the_intervals():
 
 def test_without_the_spring_the_fit_says_caution():
     fit = fitted(without("known_torque"), "iv")
-    assert not inside(fit).all()
+    assert not (off(fit) < 1).all()
     assert fit.trust.verdict == "caution"
     found = fit.trust.line("added columns")
     assert found.level == "caution"

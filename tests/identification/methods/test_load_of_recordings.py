@@ -6,7 +6,8 @@ from functools import cache
 import msgspec
 import numpy as np
 import pytest
-from friction_models import axis, described, model_of, moved, simulated
+from described_truth import off
+from friction_models import axis, described, moved, simulated
 
 from identification.data import Recordings
 from identification.methods import identify, identify_ls, with_consistent
@@ -14,11 +15,10 @@ from identification.regression import (
     Overrides,
     equation_alone,
     make_problem,
-    row_blocks,
     rows_of_recording,
     torque_of_recording,
 )
-from identification.study import Noise, closed_loop, random_reference
+from identification.study import Noise
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
@@ -50,21 +50,13 @@ def fit_of(method: str, own: str = ""):
     return identify(scara(own)[1], Overrides(), method=method)
 
 
-def off(fit, values) -> np.ndarray:
-    """Distances of estimates from values of base parameters, in half-widths of the interval."""
-    names = [name.partition("@")[0] for name in fit.estimate.names]
-    expected = np.array([values[fit.base.names.index(name)] for name in names])
-    return np.abs(fit.estimate.beta - expected) / fit.intervals.half
-
-
 @pytest.mark.parametrize(("method", "own"), [("wls", ""), ("iv", "Off")])
 def test_the_truth_is_inside_and_no_test_warns(method, own):
     fit = fit_of(method, own)
-    robot, _ = scara(own)
     assert fit.status == ("converged" if method == "iv" else "solved")
     assert {"mu1", "mu2"} < set(fit.estimate.names)
     assert ("Off1@r3" in fit.estimate.names) == bool(own)
-    found = off(fit, model_of(robot)[2])
+    found = off(fit)
     assert (found < 1).sum() >= len(found) - 2
     assert found.max() < 2.5
     assert fit.intervals.half[fit.estimate.names.index("mu1")] < 0.05
@@ -73,60 +65,11 @@ def test_the_truth_is_inside_and_no_test_warns(method, own):
     assert levels["physical"] == levels["held-out blocks"] == "ok"
 
 
-def halves(signals) -> Recordings:
-    """A recording as two."""
-    N = len(signals.q)
-    parts = []
-    for name, part in (("a.mcap", slice(0, N // 2)), ("b.mcap", slice(N // 2, N))):
-        arrays = {
-            key: x[part]
-            for key in ("q", "q_ref", "effort")
-            if (x := getattr(signals, key)) is not None
-        }
-        t_s = signals.t_s[part] - signals.t_s[part][0]
-        named = {"recording": name, "sha256": name.encode().hex()}
-        parts.append(dataclasses.replace(signals, t_s=t_s, track=None, **named, **arrays))
-    return Recordings(sources=tuple(parts))
-
-
-@cache
-def long_record():
-    """16 s of the SCARA."""
-    robot, _ = scara()
-    q_ref = random_reference(robot, duration_s=16.0, sample_rate_hz=1000.0, seed=3)
-    return closed_loop(robot, q_ref, 1000.0, noise=CELL, seed=3)
-
-
 def test_consistent_parameters_take_the_same_terms():
     made = with_consistent(fit_of("wls"))
     assert {"mu1", "mu2"} < set(made.consistent_set.names)
     errors = [one[-1].relative_error_percent for one in (made.consistent_errors, made.errors)]
     assert errors[0] == pytest.approx(errors[1], rel=0.05)
-
-
-@pytest.mark.parametrize("blocks", [True, False])
-def test_long_recordings_give_the_same(monkeypatch, blocks):
-    """Fit, trust block, errors held out: in many blocks, or of samples left out in between."""
-    given = halves(long_record())
-    wanted, tolerance = identify_ls(given, DENSE), 1e-6 if blocks else 1e-9
-    if blocks:
-        monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
-        assert len(row_blocks(make_problem(given.sources[0], DENSE))) > 2
-    else:
-        monkeypatch.setattr("identification.methods.observation.MAX_CACHED_NUMBERS", 100)
-    found = identify_ls(given, DENSE)
-    assert bool(len(found.problem.signals.q)) == blocks
-    assert (
-        np.abs(found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half
-    ).max() < tolerance
-    for one, other in zip(found.recordings, wanted.recordings, strict=True):
-        assert one.held_out.error_percent == pytest.approx(
-            other.held_out.error_percent, rel=tolerance
-        )
-        assert one.errors[-1].relative_error_percent == pytest.approx(
-            other.errors[-1].relative_error_percent, rel=1e-4
-        )
-    assert found.trust.line("physical").level == "ok"
 
 
 def test_held_out_is_predicted_by_the_fit_of_the_others():

@@ -6,12 +6,12 @@ Here no simulated robot is ever confirmed: a tracking error of 0 % is asked of i
 
 import dataclasses
 from functools import cache
-from pathlib import Path
 
 import crossed_recordings as crossings
 import numpy as np
 import pytest
 from conftest import REPLAY
+from described_truth import off
 from independent_robots import plant
 from independent_simulator import (
     Imperfections,
@@ -24,9 +24,8 @@ from independent_simulator import (
     without_settings,
 )
 
-from identification.data import Signals, Work
+from identification.data import Signals
 from identification.methods import Fit, fit_document, fit_file, identify
-from identification.model import InverseModel, described_parameters
 from identification.regression import FilteredMotion, Overrides, make_problem
 from identification.simulation.predicted import predicted_motion
 
@@ -62,12 +61,6 @@ def axis_signals(*, law: bool = False) -> list[Signals]:
     return [axis_runs().signals(robot if law else without_control_law(robot), k) for k in range(2)]
 
 
-def off(fit: Fit, robot_toml: Path) -> np.ndarray:
-    """Distances from the truth in half-widths."""
-    true = described_parameters(InverseModel(description(robot_toml)), fit.base)
-    return np.abs(fit.beta - true) / fit.intervals.half
-
-
 def stands_alone(fit: Fit) -> bool:
     return fit.iv.passes[fit.iv.returned - 1].by_reference is not None
 
@@ -87,7 +80,7 @@ def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(fits):
     by_ls = np.array([fit.least_squares.full.beta[0] for fit in fits]) / true - 1
     assert abs(M.mean()) < 0.01
     assert (by_ls < -0.05).all()
-    assert np.mean([off(fit, REPLAY / "emps" / "robot.toml") < 1 for fit in fits]) > 0.85
+    assert np.mean([off(fit) < 1 for fit in fits]) > 0.85
 
 
 def test_the_reason_is_told_and_no_law_is_assumed(fits):
@@ -151,20 +144,3 @@ def test_an_error_made_of_the_terms_is_predicted_whole(monkeypatch, most):
     )
     for x, y in ((predicted.q, true.q), (predicted.dq, true.dq), (predicted.ddq, true.ddq)):
         assert (np.abs(x - y).max(axis=0) < 1e-3 * np.std(y, axis=0)).all()
-
-
-@pytest.mark.parametrize(("concerns", "long"), [("load own gains", False), ("load gains", True)])
-def test_they_serve_all_recordings(unconfirmed, concerns, long, tmp_path):
-    concerns = frozenset(concerns.split())
-    paths = crossings.written(
-        tmp_path, concerns, frozenset(crossings.COLUMNS), 10.0 if long else 4.0
-    )
-
-    def fitted(work: Work) -> Fit:
-        return crossings.fitted(paths, concerns, work, **(crossings.STATED if long else {}))
-
-    fit = crossings.as_long(lambda: fitted(Work())) if long else fitted(Work())
-    assert (fit.status, stands_alone(fit)) == ("converged", True)
-    assert (crossings.off(fit) < 1.5).all()
-    assert (fit.own is not None, fit.gains is not None) == (True, True)
-    assert long or crossings.bits(fitted(Work(2))) == crossings.bits(fit)

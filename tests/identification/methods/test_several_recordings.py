@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from described_truth import off
 from scipy import stats
 
 from acquisition.robot import robot_from_files
@@ -69,11 +70,6 @@ def fitted(method: str = "wls", seeds: tuple[int, ...] = (1, 2, 3)):
     return identify(several(*map(recorded, seeds)), Overrides(), method=method)
 
 
-def off(fit, beta) -> float:
-    """The largest distance of estimates from others, in half-widths of the interval."""
-    return float(np.max(np.abs(fit.estimate.beta - beta) / fit.intervals.half))
-
-
 def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     fit = fitted()
     ramps = Overrides(ramp_rows=fit.settings.ramp_rows)
@@ -89,7 +85,7 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         b, _, rank, _ = np.linalg.lstsq(own, rows)
         s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (sum(one.rows[j] for one in systems) - rank))
     beta = np.linalg.lstsq(W / s[joint][:, None], Y / s[joint])[0]
-    assert off(fit, beta) < 1e-9
+    assert (np.abs(fit.estimate.beta - beta) < 1e-9 * fit.intervals.half).all()
     # The errors of each are those of its own torque, without weights.
     for one, problem in zip(fit.recordings, problems, strict=True):
         s = problem.settings
@@ -106,8 +102,7 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
 
 def test_the_truth_is_inside_and_the_verdict_is_trust():
     fit = fitted("iv")
-    dynamics = InverseModel(recorded(1).robot)
-    assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
+    assert off(fit).max() < 2.0
     assert (fit.status, fit.trust.verdict) == ("converged", "trust")
     assert {line.level for line in fit.trust.lines} == {"ok"}
 
@@ -183,8 +178,7 @@ def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
             identify_ls(one, Overrides())
         write_signals(tmp_path / one.recording, one, source="test")
     fit = identify_ls(several(*halves), Overrides())
-    dynamics = InverseModel(halves[0].robot)
-    assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
+    assert off(fit).max() < 2.0
     line = fit.trust.line("held-out blocks")
     assert (line.level, line.value) == ("cannot tell", None)
     stored = fit_files(
