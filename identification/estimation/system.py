@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import NoFitError
 
-# of a long recording: halves and fifths of its time end where spans do; 7.5 per half period of the
+# Of a long recording: halves and fifths of its time end where spans do; 7.5 per half period of the
 # fastest cosine. A short one has more, as steps of cosines let in noise that grows with frequency:
-# with 20 µm on the EMPS intervals are 28 % wider with 120 spans than with an instant each, with
-# 240 spans 6 %.
+# with 20 µm of position noise added on the EMPS, in the mean of 40 draws, intervals are 25 % wider
+# with 120 spans than with an instant a span, 11 % with 240, 8.5 % with 480.
 SPANS, FINE_SPANS = 120, 240
 SHORT = 12_000  # instants of a recording whose rows are kept as they are
 _BLOCK_ROWS = 1024  # of a block that is factored at a time
