@@ -8,8 +8,9 @@ imports only run down::
     data         a recording as signals on a uniform grid; where tasks run
     model        inverse and direct dynamics, friction and rotors, base parameters, physical
                  consistency (pinocchio)
-    regression   settings, filters, the over-determined system W, Y, row selection; load friction
-    simulation   the robot in closed loop; the recorded experiment simulated, instruments
+    regression   settings, filters, weights of samples; the terms of the equation of motion, their
+                 unknowns x, and the rows J, Z, r
+    simulation   control laws, the robot in closed loop, instruments along its motion
     trust        tests of a fit
     methods      the method on one screen (`idim`), several recordings, the verdict, documents
                  of a fit

@@ -152,8 +152,8 @@ def select_friction(
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
-    Raises `BadInputError`: if recordings are too long or too short, excite too little, are not of
-    one robot, or if fewer than two parts can be predicted by the others.
+    Raises `NoFitError` if recordings are too short or excite too little, and `BadInputError` if
+    they are not of one robot, or if fewer than two parts can be predicted by the others.
     """
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
     recordings = tuple(
@@ -224,11 +224,11 @@ class Trials:
     """Trials of sets of terms on recordings; each set is tried once.
 
     Attributes:
-        whole: their system with all tried terms; `added`: joint and term of the base
-            parameters of these, by name.
-        parts: spans of time (K,) that are held out: fifths of a single recording, and of
-            recordings that differ in payload, which only all of them determine; else each of
-            several; `names`: of the parts; `widths`: instants of each span.
+        whole: the model of all recordings with all tried terms; `added`: joint and term of the
+            base parameters of these, by name.
+        parts: masks (K,) of the spans of time that are held out: fifths of a single recording, or
+            of each of several that differ in payload, as only all of them together determine the
+            parameters; else each recording. `names`: of the parts; `widths`: instants of each span.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
         done: the trials; `left_out`: joints and terms that some of them leave

@@ -116,8 +116,9 @@ class InstrumentEvidence:
     Attributes:
         start: as of `Iteration`.
         reference: `recorded`, or `surrogate`: the measured position, with which the
-            instruments are not strictly exogenous. `controller`: `described`, or `surrogate`:
-            a PD of the stated bandwidth.
+            instruments are not strictly exogenous. `controller`: `described`, `found` in the
+            recording, or `surrogate`: a PD of the bandwidth. Of several recordings the last of
+            these that one of them has.
         passes: in order; `returned` is the number, counted from 1, of the one
             whose estimate this is.
         reason: of the status; None for `converged` with instruments of a simulated robot.

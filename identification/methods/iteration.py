@@ -1,5 +1,5 @@
-"""Iteration of the instrumental variable method: start, next values to
-simulate, end, and its status.
+"""The passes of the instrumental variable method: what is simulated first and next, one pass, and
+which pass is returned.
 """
 
 from collections.abc import Callable, Sequence

@@ -224,8 +224,9 @@ class Model:
         *,
         of_lag: bool = False,
     ) -> tuple[Simulated, ...]:
-        """By recording, `simulate` with what is asked, values of x and their covariance, or
-        coarsely along the motion that the reference predicts; rows are about x.
+        """By recording, `simulate` with what is asked: values of x and their covariance. If nothing
+        is asked, instruments are along the motion that the reference predicts, with `COARSE`
+        samples per period of the bandwidth. Rows are about x.
         """
         own = self.unknowns.simulated(*asked) if asked else [None] * len(robots)
         rate = FINE if asked else COARSE

@@ -1,4 +1,6 @@
-"""Per-recording system, and the worker tasks that build it."""
+"""What is read of each recording, as a task: its settings and its control law, at a rate of rows
+that is common to all; and the test of least squares for position noise.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -240,12 +240,12 @@ def make_settings(
 
 
 def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
-    """The lag of a recording's torque as known without a fit; its value is
-    corrected before the fit.
+    """Return the lag of a recording's torque as known without a fit: the value at which the lag
+    among the unknowns starts, and its deviation.
 
     A command held for a control period is half that period early: it is recorded at the tick and
     acts, on average, half a period later. Without a described period it is that of the samples.
-    `"none"` corrects nothing.
+    `"none"` states a lag of 0.
     """
     own, period_s = signals.robot.identification.torque_lag_s, 1 / signals.sample_rate_hz
     given = own if overrides.torque_lag_s is None else overrides.torque_lag_s

@@ -1,25 +1,28 @@
 """The control law of the simulated robot: the described controller, the one found in the
 recording, or a surrogate.
 
-Control acts on motor positions q_m = R q, once per controller period, and is held in
-between (sample and hold):
+Control acts on motor positions q_m = R q once per period of the loop, and is held in between
+(sample and hold):
 
     u = Kp (R (q_r - q)) + Kd (R (phi dq_r - dq)) + Ki integral(alpha R (q_r - q) - R dq (1 - phi)),
     tau = Rᵀ G u
 
-| structure | Kp | Kd | phi | integral of |
+| structure | Kp | Kd | phi | Ki, integral of |
 |---|---|---|---|---|
-| `pd` | position_gain | velocity_gain | 0 | - |
-| `pd_velocity_feedforward` | position_gain | velocity_gain | 1 | - |
-| `cascade_p_p` | position_gain · velocity_gain | velocity_gain | 0 | - |
-| `cascade_p_pi` | position_gain · velocity_gain | velocity_gain | 0 | velocity error, Ki =
-velocity_gain · integral_gain | | `pid` | position_gain | velocity_gain | 1 | position
-error, Ki = integral_gain |
-| `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration,
-Kp in 1/s², Kd in 1/s |
+| `pd` | p | v | 0 | - |
+| `pd_velocity_feedforward` | p | v | 1 | - |
+| `cascade_p_p` | p v | v | 0 | - |
+| `cascade_p_pi` | p v | v | 0 | v i, velocity error, alpha = p |
+| `pid` | p | v | 1 | i, position error, alpha = 1 |
+| `computed_torque` | p | v | 1 | - |
 
-| with `gravity_feedforward` | as above | as above | as above | as above; gravity of the model at
-the measured q is added |
+p, v, i are the keys `position_gain`, `velocity_gain`, `integral_gain`. u of computed torque is a
+motor acceleration, p in 1/s², v in 1/s. With `gravity_feedforward` the model's gravity at the
+measured q is added to u, as motor efforts.
+
+The period is the controller's. In the instruments of a fit, a described or found law that runs at
+200 times the bandwidth or faster has periods of several instants of the controller, at least 100
+times the bandwidth, as long as its fastest speed loop allows (`ControlLaw.slower`).
 
 With a surrogate controller or reference, the model's gravity along the reference minus the known
 torque is added: a real loop compensates gravity by an integral or a model, and a measured position

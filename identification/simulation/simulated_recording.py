@@ -3,8 +3,8 @@
 It gives the same blocks of motion as the measured recording, so that the instruments Z are computed
 by the function that computes W. Samples are at 100 times the bandwidth or at the recording's rate,
 whichever is lower; their instants include those of the decimated rows of W. The robot is simulated
-in steps of at least 100 times the bandwidth, at any rate of recording and controller; of a faster
-controller a step has several instants. The motion of a long recording is on disk.
+in steps of at least 100 times the bandwidth, at any rate of recording and controller; from 200
+times on, a step has several instants of the controller. The motion of a long recording is on disk.
 """
 
 import math
@@ -42,7 +42,7 @@ from .recording_checks import (
 )
 
 FINE = 100.0  # samples and steps per period of the bandwidth, at least
-COARSE = 25.0  # the same in early passes, whose estimate only starts the next ones
+COARSE = 25.0  # the same where only the motion that the reference predicts is asked for
 CHUNK = 50_000  # instants of the controller that are simulated at a time
 
 
