@@ -56,7 +56,20 @@ class Intervals:
 
 
 def intervals_of(system: System, estimate: Estimate) -> Intervals:
-    """Intervals of an estimate from the rows of its system."""
+    """Compute the 95 % intervals of an estimate from the rows of its system, equation (F).
+
+        beta ± t sigma,     sigma² = (1/B) sum_b L_b²,     L_b = sum_t c_b(t) e(t)
+
+    Parameters
+    ----------
+    system : the rows W, Y that it was estimated from, not weighted.
+    estimate : with its weights and Q; `stated` values add their deviations.
+
+    Returns
+    -------
+    Intervals and `sigma` (b,) in the units of beta, with the degrees of freedom of Student's t:
+    the number B of cosines, summed over the recordings.
+    """
     rho = system.Y - system.W @ estimate.values_of(system.names)
     weighted = rho * estimate.weights[system.joint_of_row]
     found = scores_of_recordings(system, estimate.Q, estimate.bread, weighted)
@@ -67,13 +80,20 @@ def intervals_of(system: System, estimate: Estimate) -> Intervals:
 def combined(
     system: System, estimate: Estimate, stated: Mapping[str, tuple[float, float]]
 ) -> Estimate:
-    """An estimate combined by variances with stated values of some of its parameters and
-    half-widths of their 95 % intervals:
+    """Combine an estimate x by variances with stated values a of some of its parameters.
 
         x + G (a - A x),    G = C Aᵀ (A C Aᵀ + S)⁻¹,
         C by equal-weighted cosines, S of what is stated
 
-    Unchanged where the rows contradict the statement (`differs`).
+    Parameters
+    ----------
+    system, estimate : as of `intervals_of`.
+    stated : by name of a parameter, its value and the half-width of its 95 % interval.
+
+    Returns
+    -------
+    The combined estimate; itself where the rows contradict the statement (`differs`), or where no
+    stated parameter is in it.
     """
     at = [estimate.names.index(name) for name in stated if name in estimate.names]
     if not at:

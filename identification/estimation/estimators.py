@@ -1,7 +1,7 @@
 """Least squares and instrumental variables on any W, Y, Z by QR; reduction to
 the essential parameters.
 
-Letters as in Janot2014 and Gautier1997: rho = Y - W beta, s² = |rho|²/(r - 1),
+Symbols as in Janot2014 and Gautier1997: rho = Y - W beta, s² = |rho|²/(r - 1),
 C = s² (WᵀW)⁻¹, sigma_i = sqrt(C_ii), %sigma_i = 100 sigma_i/|beta_i|. The divisor r - 1, not r - b,
 is that of the authors' scripts and published deviations; it makes sigma smaller by b/2r (0.06 % on
 the EMPS, 1.3 % on the TX40).
@@ -117,24 +117,54 @@ class Reduction:
 
 
 def ordinary_least_squares(system: System) -> Estimate:
-    """beta minimises |Y - W beta| over the rows, without weights.
+    """Solve the rows by least squares without weights.
 
-    Raises as `weighted_least_squares`.
+        min |Y - W beta|²,     equation (B) with S = 1
+
+    Parameters
+    ----------
+    system : rows W (r, b) and Y (r,), Y in N m or N.
+
+    Returns
+    -------
+    The estimate with its covariance s² (W'W)⁻¹, `weights` (n,) of ones.
+
+    Raises
+    ------
+    NoFitError : as `weighted_least_squares`.
     """
     return _estimated(system, np.ones(len(system.rows)))
 
 
 def weighted_least_squares(system: System) -> Estimate:
-    """Equation (B): least squares with the rows of joint j divided by s_j, the residual deviation
-    of its own least squares.
+    """Solve the rows by least squares, those of joint j divided by s_j, the residual deviation of
+    its own least squares.
 
-    Raises `NoFitError` where there are no more rows than parameters, or W is rank deficient.
+        min |S (Y - W beta)|²,     S = 1/s_j in rows of joint j                          (B)
+
+    Parameters
+    ----------
+    system : rows W (r, b) and Y (r,), Y in N m or N.
+
+    Returns
+    -------
+    The estimate with its covariance s² (W'S²W)⁻¹ and `weights` (n,) 1/s_j, 1/(N m) or 1/N.
+
+    Raises
+    ------
+    NoFitError : there are no more rows than parameters, or W is rank deficient; parameters that
+        are not excited or not distinguishable are named.
     """
     return _estimated(system, joint_weights(system))
 
 
 def joint_weights(system: System) -> Array:
-    """1/s_j (n,): s_j² = |Y_j - W_j b_j|² / (r_j - b_j), b_j the rank of that joint's columns."""
+    """Compute the weight (n,) of each joint's rows, 1/(N m) or 1/N, from its own least squares.
+
+        1/s_j,     s_j² = |Y_j - W_j beta_j|² / (r_j - b_j)                              (B)
+
+    beta_j is the solution of the r_j rows of joint j alone, b_j the rank of its columns.
+    """
     rows = system.rows
     W, Y = system.weighted(np.ones(len(rows)))
     s, least = np.empty(len(rows)), MIN_COLUMN_NORM * np.linalg.norm(W, axis=0)
@@ -158,9 +188,23 @@ def essential_parameters(
     """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio ·
     min %sigma (Gautier2013).
 
-    Dropping also ends where the F test, corrected for the residual's `correlation` at a lag of
-    one row, rejects a drop at 1 %. Weights are those of `full`, the estimate of all base
-    parameters from the system.
+    Dropping also ends where the F test, corrected for the correlation of the residual, rejects a
+    drop at 1 %.
+
+    Parameters
+    ----------
+    system : rows of all base parameters.
+    full : their estimate, whose weights are used.
+    correlation : of the residual at a lag of one row, -1 to 1.
+    ratio : of the largest to the smallest %sigma that is kept.
+
+    Returns
+    -------
+    The estimate of the parameters kept, their places, and the F test against `full`.
+
+    Raises
+    ------
+    NoFitError : as `weighted_least_squares`.
     """
     # Columns are dropped from the R factor: each pass costs b³, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
@@ -201,12 +245,26 @@ def essential_parameters(
 
 
 def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:
-    """Equation (D): beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with W, Y and the instruments Z (r,
-    b) times `weights` (n,): 1/s_j for the rows of joint j.
+    """Solve the rows by instrumental variables, section 3 of Janot2014.
 
-    Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹
-    ZᵀZ (WᵀZ)⁻¹, in which R drops out. Raises `NoFitError` where QᵀW is singular, or as
-    `weighted_least_squares` does.
+        beta = (Z'W)⁻¹ Z'Y,     covariance s² (Z'W)⁻¹ Z'Z (W'Z)⁻¹                        (D)
+
+    W, Y and Z are weighted. The QR factors of Z = Q R solve it, (Q'W) beta = Q'Y; R drops out of
+    the covariance.
+
+    Parameters
+    ----------
+    system : rows W (r, b) and Y (r,), Y in N m or N.
+    Z : (r, b) instruments, not weighted, in the units of W.
+    weights : (n,) 1/s_j of the rows of joint j, 1/(N m) or 1/N.
+
+    Returns
+    -------
+    The estimate; its `Q` (r, b) spans the weighted Z.
+
+    Raises
+    ------
+    NoFitError : Q'W is singular, or as `weighted_least_squares`, of Z in place of W.
     """
     return _estimated(system, weights, Z)
 

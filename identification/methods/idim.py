@@ -1,8 +1,8 @@
 """Identification by the inverse dynamic model, with least squares or instrumental variables.
 
-Letters and equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, M. Gautier, "An
-instrumental variable approach for rigid industrial robots identification", Control Engineering
-Practice 25 (2014) 85-101.
+Equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, M. Gautier, "An instrumental
+variable approach for rigid industrial robots identification", Control Engineering Practice 25
+(2014) 85-101. Letters (A) to (I) are those of identification/method.md.
 """
 
 from collections.abc import Callable
@@ -42,7 +42,12 @@ def identify(
     essential: bool = False,
     say: Say = lambda text: None,
 ) -> Fit:
-    """Base parameters beta from measured torque and position.
+    """Identify base parameters beta (b,) from measured torque and position.
+
+        tau = IDM(q, dq, ddq) beta                                                       (2)
+        Y = W beta + rho,     Y = F[w Y_fm],     W = F[w W_fm]                           (6)
+        wls: min |S (Y - W beta)|²,     S = 1/s_j in rows of joint j                     (B)
+        iv: beta_k+1 = (Z'W)⁻¹ Z'Y,     Z = F[w IDM(q_s, dq_s, ddq_s)]                   (D)
 
     Parameters
     ----------
@@ -56,9 +61,9 @@ def identify(
 
     Returns
     -------
-    The estimate with its tests. The status of least squares is `solved`; that of `iv` is
-    `converged` only if two passes agree and the robot simulated with the estimate
-    follows the recording.
+    The estimate, in SI units at the joints, with its tests. The status of least squares is
+    `solved`; that of `iv` is `converged` only if two passes agree and the robot simulated with the
+    estimate follows the recording, or instruments of the reference alone suffice.
 
     Raises
     ------
@@ -145,7 +150,7 @@ def identify_ls(
     essential: bool = False,
     say: Say = lambda text: None,
 ) -> Fit:
-    """IDIM-LS, section 2; parameters as of `identify`."""
+    """Identify by least squares, IDIM-LS, section 2 of Janot2014; parameters as of `identify`."""
     return identify(signals, overrides, method=method, essential=essential, say=say)
 
 
@@ -157,7 +162,7 @@ def identify_iv(
     essential: bool = False,
     say: Say = lambda text: None,
 ) -> Fit:
-    """IDIM-IV, section 3; parameters as of `identify`."""
+    """Identify by instrumental variables, IDIM-IV, section 3 of Janot2014; as of `identify`."""
     return identify(
         signals, overrides, method="iv", iteration=iteration, essential=essential, say=say
     )

@@ -85,14 +85,21 @@ class Loop:
     def simulated(
         self, x: Array, asked: tuple[Array, Array | None] | None, *, tests: bool, of_lag: bool
     ) -> tuple[Simulated, ...]:
-        """The robot simulated with what is asked, as of `Model.simulated`, and rows about x, for
-        `tests` with the columns of terms that are not in the model.
+        """Simulate the robot as `Model.simulated` with what is asked, and compute rows about x.
+
+        `tests`: with the columns of terms that are not in the model; `of_lag`: with rows of the
+        lag, equation (G).
         """
         further = self.model.candidates(x, self.speed, simulated=True) if tests else ()
         return self.model.simulated(self.robots, x, asked, further, of_lag=of_lag)
 
     def step(self, rows: Rows) -> Estimate:
-        """Equations (C), (D): (Z'J)⁻¹ Z'r."""
+        """Estimate the free unknowns from rows about x, with instruments along a simulated motion.
+
+            x + (Z'J)⁻¹ Z'r(x),     of linear terms beta = (Z'W)⁻¹ Z'Y                   (C), (D)
+
+        Rows have the weights of least squares. Raises `NoFitError` as `instrumental_variables`.
+        """
         system = rows.system.with_columns(self.fitted)
         Z, weights = rows.Z[:, self.fitted], self.ls.full.weights
         return self.model.combined(system, instrumental_variables(system, Z, weights))
@@ -105,7 +112,27 @@ class Loop:
         asked: tuple[Array, Array | None] | None,
         before: Pass | None,
     ) -> Pass:
-        """The pass about x with what is simulated: its estimate, changes, whether it settled."""
+        """Make one pass: simulate, find the lag, estimate, and compare with the values before.
+
+            Z = F[w IDM(q_s, dq_s, ddq_s)],     x_k+1 = x_k + (Z'J)⁻¹ Z'r(x_k)           (D), (C)
+
+        Parameters
+        ----------
+        x : (p,) values x_k, about which the rows are.
+        lags : of each group of recordings, as found so far.
+        asked : values (p,) to simulate and their covariance (f, f), None for exactly these values;
+            None in place of both: the motion that the reference predicts.
+        before : the pass before; None in the first.
+
+        Returns
+        -------
+        The pass. It has settled if the residual norm changes by at most the tolerance, and each
+        parameter by at most the tolerance or half its deviation.
+
+        Raises
+        ------
+        NoEstimateError : these instruments give no estimate.
+        """
         names, other = self.model.names, asked is not None and asked[0] is not x
         of_lag = self.model.exogenous and not other
         # The first pass is not the last one where a lag is looked for, and needs no tests.
@@ -152,8 +179,10 @@ class Loop:
 
 
 def start_values(loop: Loop, iteration: Iteration) -> tuple[Array, Array | None]:
-    """What is simulated first, and its covariance: x of least squares; or a regular start or given
-    values, which do not give the torques by which a lag is found.
+    """Return the values (p,) that are simulated first, and their covariance (f, f).
+
+    They are x of least squares; or a regular start (covariance None) or given values, which do not
+    give the torques by which a lag is found.
     """
     problem, repeated = loop.model.problem, partial(loop.model.unknowns.repeated, loop.x)
     if iteration.start == "regular" and iteration.values is None:
@@ -164,7 +193,9 @@ def start_values(loop: Loop, iteration: Iteration) -> tuple[Array, Array | None]
 
 
 def next_values(model: Model, passes: Sequence[Pass]) -> Array:
-    """x (p,) to simulate next: the estimate, or in later passes its mean with the last values."""
+    """Return x (p,) to simulate next: the estimate x_k+1, or from the fourth pass on its mean with
+    x_k, which damps oscillation.
+    """
     last = passes[-1]
     x = model.x_of(last.estimate, last.x)
     return 0.5 * (x + last.x) if len(passes) >= MAX_FULL_STEPS else x
@@ -173,9 +204,21 @@ def next_values(model: Model, passes: Sequence[Pass]) -> Array:
 def with_lags_found(
     rows: Rows, lags: Sequence[Lag], *, first: bool
 ) -> tuple[Rows, tuple[Lag, ...], bool]:
-    """The rows about the lags that the rows of the lag find together with what is known, these, and
-    whether they have settled: not in the `first` pass, as the residuals of least squares, by which
-    its rows are whitened, have the lag in them. Unchanged where there are no such rows.
+    """Find the lag L of each group of recordings from the rows of the lag and what is known.
+
+        tau(t - L) = tau(t) - L dtau/dt                                                  (G)
+
+    Parameters
+    ----------
+    rows : [C Z J r] about the last lags, with rows of the lag; unchanged where it has none.
+    lags : as found so far, with what is known of each.
+    first : whether it is the first pass: its rows of the lag are whitened by the residuals of
+        least squares, which have the lag in them, so its lags have not settled unless stated.
+
+    Returns
+    -------
+    The rows about the new lags, to first order; these lags, s; and whether they have settled: all
+    change by less than a quarter of a sample.
     """
     if rows.late is None:
         return rows, tuple(lags), True
@@ -210,11 +253,22 @@ def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]
 
 
 def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
-    """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks
-    best at its worst joint.
+    """Choose the pass that is returned: the last one if it settled, else the one whose estimate,
+    simulated in the next pass, tracks best at its worst joint.
 
-    It has its rows, about the last lags, and the robot simulated with its estimate, or with the
-    values that it settled at.
+    Parameters
+    ----------
+    loop : recordings, prepared robots, weights.
+    passes : in order; all but the last without rows.
+
+    Returns
+    -------
+    That pass with its rows, about the last lags, and with the robot simulated with its estimate,
+    or with the values that it settled at (`confirmed_by`).
+
+    Raises
+    ------
+    NoFitError : as `Loop.step`, where rows are computed again.
     """
     last, model = passes[-1], loop.model
     if last.is_last and last.failure is None:
@@ -238,8 +292,10 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
 
 
 def by_reference(loop: Loop, passes: Sequence[Pass], best: Pass) -> Pass | None:
-    """A pass along the motion that the reference predicts, where the simulated robot confirms no
-    other, its control law is not described, and these instruments stand alone; else None.
+    """Make a pass along the motion that the reference predicts, without a simulated robot.
+
+    Returns None unless all references are recorded, no control law is described, the simulated
+    robot confirms no other pass, and these instruments suffice alone (`why_by_reference`).
     """
     if (why := why_by_reference(loop.model, passes, best)) is None:
         return None
@@ -265,8 +321,8 @@ def _tracking(z: Sequence[Simulated]) -> float:
 
 
 def inertia_prior(model: Model, x: Array) -> Array:
-    """x for whose inertias the controller gains are assumed to be set: least squares at the rule's
-    cut-off.
+    """Return x (p,) for whose inertias the controller gains are assumed to be set, the a-priori
+    inertias of equation (E): least squares at the rule's cut-off.
 
     Without that filter the inertias are poorly determined; it is left out if the
     recording is too short.
@@ -279,10 +335,15 @@ def inertia_prior(model: Model, x: Array) -> Array:
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:
-    """Base parameters (b,) of a robot with only an inertia J of each motor, at its joint.
+    """Return base parameters beta = K chi (b,) of a robot with only an inertia of each motor.
 
     With a coupled wrist the Ia of a joint includes all motors that turn with it: Ia5 = 2 on the
     TX40. A joint without Ia has a link with that inertia about every axis, or that mass.
+
+    Parameters
+    ----------
+    model : the robot with its p standard parameters; `base` regroups them.
+    J : (n,) inertias of the motors at their joints, kg m² or kg; ones by default.
     """
     chi, robot = np.zeros(model.p), model.robot
     J = np.ones(robot.n) if J is None else J

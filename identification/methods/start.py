@@ -68,8 +68,22 @@ class Solution:
 
 
 def least_squares(model: Model, rows: Rows, method: Method = "wls") -> Solution:
-    """Least squares with the identifiable terms from rows about nothing but described gains. Raises
-    `NoFitError` as the estimators, and `BadInputError` if nothing determines the scale of gains.
+    """Solve by least squares, equation (B), from rows about nothing but described gains.
+
+    Parameters
+    ----------
+    model : recordings and unknowns; terms that cannot be identified are left out.
+    rows : [Z J r] of all recordings along the measured motion, about `model.start()`.
+    method : `ols`, or `wls` and `iv`: rows weighted by joint.
+
+    Returns
+    -------
+    The solution with the model that is left.
+
+    Raises
+    ------
+    NoFitError : the recordings excite too little, or have no more rows than parameters.
+    BadInputError : nothing determines the scale of drive gains.
     """
     model, rows = leave_out_collinear_terms(model, rows)
     x = rows.x
@@ -97,7 +111,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> Solution:
 
 
 def at_gains(found: Solution) -> Solution:
-    """Least squares of all other unknowns with the gains of a solution; itself without gains."""
+    """Solve for all other unknowns with the drive gains of a solution; without gains return it."""
     model = found.model
     if not model.unknowns.motors:
         return found
@@ -108,7 +122,13 @@ def at_gains(found: Solution) -> Solution:
 
 
 def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
-    """Equation (C) about the x of the rows: of all free unknowns."""
+    """Take one step about the x (p,) of the rows, for all free unknowns.
+
+        x + (Z'J)⁻¹ Z'r(x),     Z = J, or for drive gains the torque that x predicts     (C), (I)
+
+    Returns the estimate of the free unknowns after the step, combined with stated centres of mass.
+    Raises `NoFitError` as the estimators do.
+    """
     if model.unknowns.motors:
         weights = joint_weights_of(rows)
         found = instrumental_variables(rows.system, rows.Z, weights)
@@ -118,7 +138,9 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
 
 
 def joint_weights_of(rows: Rows) -> Array:
-    """1/s_j (n,) of the residuals about x, N m or N: at wrong gains least squares has others."""
+    """Compute 1/s_j (n,), 1/(N m) or 1/N, with s_j the rms residual of joint j about x: with wrong
+    gains, least squares would have others.
+    """
     system = rows.system
     rho = system.Y - system.W @ rows.x[: len(system.names)]
     s = np.sqrt(
@@ -128,9 +150,16 @@ def joint_weights_of(rows: Rows) -> Array:
 
 
 def settle(model: Model, x: Array, rows: Rows, method: Method) -> Solution:
-    """Steps x + (Z'J)^-1 Z'r, equation (C), until none is above a thousandth of a deviation, halved
-    where the next one would move more torque, by the weights of the step before: those of least
-    squares rise as the residual falls. One is enough without load friction and gains.
+    """Take steps of equation (C) until none is above a thousandth of a deviation.
+
+        x <- x + c (Z'J)⁻¹ Z'r(x),     c = 1, 1/2, 1/4, 1/8
+
+    c is halved while the next step would change more torque than this one. Both are compared with
+    the weights of the step before, because those of least squares rise as the residual falls.
+    Without load friction and gains one step is enough.
+
+    `x` (p,) are the values to start from, `rows` those about them. Returns the solution, with the
+    rows before its last step. Raises `NoFitError` as `step_of`.
     """
     estimate, settled = step_of(model, rows, method), True
     for _ in range(MAX_STEPS if len(model.load) or model.unknowns.motors else 0):
@@ -162,8 +191,10 @@ def _torque(rows: Rows, step: Array, weights: Array) -> float:
 
 
 def solution_of(found: Solution, *, essential: bool) -> LeastSquares:
-    """Least squares with its reduction, intervals and torque, from the rows before the last step,
-    which is small or, of linear terms, the only one.
+    """Reduce a solution to its essential parameters, and compute its intervals and torque.
+
+    They are computed from the rows before the last step, which is small or, of linear terms, the
+    only one. `essential`: the estimate is that of the essential parameters alone.
     """
     model, rows = found.model, found.rows
     full = found.estimate
@@ -293,11 +324,15 @@ def independent_norm(system: System, names: Collection[str]) -> dict[str, float]
 
 
 def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
-    """The model with the ramps that give smaller half-widths, in the median of the parameters; and
-    its rows about the start.
+    """Choose the ramps of the weights that give the smaller half-widths, in the median of the
+    parameters.
 
     No weights, but rows in which joints move, are tried where moves are short; abrupt weights where
     no ramps determine the parameters. Unchanged where no sample stands, or the ramps are stated.
+
+    `instruments`: half-widths are those of instruments along the motion that the reference
+    predicts, not of least squares. Returns the model with these ramps, and its rows about the
+    start.
     """
     x, ramps = model.start(), [LONG, SHORT]
     longest = [sample_weights(one.problem.with_samples()) for one in model.equations]
