@@ -61,9 +61,9 @@ def identify(
 
     Returns
     -------
-    The estimate, in SI units at the joints, with its tests. The status of least squares is
-    `solved`; that of `iv` is `converged` only if two passes agree and the robot simulated with the
-    estimate follows the recording, or instruments of the reference alone suffice.
+    The estimate with its tests. The status of least squares is `solved`; that of `iv` is
+    `converged` only if two passes agree and the robot simulated with the estimate follows the
+    recording, or if instruments of the reference alone suffice.
 
     Raises
     ------

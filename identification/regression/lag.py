@@ -68,8 +68,10 @@ class Lag:
 
 
 def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag:
-    """The lag of a group from its prior and the data, `found` as in `Lag`, compared by
-    Student's t as of Welch (1947).
+    """Combine what is known of the lag of a group with what the data give, by variances.
+
+    If both differ by more than chance in 0.3 % of cases (Student's t, degrees of freedom by Welch
+    1947), only the data count. A stated lag is used as it is. `found` is as in `Lag`.
     """
     counted, reach = prior, 2.0
     if found is not None and not prior.stated:
@@ -89,8 +91,16 @@ def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag
 
 
 def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
-    """The lags (K,) that rows of the lag about `now_s` (K,) and their instruments find, together
-    with what is known.
+    """Solve rows of the lag by instrumental variables, and combine each lag with what is known.
+
+        tau(t - L) = tau(t) - L dtau/dt                                                  (G)
+
+    Parameters
+    ----------
+    late : the rows of the lag and their instruments (r, p), both whitened.
+    now_s : (K,) lags about which the rows are, s.
+    lags : (K,) of each group, with what is known; only that is used where the rows do not
+        determine a lag.
     """
     found: list[tuple[float, float, int] | None] = [None] * len(lags)
     with suppress(NoFitError):  # the rows do not determine them

@@ -64,16 +64,22 @@ class Equation:
         return np.concatenate([free if along else self.gains, self.lags])
 
     def residual(self, x: Array, motion: MotionBlock) -> Array:
-        """r (n, rows): the known torque that no term explains."""
+        """Return the residual (n, rows), N m or N, about x (p,): the known torque that no term
+        explains.
+
+            r(x) = F[w (known + drives(x) - arm(x) - load(x))]                           (C)
+        """
         return np.asarray(motion.known - sum(term.torque(x, motion) for term in self.terms))
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """J = -dr/dx (n, p, rows), or Z along another motion."""
+        """Return J = -dr/dx (n, p, rows) about x (p,), or Z along another motion."""
         return np.asarray(sum(term.columns(x, motion) for term in self.terms))
 
 
 def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
-    """The equation of motion of recording k."""
+    """Put together the equation of motion of recording k: its arm, its drives, and load friction
+    if the robot has any.
+    """
     arm, robot = unknowns.arms[k], problem.signals.robot
     drives = Drives(R=robot.R, gains=unknowns.gain_places(robot), lag=unknowns.lag_of(k))
     load = load_friction(problem.model, problem.base)
@@ -90,7 +96,7 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
 
 
 def equation_alone(problem: Problem) -> tuple[Equation, Array]:
-    """The equation of motion of a recording by itself, and x of nothing but its lag."""
+    """Return the equation of motion of a recording by itself, and x (p,) of nothing but its lag."""
     unknowns = make_unknowns([problem])
     return equation_of(problem, unknowns, 0), unknowns.start([problem.settings.torque_lag_s])
 
@@ -180,11 +186,23 @@ def rows_of_recording(
     *,
     of_lag: bool = False,
 ) -> Rows:
-    """The rows [C Z J r] of a recording about x (p,), block by block: J is never whole in memory.
+    """Compute the rows [C Z J r] of a recording about x, in blocks: J is never whole in memory.
 
-    Z are the columns `along` another motion, given by block; without one, along the measured one,
-    with the torque of the drives that x predicts, as the recorded one is noisy. `further` columns
-    are C. With `of_lag` there are rows of the lag, along the other motion.
+        Y = W beta + rho,     Y = r(x) + J x,     W = J = -dr/dx                    (5), (6), (C)
+
+    Parameters
+    ----------
+    equation : the equation of motion of the recording.
+    x : (p,) values of the unknowns.
+    further : gives the columns C of terms that are not in the model; None for none.
+    along : blocks of another motion, along which Z are the columns, such as that of the simulated
+        robot (D). Without one, Z are along the measured motion, with the torque of the drives that
+        x predicts, as the recorded one is noisy.
+    of_lag : whether there are rows of the lag (G), along the other motion.
+
+    Returns
+    -------
+    The rows, torques in N m or N, stacked by joint and span of time.
     """
     problem = equation.problem.with_samples()
     share, beta, names = sample_weights(problem).of_rows, equation.arm.beta(x), equation.names
@@ -237,14 +255,16 @@ def rows_of_recording(
 
 
 def residuals(equation: Equation, x: Array) -> tuple[Array, Array]:
-    """The residuals (T, n) of a recording about x, weighted, and the speeds (T, n)."""
+    """Return the weighted residuals (T, n), N m or N, of a recording about x (p,), and the joint
+    speeds (T, n), rad/s or m/s.
+    """
     tau, predicted, speed = torque_of_recording(equation, x)
     share = sample_weights(equation.problem.with_samples()).of_rows
     return share * (tau - predicted), speed
 
 
 def stacked_rows(each: Sequence[Rows]) -> Rows:
-    """The rows of recordings about the same x, stacked joint by joint, in the order given."""
+    """Stack the rows of recordings about the same x joint by joint, in the order given."""
     if len(each) == 1:
         return each[0]
     order = by_joint([rows.system for rows in each])
@@ -265,11 +285,18 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 
 @one_thread
 def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Array, Array, Array]:
-    """Torque measured and predicted, and joint speed, each (T, n), decimated;
-    without W, and no weights.
+    """Compute the torques of a recording, decimated, without weights and without W.
 
-    The measured torque has lag and gains of x (p,). Each of `betas`, (b,) each, by default that of
-    x, predicts one of as many equal spans of the rows.
+    Parameters
+    ----------
+    equation : the equation of motion of the recording.
+    x : (p,) unknowns, whose lag and gains the measured torque has.
+    betas : base parameters (b,), by default those of x; each predicts one of as many equal spans of
+        the rows.
+
+    Returns
+    -------
+    Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
     """
     problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
     parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)

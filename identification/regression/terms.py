@@ -21,10 +21,10 @@ class Term(Protocol):
     """A part of the equation of motion; all arrays are weighted and decimated, in N m or N."""
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
-        """Torque (n, rows) by the unknowns x (p,)."""
+        """Return the torque (n, rows) by the unknowns x (p,)."""
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """Derivatives (n, p, rows) of the torque by the unknowns, about x (p,)."""
+        """Return the derivatives (n, p, rows) of the torque by the unknowns, about x (p,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,28 +45,32 @@ class Drives:
     lag: int
 
     def factors(self, x: Array) -> Array | None:
-        """kappa (n,); None where all gains are described."""
+        """Return kappa (n,) by the unknowns x (p,); None where all gains are described."""
         of = self.gains >= 0
         return np.where(of, x[self.gains], 1.0) if of.any() else None
 
     def at_joints(self, x: Array, motion: MotionBlock) -> Array:
-        """sum_m kappa_m E_m(t + L), (N, n); a torque that is not recorded is that already."""
+        """Return sum_m kappa_m E_m(t + L) (N, n), N m or N, of equation (I); a torque that is not
+        recorded is that already.
+        """
         tau, kappa = motion.drives(x[self.lag]), self.factors(x)
         if kappa is None or not motion.recorded:
             return tau
         return np.asarray((np.linalg.solve(self.R.T, tau.T).T * kappa) @ self.R)
 
     def measured(self, x: Array, motion: MotionBlock) -> Array:
-        """The torque (N, n) at the joints, of the drives and the known one."""
+        """Return the torque (N, n), N m or N, of the drives and the known one at the joints."""
         tau, known = self.at_joints(x, motion), motion.problem.known(motion.t_s)
         return tau if known is None else tau + known
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
-        """-F[w sum_m kappa_m E_m(t + L)]."""
+        """Return -F[w sum_m kappa_m E_m(t + L)], (n, rows)."""
         return -motion.weighted(self.at_joints(x, motion).T)
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """-F[w E_m(t + L)] of kappa_m, and of L minus the rate of the torque."""
+        """Return the derivatives (n, p, rows): -F[w E_m(t + L)] by kappa_m, and by L
+        -F[w d/dt sum_m kappa_m E_m(t + L)], equation (G).
+        """
         tau, found = self.at_joints(x, motion), np.zeros((len(self.R), len(x), len(motion.share.T)))
         if (kappa := self.factors(x)) is not None:
             E = np.linalg.solve(self.R.T, tau.T) / kappa[:, None]
@@ -109,13 +113,15 @@ class Load:
     of: LoadFriction
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
-        """F[w mu_j |tau_links| sign(dq_j)]."""
+        """Return F[w mu_j |tau_links| sign(dq_j)], (n, rows), equation (H)."""
         beta, found = self.P @ x + self.known, np.zeros_like(motion.share)
         found[self.of.joints] = beta[self.of.places, None] * self._sizes(beta, motion)[0]
         return found
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """Those of mu_j, and of the links' parameters beside their own."""
+        """Return the derivatives (n, p, rows) by mu_j, and those by the links' parameters that load
+        friction adds to their own.
+        """
         beta, links, W = self.P @ x + self.known, self.of.base.links, np.zeros_like(motion.W)
         each = zip(self.of.joints, self.of.places, *self._sizes(beta, motion), strict=True)
         for j, place, size, s in each:
@@ -134,12 +140,12 @@ class Load:
 
 
 def times(W: Array, P: Array) -> Array:
-    """W P (n, p, rows) of W (n, b, rows) and P (b, p)."""
+    """Return W P (n, p, rows) of W (n, b, rows) and P (b, p)."""
     return np.asarray(np.matmul(P.T, W))
 
 
 def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction | None:
-    """The load friction in the base parameters of a robot; None if there is none."""
+    """Find the load friction in the base parameters of a robot; None if there is none."""
     found = [
         (int(source.rows[0]), place)
         for place, source in enumerate(model.sources[c] for c in base.columns)
@@ -154,6 +160,13 @@ def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction | N
 def torque_of_links(
     model: InverseModel, base: BaseParameters, beta: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """tau_rigid (N, n) of base parameters beta (b,) along a motion."""
+    """Compute tau_links of equation (H), the torque (N, n) of the links alone, N m or N.
+
+    Parameters
+    ----------
+    model, base : the robot and its b base parameters.
+    beta : (b,) their values; those that are not of links have no part in it.
+    q, dq, ddq : (N, n) motion of the joints, rad or m, per s and per s².
+    """
     links = direct_model(model, base.standard_parameters(np.where(base.links, beta, 0.0)))
     return links.torque(q, dq, ddq)

@@ -90,7 +90,8 @@ class Friction:
         self._stuck, self._slopes = bool(stuck.any()), bool(slope.any())
 
     def step(self, q: Any, v: Any, tau: Any, held: NDArray[np.bool_] | None = None) -> Any:
-        """Speed (n,) after a step under the torque tau, with brakes on the joints `held`.
+        """Return the speed (n,), rad/s or m/s, after a step from q, v under the torque tau, (n,)
+        each, with brakes on the joints `held`.
 
         Raises `ArithmeticError` if M is not positive.
         """
@@ -162,12 +163,19 @@ class ClosedLoop:
 
     @np.errstate(over="ignore", invalid="ignore")  # an unstable loop is found by its tracking error
     def follow(self, reference: Reference, bound: Array) -> tuple[Array, str | None]:
-        """Follow the next span of a reference given once per controller period.
+        """Follow the next span of a reference that is given once per period of the loop.
 
-        Returns q, dq, ddq, tau (4, N, n), `substeps` rows a period: the true motion and the
-        controller's torque, held until the next row, without encoder noise. And why it ended early,
-        or None: the position differs from the reference by more than `bound` (n,), or the inertia
-        matrix is not positive. The state is never clipped.
+        Parameters
+        ----------
+        reference : the inputs of the loop at its instants.
+        bound : (n,) largest deviation of a position from the reference, rad or m.
+
+        Returns
+        -------
+        q, dq, ddq, tau (4, N, n), `substeps` rows a period: the true motion and the controller's
+        torque, held until the next row, without encoder noise. And why it ended early, or None: a
+        position is beyond its bound, or the inertia matrix is not positive. The state is never
+        clipped.
         """
         substeps, q_ref, half = self._substeps, reference.q, 0.5 * self._h
         (N, n), rows, reason = q_ref.shape, 0, None

@@ -67,9 +67,9 @@ def simulate(
     further: Candidate | None = None,
     of_lag: bool = False,
 ) -> Simulated:
-    """Simulate a robot in a recording, and compute the rows of its `equation` about the unknowns x
-    (p,) with instruments; `about` has x and what is asked, `further` and `of_lag` are those of
-    `rows_of_recording`.
+    """Simulate a robot in a recording, and compute the rows of its equation with instruments.
+
+        Z = F[w IDM(q_s, dq_s, ddq_s)]                                                   (D)
 
     The robot is the physically consistent one nearest to what is asked, or without a covariance
     that of the very parameters. If nothing is asked, or the robot leaves its reference, instruments
@@ -78,6 +78,18 @@ def simulate(
     The nearest parameters follow the estimate smoothly. The estimate itself moves a light wrist
     wildly long before its inertia matrix stops being positive, and the iteration then has no fixed
     point.
+
+    Parameters
+    ----------
+    prepared : makes the recording in which robots are simulated, for a rate.
+    rate_per_bandwidth : samples and simulated steps per period of the bandwidth, at least.
+    equation : the equation of motion of the recording.
+    about : x (p,), about which the rows are, and what is asked; None for nothing.
+    further, of_lag : as of `rows_of_recording`.
+
+    Returns
+    -------
+    The rows, the simulated motion, and how it follows the recording.
     """
     robot, beta, (x, asked) = prepared(rate_per_bandwidth), None, about
     kind: InstrumentKind = "reference"
@@ -114,8 +126,8 @@ def simulate(
 def rows_along_reference(
     prepared: Callable[[float], SimulatedRecording], equation: Equation, x: Array
 ) -> Rows:
-    """The rows of a recording about the unknowns x (p,) with instruments along the motion that its
-    reference predicts.
+    """Compute the rows of a recording about the unknowns x (p,), with instruments along the motion
+    that its reference predicts; no robot is simulated.
     """
     along, *_ = prepared(COARSE).motion(None, equation.arm.beta(x))
     return rows_of_recording(equation, x, along=along())

@@ -35,8 +35,8 @@ _made: WeakKeyDictionary[FilteredMotion, dict[tuple[int, int], FilteredMotion]] 
 
 
 def predicted_motion(problem: Problem) -> FilteredMotion:
-    """The motion that the reference predicts, made once for its span; the measured one where no
-    reference is recorded.
+    """Return the motion that the reference predicts, made once for its span; the measured one where
+    no reference is recorded.
     """
     signals, span = problem.signals, (problem.settings.start, problem.settings.stop)
     if signals.q_ref is None:

@@ -148,12 +148,20 @@ class SimulatedRecording:
         self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
     def motion(self, beta: Array | None, about: Array) -> tuple[Along, Array, str | None]:
-        """Simulate the robot of base parameters beta (b,), and return its motion, with the torque
-        of its drives, and the factors (n,) on the controller's gains.
+        """Simulate the robot of base parameters beta in closed loop.
 
-        If beta is None, the robot cannot be simulated or leaves its reference, the motion is that
-        which the reference predicts, with the torque of parameters `about` (b,). Returns also why
-        beta was not simulated, or None.
+        If beta is None, or the robot cannot be simulated or leaves its reference, the motion is
+        that which the reference predicts.
+
+        Parameters
+        ----------
+        beta : (b,) base parameters of the robot, or None.
+        about : (b,) base parameters whose torque a predicted motion has.
+
+        Returns
+        -------
+        The motion, block by block, with the torque of its drives; the factors (n,) on the
+        controller's gains, equation (E); and why beta was not simulated, or None.
         """
         path, gains, reason = None, np.ones(len(self.held)), None
         if beta is not None:
@@ -164,8 +172,10 @@ class SimulatedRecording:
         return lambda: (self._block(at, shown, about) for at in self.blocks), gains, reason
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
-        """Return factors (n,) on the controller's gains for the inertias of a robot, equation (E),
-        and why it cannot be simulated, or None.
+        """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
+        cannot be simulated, or None.
+
+            K_j <- K_j J_j(beta_k) / J_j(a priori),     J_j = max over the trajectory of M_jj    (E)
         """
         M = model.inertia(self.poses)
         # Computed torque keeps its saturation if the inertias it was set for are unknown.
