@@ -43,6 +43,7 @@ from .estimators import (
     one_thread,
     ordinary_least_squares,
     weighted_least_squares,
+    weights_of,
 )
 from .spans import SpanRows
 from .system import (

@@ -177,7 +177,19 @@ def joint_weights(system: System) -> Array:
         s[j] = np.sqrt(rho @ rho / max(1, rows[j] - rank))
         # An exact model leaves only rounding, which must not set the weights.
         s[j] = max(s[j], 1e-12 * np.sqrt(Y_j @ Y_j / rows[j]))
-    # A joint that stands without torque must not outweigh all others.
+    return _reciprocal(s)
+
+
+def weights_of(system: System, rho: Array) -> Array:
+    """Return 1/s_j (n,) of residuals rho (r,) of the rows: s_j² = |rho_j|² / r_j."""
+    n = len(system.rows)
+    return _reciprocal(
+        np.sqrt(np.bincount(system.joint_of_row, rho**2, n) / np.maximum(1, system.rows))
+    )
+
+
+def _reciprocal(s: Array) -> Array:
+    """1/s_j: a joint that stands without torque must not outweigh all others."""
     s = np.maximum(s, 1e-6 * s.max())
     return np.asarray(1.0 / np.where(s > 0, s, 1.0))
 

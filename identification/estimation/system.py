@@ -75,12 +75,6 @@ class System:
             spans=(spans,),
         )
 
-    @property
-    def recording(self) -> NDArray[np.intp]:
-        """(r,) the recording of each row."""
-        ends = np.cumsum([len(own) - 1 for own in self.spans])
-        return np.searchsorted(ends, self.span, side="right")
-
     def part(self, rows: NDArray[np.bool_]) -> "System":
         """The system of some of its rows (r,)."""
         of = {name: getattr(self, name)[rows] for name in ("W", "Y", "joint_of_row", "span")}

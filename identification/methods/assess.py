@@ -20,7 +20,15 @@ from ..estimation import (
 from ..regression import ROWS, KnownLag, Lag, Problem, Rows, base_name, sample_weights
 from ..report import FTest, Method
 from ..simulation import Simulated, controller_of, saturated_percents
-from ..trust import FitData, held_out_parts, moves_of, trust_in, with_prior
+from ..trust import (
+    MIN_FIRST_STAGE_F,
+    FitData,
+    held_out_parts,
+    moves_of,
+    relative_residual,
+    trust_in,
+    with_prior,
+)
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
 from .iteration import Loop
@@ -29,7 +37,6 @@ from .recording_report import gain_warnings, recording_warnings
 from .status import direct_errors, largest, status_of, tests_of
 
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
-MIN_FIRST_STAGE_F = 10.0
 
 
 def evidence_of(
@@ -174,8 +181,7 @@ def own_test(model: Model, x: Array, ls: LeastSquares) -> FTest | None:
     W, Y = rows.of(model.unknowns.arm).weighted(full.weights)
     shared = list(dict.fromkeys(map(base_name, names)))
     merge = np.array([[float(base_name(name) == one) for one in shared] for name in names])
-    scaled = [A / np.linalg.norm(A, axis=0) for A in (W, W @ merge)]
-    norm, left = (float(np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y)[0])) for A in scaled)
+    norm, left = (relative_residual(A, Y) for A in (W, W @ merge))
     rho = (rows.tau - model.predicted(x, full)) * full.weights * rows.counts
     extra, freedom = len(names) - len(shared), full.rows - len(names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")

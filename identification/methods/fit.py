@@ -74,7 +74,7 @@ class Pass:
 
     def without_rows(self) -> "Pass":
         """The same without arrays as large as W."""
-        z, estimate = tuple(one.without_rows() for one in self.z), self.estimate.without_rows()
+        z, estimate = tuple(one.without_motion() for one in self.z), self.estimate.without_rows()
         return replace(self, z=z, rows=None, estimate=estimate, confirmed_by=())
 
     @property

@@ -5,7 +5,6 @@ variable approach for rigid industrial robots identification", Control Engineeri
 (2014) 85-101. Letters (A) to (I) are those of identification/method.md.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -19,7 +18,7 @@ from .assess import assess_iv, evidence_of, fit_of
 from .fit import Fit, Pass
 from .iteration import Iteration
 from .model import Model, read_model
-from .observation import position_noise_line
+from .observation import Say, position_noise_line
 from .start import (
     Solution,
     at_gains,
@@ -28,8 +27,6 @@ from .start import (
     step_of,
     with_best_ramps,
 )
-
-Say = Callable[[str], None]
 
 
 @one_thread

@@ -22,7 +22,7 @@ from ..regression import Lag, Rows, base_places, lags_in
 from ..simulation import Simulated
 from ..trust import covariance_of_all
 from .fit import LeastSquares, Pass, join_reasons
-from .model import Model
+from .model import Asked, Model
 from .start import Solution
 from .status import why_by_reference
 
@@ -82,16 +82,16 @@ class Loop:
             others = np.delete(self.fitted, base_places(names))
             self.fitted = np.union1d(ls.essential.kept, others)
 
-    def simulated(
-        self, x: Array, asked: tuple[Array, Array | None] | None, *, tests: bool, of_lag: bool
-    ) -> tuple[Simulated, ...]:
-        """Simulate the robot as `Model.simulated` with what is asked, and compute rows about x.
+    def along(
+        self, x: Array, asked: Asked | None, *, tests: bool, of_lag: bool
+    ) -> tuple[tuple[Simulated, ...], Rows]:
+        """Simulate the robot with what is asked, and compute rows about x, as `Model.along`.
 
         `tests`: with the columns of terms that are not in the model; `of_lag`: with rows of the
         lag, equation (G).
         """
         further = self.model.candidates(x, self.speed, simulated=True) if tests else ()
-        return self.model.simulated(self.robots, x, asked, further, of_lag=of_lag)
+        return self.model.along(self.robots, x, asked, further, of_lag=of_lag)
 
     def step(self, rows: Rows) -> Estimate:
         """Estimate the free unknowns from rows about x, with instruments along a simulated motion.
@@ -109,7 +109,7 @@ class Loop:
         self,
         x: Array,
         lags: Sequence[Lag],
-        asked: tuple[Array, Array | None] | None,
+        asked: Asked | None,
         before: Pass | None,
     ) -> Pass:
         """Make one pass: simulate, find the lag, estimate, and compare with the values before.
@@ -137,8 +137,8 @@ class Loop:
         of_lag = self.model.exogenous and not other
         # The first pass is not the last one where a lag is looked for, and needs no tests.
         tests = not of_lag or before is not None or all(lag.prior.stated for lag in lags)
-        z = self.simulated(x, asked, tests=tests, of_lag=of_lag)  # q_s, dq_s, ddq_s, with (E)
-        rows = self.model.along(z)  # (6)
+        # q_s, dq_s, ddq_s, with (E), and (6)
+        z, rows = self.along(x, asked, tests=tests, of_lag=of_lag)
         rows, lags, settled = with_lags_found(rows, lags, first=before is None)  # (G)
         try:
             estimate = self.step(rows)  # (C), (D)
@@ -178,7 +178,7 @@ class Loop:
         )
 
 
-def start_values(loop: Loop, iteration: Iteration) -> tuple[Array, Array | None]:
+def start_values(loop: Loop, iteration: Iteration) -> Asked:
     """Return the values (p,) that are simulated first, and their covariance (f, f).
 
     They are x of least squares; or a regular start (covariance None) or given values, which do not
@@ -222,12 +222,12 @@ def with_lags_found(
     """
     if rows.late is None:
         return rows, tuple(lags), True
-    lags = tuple(lags_in(rows.late, rows.x[-len(lags) :], lags))
-    x = rows.x.copy()
-    x[-len(lags) :] = [lag.value_s for lag in lags]
-    small = (np.abs(x - rows.x)[-len(lags) :] < MAX_LAST_LAG * rows.period_s).all()
-    stated = all(lag.prior.stated for lag in lags)
-    return rows.about(x), lags, bool(small) and (stated or not first)
+    f, before = len(rows.x) - len(lags), rows.x[-len(lags) :]
+    lags = tuple(lags_in(rows.late, before, lags))
+    values = np.array([lag.value_s for lag in lags])
+    small = np.abs(values - before) < MAX_LAST_LAG * np.array([lag.period_s for lag in lags])
+    settled = bool(small.all()) and (not first or all(lag.prior.stated for lag in lags))
+    return rows.about(np.r_[rows.x[:f], values]), lags, settled
 
 
 class NoEstimateError(Exception):
@@ -276,7 +276,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
 
     def confirmed(estimate: Estimate, covariance: Array) -> tuple[Simulated, ...]:
         x = model.x_of(estimate, last.x)
-        return model.simulated(loop.robots, x, (x, covariance))
+        return model.along(loop.robots, x, (x, covariance))[0]
 
     after = confirmed(last.estimate, last.covariance)
     tracked = [_tracking(one.z) for one in passes[1:]] + [_tracking(after)]
@@ -284,7 +284,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     if best is last and last.rows is not None and last.rows.C.size and last.failure is None:
         return replace(last, confirmed_by=after)
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
-    rows = model.along(z := loop.simulated(x, best.asked, tests=True, of_lag=False))
+    z, rows = loop.along(x, best.asked, tests=True, of_lag=False)
     estimate = loop.step(rows)
     if best is not last:
         after = confirmed(estimate, best.covariance)

@@ -29,7 +29,14 @@ from ..regression import (
     stacked_rows,
     torque_of_recording,
 )
-from ..simulation import COARSE, FINE, Simulated, SimulatedRecording, rows_along_reference, simulate
+from ..simulation import (
+    COARSE,
+    FINE,
+    Simulated,
+    SimulatedRecording,
+    rows_along_reference,
+    simulate,
+)
 from ..trust import Candidates
 from .observation import (
     Observed,
@@ -43,6 +50,8 @@ from .observation import (
 
 # by recording, what prepares it at a rate per period of the bandwidth
 Robots = Sequence[Callable[[float], SimulatedRecording]]
+# values of x (p,) to simulate, and their covariance (f, f), None for a regular start
+Asked = tuple[Array, Array | None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,9 +114,10 @@ class Model:
     @property
     def lags(self) -> tuple[Lag, ...]:
         """The lag of each group of recordings as known without a fit."""
-        replayed = [one for _, one in self.replays]
-        known = known_lags(self.problems, replayed, self.unknowns.groups)
-        return tuple(combined_lag(one, None) for one in known)
+        replayed, groups = [one for _, one in self.replays], self.unknowns.groups
+        known = known_lags(self.problems, replayed, groups)
+        rates = [self.problems[group[0]].signals.sample_rate_hz for group in groups]
+        return tuple(combined_lag(one, 1 / fs, None) for one, fs in zip(known, rates, strict=True))
 
     def start(self) -> Array:
         """x (p,) of nothing but described gains and known lags."""
@@ -165,10 +175,6 @@ class Model:
         each = [(x, *further[k : k + 1]) for k in range(len(self.problems))]
         return stacked_rows(self.run(rows_of_recording, each))
 
-    def along(self, z: Sequence[Simulated]) -> Rows:
-        """[C Z J r] of all recordings, along the motion of simulated robots."""
-        return stacked_rows([rows for one in z if (rows := one.rows) is not None])
-
     def combined(self, system: System, estimate: Estimate) -> Estimate:
         """An estimate from these rows, combined with the stated centres of mass."""
         for payload in self.unknowns.payloads:
@@ -215,27 +221,27 @@ class Model:
         # Once in this process; each task of a worker prepares its own.
         return [cache(one) for one in each] if self.recordings.work.workers == 1 else each
 
-    def simulated(
+    def along(
         self,
         robots: Robots,
         x: Array,
-        asked: tuple[Array, Array | None] | None = None,
+        asked: Asked | None,
         further: Sequence[Candidate] = (),
         *,
         of_lag: bool = False,
-    ) -> tuple[Simulated, ...]:
-        """By recording, `simulate` with what is asked: values of x and their covariance. If nothing
-        is asked, instruments are along the motion that the reference predicts, with `COARSE`
-        samples per period of the bandwidth. Rows are about x.
+    ) -> tuple[tuple[Simulated, ...], Rows]:
+        """[C Z J r] of all recordings about x, and by recording along whose motion: that of the
+        robot simulated with what is asked; if nothing is asked, that which the reference predicts,
+        with `COARSE` samples per period of the bandwidth.
         """
         own = self.unknowns.simulated(*asked) if asked else [None] * len(robots)
-        rate = FINE if asked else COARSE
         more: Sequence[Candidate | None] = further or [None] * len(robots)
         tasks = [
-            (robot, rate, one, (x, beta), term, of_lag)
+            (robot, FINE if asked else COARSE, one, (x, beta), term, of_lag)
             for robot, one, beta, term in zip(robots, self.equations, own, more, strict=True)
         ]
-        return tuple(self.recordings.work.run(simulate, tasks))
+        z, each = zip(*self.recordings.work.run(simulate, tasks), strict=True)
+        return z, stacked_rows(each)
 
     def without(self, left_out: dict[str, str]) -> "Model":
         """The same without friction terms that are regrouped with nothing;
@@ -245,14 +251,6 @@ class Model:
             return self
         problems = [problem.without_terms(left_out) for problem in self.problems]
         return replace(self._of(problems), left_out=self.left_out | left_out)
-
-    def at_cutoff(self, cutoff_hz: float) -> "Model":
-        """The same recordings with another low-pass."""
-        of = [
-            (replace(self.overrides, cutoff_hz=cutoff_hz, decimation=one.settings.decimation),)
-            for one in self.problems
-        ]
-        return self._with_settings(self.run(settings_at, of))
 
     def with_ramps(self, ramp_rows: float) -> "Model":
         """The same recordings with other ramps of the weights of samples."""
@@ -270,7 +268,12 @@ class Model:
         """
         if all(problem.settings.filtered for problem in self.problems):
             return None
-        return self.at_cutoff(min(regression.rule_cutoff_hz(one.signals) for one in self.problems))
+        cutoff_hz = min(regression.rule_cutoff_hz(one.signals) for one in self.problems)
+        of = [
+            (replace(self.overrides, cutoff_hz=cutoff_hz, decimation=one.settings.decimation),)
+            for one in self.problems
+        ]
+        return self._with_settings(self.run(settings_at, of))
 
     def _with_settings(self, settings: Sequence[Settings]) -> "Model":
         pairs = zip(self.problems, settings, strict=True)

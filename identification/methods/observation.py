@@ -38,8 +38,7 @@ Replayed = tuple[TrustLine, KnownLag | None]
 # a recording, without samples where it is one of several long ones
 Observed = tuple[Problem, Replayed]
 
-SPAN_S = 180.0  # of a long recording, for tests that need rows
-NAME = "position noise"
+NAME, FINDING = "position noise", "least squares biased by position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
 BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
 MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
@@ -106,20 +105,17 @@ def position_noise_line(
 
     `alone`: `ls` has only this recording, without load friction.
     """
-    settings, fs, reason = (
-        problem.settings,
-        problem.signals.sample_rate_hz,
-        _reason_against(problem),
-    )
+    settings, reason = problem.settings, _reason_against(problem)
     if reason is not None:
         return TrustLine(NAME, "cannot tell", f"{reason}: {ADVICE}")
     assert settings.cutoff_hz is not None
-    stop = min(settings.stop, settings.start + round(SPAN_S * fs))
-    problem = replace(problem, settings=replace(settings, stop=stop))
+    problem = problem.beginning()
     noise = _noise_like(problem)
     try:
         plain = (
-            ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
+            ls.estimate
+            if alone and problem.settings is settings
+            else _least_squares(problem, method, ls)
         )
         both = [_least_squares(_with_noise(problem, way * noise), method, ls) for way in (1, -1)]
     except NoFitError as error:
@@ -141,15 +137,9 @@ def position_noise_line(
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
     value = float(widths[worst])
     text = f"moves {names[worst]} by {value:.2g} half-widths ({percents[worst]:.2g} %)"
-    if matters.any():
-        return TrustLine(
-            NAME,
-            "caution",
-            f"{text} or more: {ADVICE}",
-            value,
-            finding="least squares biased by position noise",
-        )
-    return TrustLine(NAME, "ok", text, value)
+    if not matters.any():
+        return TrustLine(NAME, "ok", text, value)
+    return TrustLine(NAME, "caution", f"{text} or more: {ADVICE}", value, finding=FINDING)
 
 
 def _reason_against(problem: Problem) -> str | None:

@@ -32,6 +32,7 @@ from ..estimation import (
     intervals_of,
     r_factor,
     weighted_least_squares,
+    weights_of,
 )
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
@@ -130,23 +131,12 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
     Raises `NoFitError` as the estimators do.
     """
     if model.unknowns.motors:
-        weights = joint_weights_of(rows)
-        found = instrumental_variables(rows.system, rows.Z, weights)
+        rho = rows.system.Y - rows.system.W @ rows.x[: len(rows.system.names)]
+        # about x: at wrong gains least squares has other residuals
+        found = instrumental_variables(rows.system, rows.Z, weights_of(rows.system, rho))
     else:
         found = solver_of(method)(rows.system)
     return model.combined(rows.system, found)
-
-
-def joint_weights_of(rows: Rows) -> Array:
-    """Compute 1/s_j (n,), 1/(N m) or 1/N, with s_j the rms residual of joint j about x: with wrong
-    gains, least squares would have others.
-    """
-    system = rows.system
-    rho = system.Y - system.W @ rows.x[: len(system.names)]
-    s = np.sqrt(
-        np.bincount(system.joint_of_row, rho**2, len(system.rows)) / np.maximum(1, system.rows)
-    )
-    return np.asarray(1.0 / np.where(s > 0, np.maximum(s, 1e-6 * s.max()), 1.0))
 
 
 def settle(model: Model, x: Array, rows: Rows, method: Method) -> Solution:

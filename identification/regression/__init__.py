@@ -23,7 +23,6 @@ from .rows import (
     Rows,
     equation_alone,
     equation_of,
-    residuals,
     rows_of_recording,
     stacked_rows,
     torque_of_recording,

@@ -26,6 +26,7 @@ from ..estimation import (
     instrumental_variables,
     intervals_of,
     t_quantile,
+    weights_of,
 )
 from .blocks import MotionBlock
 from .problem import Problem
@@ -48,7 +49,7 @@ class Lag:
         delay_s: time from command to torque and half its interval, where the described
             controller was replayed.
         moved: (b,) shift of each parameter by one deviation of the lag.
-        recordings: their names.
+        recordings: their names; `period_s`: of their samples.
     """
 
     value_s: float
@@ -56,6 +57,7 @@ class Lag:
     reach: float
     source: str
     prior: KnownLag
+    period_s: float
     found: tuple[float, float, int] | None
     delay_s: tuple[float, float] | None = None
     moved: Array = field(default_factory=lambda: np.zeros(0))
@@ -67,7 +69,7 @@ class Lag:
         return self.reach * self.sd_s
 
 
-def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag:
+def combined_lag(prior: KnownLag, period_s: float, found: tuple[float, float, int] | None) -> Lag:
     """Combine what is known of the lag of a group with what the data give, by variances.
 
     If both differ by more than chance in 0.3 % of cases (Student's t, degrees of freedom by Welch
@@ -87,7 +89,15 @@ def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag
         )
         counted = data if far else prior.with_other(data)
     value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
-    return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
+    return Lag(
+        value_s=value_s,
+        sd_s=sd_s,
+        reach=reach,
+        source=source,
+        prior=prior,
+        period_s=period_s,
+        found=found,
+    )
 
 
 def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
@@ -105,18 +115,17 @@ def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> li
     found: list[tuple[float, float, int] | None] = [None] * len(lags)
     with suppress(NoFitError):  # the rows do not determine them
         found = list(_found(*late, now_s))
-    return [combined_lag(lag.prior, one) for lag, one in zip(lags, found, strict=True)]
+    return [
+        combined_lag(lag.prior, lag.period_s, one) for lag, one in zip(lags, found, strict=True)
+    ]
 
 
 def _found(system: System, Z: Array, now_s: Array) -> list[tuple[float, float, int]]:
     """Lags, s, their deviations and degrees of freedom, by instruments Z."""
     K = len(now_s)
-    size = np.sqrt(
-        np.bincount(system.joint_of_row, system.Y**2, len(system.rows)) / np.maximum(1, system.rows)
-    )
-    if not size.max() > 0:
+    if not system.Y.any():
         raise NoFitError("the fit is exact")
-    step = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
+    step = instrumental_variables(system, Z, weights_of(system, system.Y))
     within = intervals_of(system, step)
     values, sd = (now_s + step.beta[-K:]).tolist(), within.sigma[-K:].tolist()
     return [(*one, within.freedom) for one in zip(values, sd, strict=True)]

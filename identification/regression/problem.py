@@ -25,7 +25,7 @@ from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff
 
 # of positions in the cache of a process: 64 MB, a few times as much in all
 MAX_CACHED_NUMBERS = 8_000_000
-MARGIN_S = 5.0  # behind the beginning of a recording
+BEGINNING_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
 # numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
 _SERIES_BLOCK = 12_000_000
 
@@ -174,11 +174,15 @@ class Problem:
         found = _cache[key]
         return replace(self, signals=found.signals, motion=found.motion)
 
-    def until(self, stop: int) -> "Problem":
-        """The beginning of the recording, up to a sample of its span, and some
-        seconds more for the filters.
+    def beginning(self) -> "Problem":
+        """The first minutes of the span used, and some seconds more for the filters; itself if it
+        is no longer.
         """
-        whole, N = self.signals, stop + round(MARGIN_S * self.signals.sample_rate_hz)
+        whole, fs = self.signals, self.signals.sample_rate_hz
+        stop = self.settings.start + round(BEGINNING_S * fs)
+        if stop >= self.settings.stop:
+            return self
+        N = stop + round(MARGIN_S * fs)
         cut: dict[str, Any] = {
             name: np.array(x[:N])
             for name in (*COLUMNS, "measured")

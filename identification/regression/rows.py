@@ -20,13 +20,15 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import SpanRows, System, by_joint, one_thread, stacked
-from .blocks import MotionBlock, motion_blocks, predicted_torque
+from .blocks import MotionBlock, motion_blocks
 from .lag import LagCollector
 from .problem import Problem
 from .states import fast_for_lag
 from .terms import Drives, Load, Term, load_friction
 from .unknowns import Arm, Unknowns, make_unknowns
 from .weights import sample_weights
+
+MAX_KEPT = 500_000  # numbers of the positions of a recording whose measured motion is kept
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,6 +50,16 @@ class Equation:
     names: tuple[str, ...]
     gains: NDArray[np.intp]
     lags: NDArray[np.intp]
+
+    @cached_property
+    def _made(self) -> tuple[MotionBlock, ...]:
+        return tuple(motion_blocks(self.problem))
+
+    def motions(self) -> Iterable[MotionBlock]:
+        """The measured motion in blocks: of a short recording made once, with its regressor."""
+        if 0 < self.problem.signals.q.size <= MAX_KEPT:
+            return self._made
+        return motion_blocks(self.problem.with_samples())
 
     @cached_property
     def regressors(self) -> NDArray[np.intp]:
@@ -81,7 +93,8 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
     if the robot has any.
     """
     arm, robot = unknowns.arms[k], problem.signals.robot
-    drives = Drives(R=robot.R, gains=unknowns.gain_places(robot), lag=unknowns.lag_of(k))
+    lag = int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)])
+    drives = Drives(R=robot.R, gains=unknowns.gain_places(robot), lag=lag)
     load = load_friction(problem.model, problem.base)
     of_load = () if load is None else (Load(P=arm.P, known=arm.known, of=load),)
     return Equation(
@@ -107,9 +120,9 @@ class Rows:
 
     Attributes:
         x: (p,) values of the unknowns.
-        period_s: of the samples of the recording.
         system: of the free ones: W = J, Y = r + J x.
-        L: (r, h + K) columns of what is held, and of the lags.
+        L: (r, h + K) columns of what is held, and of the lags; without these, (r, h), where W and
+            Y alone were asked for.
         C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for;
             `fast`: (r,) which rows of them show a lag.
         Z: (r, f) instruments of the free unknowns; (r, 0) where they are W itself.
@@ -122,7 +135,6 @@ class Rows:
     """
 
     x: Array
-    period_s: float
     system: System
     L: Array
     C: Array
@@ -176,6 +188,9 @@ class Candidate(Protocol):
     def columns(self, motion: MotionBlock) -> Array:
         """(n, k, rows), weighted and decimated."""
 
+    def at_rest(self, motion: MotionBlock) -> Array:
+        """(n, g, rows) of links at rest, along the measured motion."""
+
 
 @one_thread
 def rows_of_recording(
@@ -209,19 +224,27 @@ def rows_of_recording(
     collected, parts = SpanRows(*share.shape), list[tuple[Array, Array]]()
     arm = np.setdiff1d(np.arange(len(names)), equation.gains)
     of_late = np.r_[arm, equation.lags]
-    lag = LagCollector(problem, share, *residuals(equation, x)) if of_lag else None
+    lag = None
+    if of_lag:
+        tau, predicted, speed = torque_of_recording(equation, x)
+        lag = LagCollector(problem, share, share * (tau - predicted), speed)
     places, k = equation.instruments(along=along is not None), 0
+    # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
+    asked = along is not None or further is not None or len(equation.gains) > 0
+    places = places if asked else places[:0]
     others: Iterable[MotionBlock | None] = repeat(None) if along is None else along
-    for motion, other in zip(motion_blocks(problem), others, strict=False):
+    for motion, other in zip(equation.motions(), others, strict=False):
+        J = equation.columns(x, motion)
         # The robot may have been prepared for other weights.
-        z = (motion if other is None else replace(other, problem=problem)).with_torque_of(beta)
-        J, Z = equation.columns(x, motion), equation.columns(x, z)
+        z = motion if other is None else replace(other, problem=problem)
+        z = z.with_torque_of(beta) if asked else z
+        Z = equation.columns(x, z) if asked else J
         r, C, fast = equation.residual(x, motion)[:, None], J[:, :0], None
         if lag is not None:
             J[:, equation.lags] = Z[:, equation.lags]
             lag.add(np.concatenate([Z[:, of_late], J[:, of_late], r], axis=1), z)
         if further is not None:
-            C = further.columns(z)
+            C = np.concatenate([further.columns(z), further.at_rest(motion)], axis=1)
             fast = fast_for_lag(z, further.sliding)
         k = C.shape[1]
         A = np.concatenate([C, Z[:, places], J[:, equation.regressors], r], axis=1)
@@ -232,7 +255,7 @@ def rows_of_recording(
     rows, fast_rows, followed = collected.rows()
     C, Z, J, r = np.split(rows, np.cumsum([k, len(places), len(equation.regressors)]), axis=1)
     W, f = J[:, : len(names)], len(names)
-    own = len(places) - len(equation.lags)
+    own = max(0, len(places) - len(equation.lags))
     instruments = Z[:, :own]
     if 0 < own < f:
         instruments = W.copy()
@@ -240,7 +263,6 @@ def rows_of_recording(
     of_lag_names = (*(names[i] for i in arm), *(equation.arm.unknowns[i] for i in equation.lags))
     return Rows(
         x=x,
-        period_s=1 / problem.signals.sample_rate_hz,
         system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names, **followed),
         L=np.c_[J[:, f:], Z[:, own:]],
         C=C,
@@ -254,15 +276,6 @@ def rows_of_recording(
     )
 
 
-def residuals(equation: Equation, x: Array) -> tuple[Array, Array]:
-    """Return the weighted residuals (T, n), N m or N, of a recording about x (p,), and the joint
-    speeds (T, n), rad/s or m/s.
-    """
-    tau, predicted, speed = torque_of_recording(equation, x)
-    share = sample_weights(equation.problem.with_samples()).of_rows
-    return share * (tau - predicted), speed
-
-
 def stacked_rows(each: Sequence[Rows]) -> Rows:
     """Stack the rows of recordings about the same x joint by joint, in the order given."""
     if len(each) == 1:
@@ -273,7 +286,6 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
     late, instruments = zip(*(rows.late or (None, None) for rows in each), strict=True)
     return Rows(
         x=each[0].x,
-        period_s=each[0].period_s,
         system=stacked([rows.system for rows in each]),
         fast=np.concatenate([rows.fast for rows in each])[order],
         **of_rows,
@@ -299,18 +311,18 @@ def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Ar
     Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
     """
     problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
-    parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)
+    parts, settings = list[tuple[Array, ...]](), problem.settings
     rows, fs = len(settings.instants), problem.signals.sample_rate_hz
     # as spans of time end
     edges = settings.stop - settings.decimation * (
         rows + -np.arange(len(betas) + 1) * rows // len(betas)
     )
-    for motion in motion_blocks(problem):
+    for motion in equation.motions():
         N = len(motion.q)
         cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
         predicted = np.concatenate(
             [
-                predicted_torque(motion.part(slice(first, last)), *of, beta)
+                motion.predicted(beta, slice(first, last))
                 for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
                 if first < last
             ]

@@ -99,15 +99,9 @@ def fast_for_lag(motion: MotionBlock, peak: Array) -> NDArray[np.bool_]:
 def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> NDArray[np.bool_]:
     """Rows (n, T) in which a lag shows, by their speeds (T, n)."""
     percent = max(MIN_LAG_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
-    return _well_before_slow(fast_rows(speed, problem.model.coulomb_directions, percent, peak).T)
-
-
-def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows (n, rows) not soon before a slow one, as zero-phase decimation
-    spreads a reversal both ways.
-
-    The whitening leaves out rows soon after a slow one.
-    """
+    fast = fast_rows(speed, problem.model.coulomb_directions, percent, peak).T
+    # Not soon before a slow row, as zero-phase decimation spreads a reversal both ways; the
+    # whitening leaves out rows soon after one.
     for _ in range(LAG_ORDER):
         fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
     return fast

@@ -158,13 +158,10 @@ class Unknowns:
         x[self.lags] = lags_s
         return x
 
-    def lag_of(self, k: int) -> int:
-        """Place of the lag of recording k."""
-        return int(self.lags[next(g for g, of in enumerate(self.groups) if k in of)])
-
     def gain_places(self, robot: Robot) -> NDArray[np.intp]:
         """Places (n,) of the factors on the gains of all motors; -1 for a described one."""
-        return np.array([_place(self.all, f"K:{motor.name}") for motor in robot.motors])
+        places = {name: i for i, name in enumerate(self.all)}
+        return np.array([places.get(f"K:{motor.name}", -1) for motor in robot.motors])
 
     @property
     def plain(self) -> bool:
@@ -291,10 +288,6 @@ def _arm(
         if of is payload:
             P[:, x.index(name)] = moves
     return Arm(names=names, unknowns=x, P=P, known=known, payload=payload)
-
-
-def _place(x: tuple[str, ...], name: str) -> int:
-    return x.index(name) if name in x else -1
 
 
 def _places(x: tuple[str, ...], names: Sequence[str]) -> NDArray[np.intp]:

@@ -39,7 +39,6 @@ class Simulated:
         error: (N, n) its position less the measured one.
         percent: |q_sim - q| in percent of |q - mean|, all joints that move, and `by_joint`; None
             and empty if nothing was simulated.
-        rows: about the parameters asked, with instruments along the motion; None once dropped.
     """
 
     recording: str
@@ -51,11 +50,10 @@ class Simulated:
     error: Array
     percent: float | None
     by_joint: tuple[DirectModelResidual, ...]
-    rows: Rows | None
 
-    def without_rows(self) -> "Simulated":
+    def without_motion(self) -> "Simulated":
         """Return the same without arrays of a recording's length."""
-        return replace(self, motion=None, error=self.error[:0], rows=None)
+        return replace(self, motion=None, error=self.error[:0])
 
 
 @one_thread
@@ -66,7 +64,7 @@ def simulate(
     about: tuple[Array, Asked | None],
     further: Candidate | None = None,
     of_lag: bool = False,
-) -> Simulated:
+) -> tuple[Simulated, Rows]:
     """Simulate a robot in a recording, and compute the rows of its equation with instruments.
 
         Z = F[w IDM(q_s, dq_s, ddq_s)]                                                   (D)
@@ -89,11 +87,11 @@ def simulate(
 
     Returns
     -------
-    The rows, the simulated motion, and how it follows the recording.
+    The simulated motion with how it follows the recording, and the rows.
     """
     robot, beta, (x, asked) = prepared(rate_per_bandwidth), None, about
     kind: InstrumentKind = "reference"
-    known, why = equation.arm.beta(x), None
+    why = None
     if asked is not None:
         beta, covariance, payload = asked
         why = robot.gains(robot.model(beta))[1]
@@ -101,14 +99,17 @@ def simulate(
             with suppress(NoFitError):
                 own = robot.problem.model, robot.problem.base, beta - payload
                 beta = nearest_consistent(*own, covariance).beta + payload
-    along, gains, reason = robot.motion(beta, known)
+    along, gains, reason = robot.motion(beta)
     if asked is not None and reason is None:
         kind, reason = "simulated" if why is None else "consistent", why
         if reason is None and covariance is not None and beta is asked[0]:
             reason = "no physically consistent robot is near: that of the estimate itself"
     rows = rows_of_recording(equation, x, further, along(), of_lag=of_lag)
-    motion, error, percent, by_joint = _followed(robot, along(), rows.tau)
-    return Simulated(
+    moved, known = along(), equation.arm.beta(x)
+    if kind == "reference":  # no robot has a torque
+        moved = (motion.with_torque_of(known) for motion in moved)
+    motion, error, percent, by_joint = _followed(robot, moved, rows.tau)
+    found = Simulated(
         recording=robot.problem.signals.recording,
         kind=kind,
         reason=reason,
@@ -118,8 +119,8 @@ def simulate(
         error=error,
         percent=None if kind == "reference" else percent,
         by_joint=() if kind == "reference" else by_joint,
-        rows=rows,
     )
+    return found, rows
 
 
 @one_thread
@@ -129,7 +130,7 @@ def rows_along_reference(
     """Compute the rows of a recording about the unknowns x (p,), with instruments along the motion
     that its reference predicts; no robot is simulated.
     """
-    along, *_ = prepared(COARSE).motion(None, equation.arm.beta(x))
+    along, *_ = prepared(COARSE).motion(None)
     return rows_of_recording(equation, x, along=along())
 
 

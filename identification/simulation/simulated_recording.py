@@ -147,16 +147,15 @@ class SimulatedRecording:
         scales, self.held = position_scales(travel, robot.joints)
         self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
-    def motion(self, beta: Array | None, about: Array) -> tuple[Along, Array, str | None]:
+    def motion(self, beta: Array | None) -> tuple[Along, Array, str | None]:
         """Simulate the robot of base parameters beta in closed loop.
 
         If beta is None, or the robot cannot be simulated or leaves its reference, the motion is
-        that which the reference predicts.
+        that which the reference predicts, with the recorded torque.
 
         Parameters
         ----------
         beta : (b,) base parameters of the robot, or None.
-        about : (b,) base parameters whose torque a predicted motion has.
 
         Returns
         -------
@@ -169,7 +168,10 @@ class SimulatedRecording:
             if reason is None:
                 path, reason = self._simulated(model, gains)
         shown = path if reason is None else None
-        return lambda: (self._block(at, shown, about) for at in self.blocks), gains, reason
+        if len(self.blocks) == 1:  # of a short recording made once
+            made = self._block(self.blocks[0], shown)
+            return lambda: iter((made,)), gains, reason
+        return lambda: (self._block(at, shown) for at in self.blocks), gains, reason
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -247,7 +249,7 @@ class SimulatedRecording:
             release_pages(path)
         return path, None
 
-    def _block(self, at: RowBlock, path: Array | None, about: Array) -> MotionBlock:
+    def _block(self, at: RowBlock, path: Array | None) -> MotionBlock:
         """A block of a simulated path, linear between steps, or of the predicted motion."""
         problem, fs = self.problem, self.problem.signals.sample_rate_hz
         if path is None:
@@ -264,8 +266,7 @@ class SimulatedRecording:
             x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
             if self.instants > CHUNK:
                 release_pages(path)
-        block = MotionBlock(**vars(x), problem=problem, at=at, decimation=self.decimation)
-        return block.with_torque_of(about) if path is None else block
+        return MotionBlock(**vars(x), problem=problem, at=at, decimation=self.decimation)
 
 
 def _on_lines(at: Array, x: Array) -> Array:

@@ -2,9 +2,9 @@
 
 from .candidates import Candidates
 from .control_law import law_line
-from .fit_data import FitData, covariance_of_all
+from .fit_data import FitData, covariance_of_all, relative_residual
 from .held_out import held_out_parts, predictions_by_others
 from .lag import moves_of
 from .lines import LEVELS, Figure, HeldOut, Trust, TrustLine
 from .prior import with_prior
-from .solution import trust_in
+from .solution import MIN_FIRST_STAGE_F, trust_in

@@ -151,21 +151,20 @@ class Candidates:
         still = idm.regressor(q, 0 * q, 0 * q)[:, :, columns] * idm.of_links[columns]
         return np.flatnonzero(np.abs(still).max(axis=(0, 1)) > 1e-12 * np.abs(still).max())
 
-    @property
-    def at_rest(self) -> slice:
-        """The columns (g,) of their torques at rest."""
-        first = int(self.places[0].max()) + 1
-        return slice(first, first + len(self.weighs))
+    def at_rest(self, motion: MotionBlock) -> Array:
+        """(n, g, rows) the torques of `weighs` at rest, which change slowly, weighted and decimated
+        along the measured motion.
+        """
+        q, columns = motion.kept(motion.q), motion.problem.base.columns[self.weighs]
+        still = motion.problem.model.regressor(q, 0 * q, 0 * q)[:, :, columns]
+        return motion.filtered(motion.weights)[:, None] * still.transpose(1, 2, 0)
 
     def columns(self, motion: MotionBlock) -> Array:
-        """(n, k + g, rows) torque per unit of the terms, weighted, decimated, and of the links at
-        rest, which changes slowly; along a motion with the torque that `beta` predicts.
+        """(n, k, rows) torque per unit of the terms, weighted and decimated, along a motion with
+        the torque that `beta` predicts.
         """
-        (places, acts), base, q = self.places, motion.problem.base, motion.kept(motion.q)
-        found = np.zeros((len(self.peak), self.at_rest.stop, len(q)))
-        still = motion.problem.model.regressor(q, 0 * q, 0 * q)[:, :, base.columns[self.weighs]]
-        slow = motion.filtered(motion.weights)[:, None]
-        found[:, self.at_rest] = slow * still.transpose(1, 2, 0)
+        places, acts = self.places
+        found = np.zeros((len(self.peak), int(places.max()) + 1, len(motion.share.T)))
         links = smooth(partial(_of_links, self._links), motion, _stride(motion))
         for place, (i, k, _, _) in dict(zip(places, self._lacking, strict=True)).items():
             torque = KINDS[i].torque(self, motion, links, k)

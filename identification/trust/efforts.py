@@ -22,7 +22,6 @@ from .lines import LEVELS, TrustLine, first_case
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
-MAX_SPAN_S = 180.0  # of the first recording, that mistakes are tried on
 
 
 def signs_and_order_test(evidence: FitData) -> TrustLine | None:
@@ -37,9 +36,7 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
     brakes = np.diag(R @ power @ np.linalg.inv(R)) < 0
     if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
         return None
-    problem, one = evidence.problem.with_samples(), np.eye(len(R))
-    s, most = problem.settings, round(MAX_SPAN_S * problem.signals.sample_rate_hz)
-    problem = problem.until(min(s.stop, s.start + most))
+    problem, one = evidence.problem.with_samples().beginning(), np.eye(len(R))
     decimated = _decimated(problem)
     factors = _factors(problem, decimated, one)
     with_it, found = _error(factors, one), list[tuple[float, float, str]]()

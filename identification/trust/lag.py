@@ -28,7 +28,7 @@ def lag_test(evidence: FitData) -> TrustLine | None:
 
 
 def _line(evidence: FitData, lag: Lag) -> TrustLine | None:
-    fs, names, prior = evidence.problem.signals.sample_rate_hz, evidence.estimate.names, lag.prior
+    fs, names, prior = 1 / lag.period_s, evidence.estimate.names, lag.prior
     late, half, value_s = lag.value_s * fs, lag.half_width_s * fs, lag.value_s
     rest = np.sqrt(np.maximum(evidence.intervals.sigma**2 - lag.moved**2, 0.0))  # without the lag
     moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)

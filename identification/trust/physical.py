@@ -191,7 +191,7 @@ def _gravity_findings(evidence: FitData, poses: Array) -> list[Finding]:
         return []
     # by unknown its column at rest
     same = np.array(base.names)[terms.weighs][:, None] == np.array(system.names)
-    G = evidence.observed.C[:, terms.at_rest] @ same
+    G = evidence.observed.C[:, -len(terms.weighs) :] @ same
     # The small R factor has the same column products as the rows.
     R = estimation.r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
     W, G, Y = np.split(R, [len(system.names), -1], axis=1)

@@ -11,7 +11,7 @@ from acquisition.errors import one_line
 from acquisition.files import atomic_write
 
 from ..report import to_html, versions
-from .colors import CLASSES, Color
+from .colors import CLASSES
 from .panels import Graph, Log, Page, Panel, Picture, Rows
 from .svg_panels import HEAD, HEIGHT, PITCH, SHEET, WIDE, draw_graph, draw_rows, width_of
 
@@ -99,7 +99,11 @@ def _figure(panel: Panel) -> str:
         named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}
         drawn, keys = (
             draw_graph(panel),
-            "".join(_key(name, c.color, dashed=c.dashed) for name, c in named.items()),
+            "".join(
+                f'<span class="item"><i class="key {CLASSES[c.color]}'
+                f'{" dash" if c.dashed else ""}"></i>{escape(name)}</span> '
+                for name, c in named.items()
+            ),
         )
     elif isinstance(panel, Rows):
         drawn = draw_rows(panel)
@@ -112,10 +116,3 @@ def _figure(panel: Panel) -> str:
     kind = "wide" if width == WIDE else "sheet" if width == SHEET else "plot"
     content = f'<figcaption>{title}{legend}</figcaption><div class="scroll">{drawn}</div>'
     return f'<figure class="{kind}" style="--least:{width:.0f}px">{content}</figure>'
-
-
-def _key(name: str, color: Color, *, dashed: bool = False) -> str:
-    return (
-        '<span class="item"><i class="key '
-        f'{CLASSES[color]}{" dash" if dashed else ""}"></i>{escape(name)}</span> '
-    )

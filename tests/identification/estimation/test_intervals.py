@@ -137,7 +137,6 @@ def test_intervals_of_several_recordings_by_hand():
             for part, at in zip(parts, (time < 40, time >= 40), strict=True)
         ]
     )
-    np.testing.assert_array_equal(system.recording, time >= 40)
     fit = ordinary_least_squares(system)
     rho, found = Y - W @ fit.beta, intervals_of(system, fit)
     rows = fit.Q @ fit.bread.T  # beta - beta_true = rows' rho

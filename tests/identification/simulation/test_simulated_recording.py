@@ -65,7 +65,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     fed = replace(problem, signals=replace(problem.signals, feedforward=counted))
     mean = SimulatedRecording(fed, true).reference(0, recording.instants).feedforward
     np.testing.assert_allclose(mean[inner, 0], places[inner], atol=1e-6)
-    found = simulated(problem, true, true, None)
+    found, rows = simulated(problem, true, true, None)
     grid = np.rint(found.motion.t_s * 1000).astype(int)
     for one, other, slope in (
         (found.motion.q, runs.q_true[0, grid], np.abs(runs.dq_true)),
@@ -78,7 +78,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     tau, recorded = found.motion.tau, runs.effort[0, grid]
     assert (np.linalg.norm(tau - recorded, axis=0) < 5e-3 * np.linalg.norm(recorded, axis=0)).all()
     # Instruments of the true parameters are the regressor of a recording without noise.
-    W, Z = found.rows.system.W, found.rows.Z[:, : problem.base.b]
+    W, Z = rows.system.W, rows.Z[:, : problem.base.b]
     assert (np.linalg.norm(Z - W, axis=0) < 0.03 * np.linalg.norm(W, axis=0)).all()
 
 
@@ -87,17 +87,17 @@ def test_blocks_of_a_long_recording_give_what_one_block_gives(monkeypatch):
     problem = make_problem(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(decimation=5))
     full = weighted_least_squares((whole := rows_of_recording(*equation_alone(problem))).system)
     asked = problem, full.beta, full.beta, 4 * full.covariance
-    one = simulated(*asked)
+    one, of_one = simulated(*asked)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(row_blocks(problem)) == 3
     monkeypatch.setattr("identification.simulation.simulated_recording.CHUNK", 700)
-    short = simulated(*asked)
-    A, wanted = (np.c_[x.rows.Z, x.rows.system.W, x.rows.system.Y] for x in (short, one))
+    short, blocks = simulated(*asked)
+    A, wanted = (np.c_[x.Z, x.system.W, x.system.Y] for x in (blocks, of_one))
     A, wanted = (x / np.linalg.norm(wanted, axis=0) for x in (A, wanted))
     np.testing.assert_allclose(A.T @ A, wanted.T @ wanted, atol=1e-9)
     np.testing.assert_allclose(short.motion.q, one.motion.q, atol=1e-9)
     monkeypatch.setattr("identification.simulation.instruments.MAX_SERIES", 1)
-    long = simulated(*asked)
+    long, _ = simulated(*asked)
     assert (len(long.motion.q), long.percent) == (
         len(whole.tau),
         pytest.approx(one.percent, rel=0.01),
@@ -112,16 +112,16 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     true = described_parameters(problem.model, problem.base)
     wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
     spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
-    consistent = simulated(problem, true, wrong, spread)
+    consistent, _ = simulated(problem, true, wrong, spread)
     assert (consistent.kind, consistent.percent < 5) == ("consistent", True)
     assert "inertia matrix is not positive" in consistent.reason
-    plain = simulated(problem, true, wrong, None)
+    plain, _ = simulated(problem, true, wrong, None)
     assert (plain.kind, plain.percent, plain.by_joint) == ("reference", None, ())
-    right = simulated(problem, true, true, spread)
+    right, _ = simulated(problem, true, true, spread)
     assert (right.kind, right.reason) == ("simulated", None)
     # What cannot be simulated has the motion that the reference predicts: that of nothing asked.
     recording = SimulatedRecording(problem, true)
-    (along, _, why), (predicted, _, none) = (recording.motion(x, true) for x in (wrong, None))
+    (along, _, why), (predicted, _, none) = (recording.motion(x) for x in (wrong, None))
     assert (why, none) == (plain.reason, None)
     for one, other in zip(along(), predicted(), strict=True):
         np.testing.assert_array_equal([one.q, one.tau], [other.q, other.tau])
@@ -136,7 +136,7 @@ def test_tracking_errors_are_norms_of_the_errors_over_norms_of_the_motion():
     slower = msgspec.structs.replace(shipped.robot.controller, sample_rate_hz=700.0)
     signals = replace(shipped, q=q, q_ref=q_ref, robot=replace(shipped.robot, controller=slower))
     problem, norm = make_problem(signals, Overrides()), np.linalg.norm
-    found = simulated(
+    found, _ = simulated(
         problem, *(described_parameters(problem.model, problem.base) * [[1.0], [1.2]]), None
     )
     m, k = found.motion, np.rint(found.motion.t_s * signals.sample_rate_hz).astype(int)

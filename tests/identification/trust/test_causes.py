@@ -145,7 +145,7 @@ def test_a_known_lag_and_the_data_are_compared_by_students_t():
     known = KnownLag(value_s=0.0, sd_s=1e-9, source="effort_timing")
     sources = [
         [
-            combined_lag(known, (t * 1e-3, 1e-3, freedom)).source == "data"
+            combined_lag(known, 1e-3, (t * 1e-3, 1e-3, freedom)).source == "data"
             for t in (2.9, 3.05, 3.4, 3.55)
         ]
         for freedom in (16, 10**6)
@@ -153,4 +153,4 @@ def test_a_known_lag_and_the_data_are_compared_by_students_t():
     assert sources == [[False, False, False, True], [False, True, True, True]]
     # the deviation of the data hardly counts
     exact = KnownLag(value_s=0.0, sd_s=1e-2, source="effort_timing")
-    assert combined_lag(exact, (31e-3, 1e-3, 4)).source == "data"
+    assert combined_lag(exact, 1e-3, (31e-3, 1e-3, 4)).source == "data"

@@ -159,10 +159,17 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
     both = Recordings(sources=(first, replace(second, recording="B", sha256="b")))
     (one,) = identify(both, Overrides()).lags
     assert one.recordings == ("A", "B")
-    other = replace(second, recording="B", sha256="b", effort_timing="command")
-    two = identify(Recordings(sources=(first, other)), Overrides()).lags
-    found = {lag.recordings: 1e3 * lag.value_s for lag in two}
+    slow = replace(
+        both.sources[1],
+        effort_timing="command",
+        sample_rate_hz=500.0,
+        **{name: getattr(second, name)[::2] for name in ("t_s", "q", "q_ref", "effort")},
+    )
+    two = identify(Recordings(sources=(first, slow)), Overrides())
+    found = {lag.recordings: 1e3 * lag.value_s for lag in two.lags}
     assert found == {("A",): pytest.approx(-0.5, abs=0.2), ("B",): pytest.approx(1.5, abs=0.3)}
+    # in samples of its recordings
+    assert two.trust.line("lag").value == pytest.approx(0.5 * found[("B",)])
 
 
 @pytest.mark.parametrize(
