@@ -4,7 +4,7 @@ and the truth beside it.
 
 import json
 import re
-import subprocess
+import runpy
 import sys
 from pathlib import Path
 
@@ -147,15 +147,14 @@ def test_the_shipped_session_of_the_axis_is_that_which_its_readme_makes(tmp_path
     compare_with_shipped("emps", made)
 
 
-def test_the_story_of_the_paper_holds():
+def test_the_story_of_the_paper_holds(capsys, monkeypatch):
     """LS is biased by noise of the position, IV is not; any start leads to it, and with the gain
     update is simulated and followed by smaller changes.
     """
     known = [str(DATA / "emps" / "DATA_EMPS.mat")] if (DATA / "emps").exists() else []
-    command = [sys.executable, str(REPLAY / "paper.py"), *known]
-    lines = subprocess.run(
-        command, capture_output=True, text=True, check=True, cwd=ROOT
-    ).stdout.splitlines()
+    monkeypatch.setattr(sys, "argv", [str(REPLAY / "paper.py"), *known])
+    runpy.run_path(sys.argv[0], run_name="__main__")
+    lines = capsys.readouterr().out.splitlines()
     numbers = [[float(x) for x in re.findall(r"\d+\.\d+", line)] for line in lines]
     noisy, clean = numbers[lines.index(next(x for x in lines if "20 µm" in x))], numbers[1]
     assert clean[0] == pytest.approx(95.1089, abs=clean[1])

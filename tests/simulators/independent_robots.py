@@ -20,19 +20,15 @@ Array = np.ndarray
 Rigid = Callable[[Array, Array], tuple[Array, Array]]
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
-NEXT, AFTER = [1, 2, 0], [2, 0, 1]
-
-
-def cross(a: Array, b: Array) -> Array:
-    """a x b along the last axis; several times faster than `numpy.cross` on small arrays."""
-    return a[..., NEXT] * b[..., AFTER] - a[..., AFTER] * b[..., NEXT]
+EYE = np.eye(3)
+# a @ TURNS is [a]x, row by row.
+TURNS = np.zeros((3, 9))
+TURNS[[2, 0, 1], [3, 7, 2]], TURNS[[2, 0, 1], [1, 5, 6]] = 1.0, -1.0
 
 
 def skew(a: Array) -> Array:
     """[a]x (..., 3, 3) with [a]x b = a x b."""
-    x, y, z = np.moveaxis(a, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*a.shape, 3)
+    return (a @ TURNS).reshape(*a.shape, 3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,33 +53,30 @@ class Chain:
 
     def __call__(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """M (S, n, n) and the torques (S, n) of speed and gravity, at the states q, dq (S, n)."""
-        n = q.shape[1]
+        runs, n = q.shape
         axis, origin, rotation = self._frames(q)
-        S = np.where(
-            self.prismatic[:, None],
-            np.concatenate([np.zeros_like(axis), axis], axis=-1),
-            np.concatenate([axis, cross(origin, axis)], axis=-1),
-        )
-        V = np.cumsum(S * dq[..., None], axis=1)
-        w, v = V[..., :3], V[..., 3:]
-        turned = np.concatenate(
-            [cross(w, S[..., :3]), cross(w, S[..., 3:]) + cross(v, S[..., :3])], axis=-1
-        )
-        A = np.cumsum(turned * dq[..., None], axis=1)
-        A[..., 3:] -= self.gravity
+        # Of each joint and body: what turns or acts about the origin, and what moves it.
+        S = np.zeros((runs, n, 2, 3))
+        S[:, :, 0] = ~self.prismatic[:, None] * axis
+        S[:, :, 1] = (skew(origin) @ S[:, :, 0, :, None])[..., 0] + self.prismatic[:, None] * axis
+        V = (S * dq[..., None, None]).cumsum(axis=1)
+        turns, shifts = np.moveaxis(skew(V), 2, 0)
+        turned = S @ turns.swapaxes(-1, -2)
+        turned[:, :, 1] += (shifts @ S[:, :, 0, :, None])[..., 0]
+        A = (turned * dq[..., None, None]).cumsum(axis=1)
+        A[:, :, 1] -= self.gravity
         inertia = self._at_the_origin(origin, rotation)  # (S, n, 6, 6)
-        momentum = (inertia @ V[..., None])[..., 0]
-        L, P = momentum[..., :3], momentum[..., 3:]
-        force = (inertia @ A[..., None])[..., 0]
-        force += np.concatenate([cross(w, L) + cross(v, P), cross(w, P)], axis=-1)
-        carried = np.cumsum(force[:, ::-1], axis=1)[:, ::-1]
-        bias = (S * carried).sum(axis=-1)
-        composite = np.cumsum(inertia[:, ::-1], axis=1)[:, ::-1]
+        momentum, force = (
+            (inertia @ x.reshape(runs, n, 6, 1)).reshape(runs, n, 2, 3) for x in (V, A)
+        )
+        force += momentum @ turns.swapaxes(-1, -2)
+        force[:, :, 0] += (shifts @ momentum[:, :, 1, :, None])[..., 0]
+        flat = S.reshape(runs, n, 6)
+        bias = (S * force[:, ::-1].cumsum(axis=1)[:, ::-1]).sum(axis=(-1, -2))
         # momentum of all that joint k carries, for unit speed of joint k
-        moved = (composite @ S[..., None])[..., 0]
-        M = S @ moved.transpose(0, 2, 1)  # entry (j, k) holds for j <= k
-        upper = np.triu(np.ones((n, n), dtype=bool))
-        return np.where(upper, M, M.transpose(0, 2, 1)), bias
+        moved = (inertia[:, ::-1].cumsum(axis=1)[:, ::-1] @ flat[..., None])[..., 0]
+        M = flat @ moved.transpose(0, 2, 1)  # entry (j, k) holds for j <= k
+        return np.where(np.tri(n, dtype=bool), M.transpose(0, 2, 1), M), bias
 
     def _frames(self, q: Array) -> tuple[Array, Array, Array]:
         """Axis and origin (S, n, 3) and rotation (S, n, 3, 3) of each
@@ -93,17 +86,18 @@ class Chain:
         slide = self.r + np.where(self.prismatic, q, 0.0)
         c, s, ca, sa = np.cos(turn), np.sin(turn), np.cos(self.alpha), np.sin(self.alpha)
         zero = np.zeros_like(c)
+        # of each link in the frame of the one before
         local = np.stack(
-            [c, -s, zero, ca * s, ca * c, zero - sa, sa * s, sa * c, zero + ca], axis=-1
+            [
+                *(c, -s, zero, zero + self.d),
+                *(ca * s, ca * c, zero - sa, -sa * slide),
+                *(sa * s, sa * c, zero + ca, ca * slide),
+                *(zero, zero, zero, zero + 1),
+            ],
+            axis=-1,
         )
-        local = local.reshape(*q.shape, 3, 3)
-        step = np.stack([zero + self.d, -sa * slide, ca * slide], axis=-1)
-        rotation, origin = np.empty_like(local), np.empty_like(step)
-        rotation[:, 0], origin[:, 0] = local[:, 0], step[:, 0]
-        for j in range(1, q.shape[1]):
-            rotation[:, j] = rotation[:, j - 1] @ local[:, j]
-            origin[:, j] = origin[:, j - 1] + (rotation[:, j - 1] @ step[:, j, :, None])[..., 0]
-        return rotation[..., 2], origin, rotation
+        world = carried_on(local.reshape(*q.shape, 4, 4))
+        return world[..., :3, 2], world[..., :3, 3], world[..., :3, :3]
 
     def _at_the_origin(self, p: Array, rotation: Array) -> Array:
         """Spatial inertias (S, n, 6, 6) of the links about the world's origin, p
@@ -111,19 +105,20 @@ class Chain:
         """
         m = (rotation @ self.moment[..., None])[..., 0]
         about = rotation @ self.inertia @ rotation.swapaxes(-1, -2)
-        pm = p[..., :, None] * m[..., None, :]
-        M = self.mass[:, None, None]
+        pm, M = p[..., :, None] * m[..., None, :], self.mass[:, None, None]
         shift = pm + pm.swapaxes(-1, -2) + M * (p[..., :, None] * p[..., None, :])
-        shift = np.trace(shift, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - shift
-        h = skew(m + self.mass[:, None] * p)
-        out = np.empty((*p.shape[:-1], 6, 6))
-        out[..., :3, :3], out[..., :3, 3:], out[..., 3:, :3], out[..., 3:, 3:] = (
-            about + shift,
-            h,
-            -h,
-            M * np.eye(3),
-        )
+        h, out = skew(m + self.mass[:, None] * p), np.empty((*p.shape[:-1], 6, 6))
+        out[..., :3, :3] = about + np.einsum("...kk", shift)[..., None, None] * EYE - shift
+        out[..., :3, 3:], out[..., 3:, :3], out[..., 3:, 3:] = h, -h, M * EYE
         return out
+
+
+def carried_on(local: Array) -> Array:
+    """Places of all links in the world (S, n, 4, 4) by that of each in the link before it."""
+    world = local.copy()
+    for j in range(1, local.shape[1]):
+        world[:, j] = world[:, j - 1] @ local[:, j]
+    return world
 
 
 def scara(q: Array, dq: Array) -> tuple[Array, Array]:
@@ -134,10 +129,11 @@ def scara(q: Array, dq: Array) -> tuple[Array, Array]:
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     v1, v2 = dq.T
     near, across = LMX2 * c2 - LMY2 * s2, LMX2 * s2 + LMY2 * c2
-    M = np.stack(
-        [ZZ1R + ZZ2 + 2 * near, ZZ2 + near, ZZ2 + near, np.full_like(c2, ZZ2)], axis=-1
-    ).reshape(-1, 2, 2)
-    return M, np.stack([-across * v2 * (2 * v1 + v2), across * v1**2], axis=-1)
+    M, bias = np.empty((len(q), 2, 2)), np.empty((len(q), 2))
+    M[:, 0, 0], M[:, 1, 1] = ZZ1R + ZZ2 + 2 * near, ZZ2
+    M[:, 0, 1] = M[:, 1, 0] = ZZ2 + near
+    bias[:, 0], bias[:, 1] = -across * v2 * (2 * v1 + v2), across * v1**2
+    return M, bias
 
 
 def level_axis(mass: float) -> Rigid:
@@ -165,8 +161,8 @@ class Friction:
     smooth: Array
     asymmetry: float = 0.0
     stribeck: float = 0.0
-    root: Array = field(default_factory=lambda: np.zeros(1))
-    load: Array = field(default_factory=lambda: np.zeros(1))
+    root: Array | None = None
+    load: Array | None = None
 
     def __call__(self, v: Array) -> Array:
         """Torques (S, n) at the speeds v (S, n)."""
@@ -180,7 +176,7 @@ class Friction:
                 force * (1.0 + self.asymmetry * side),
                 linear * (1.0 + self.asymmetry * np.sign(v)),
             )
-        if self.root.any():
+        if self.root is not None:
             force = force + self.root * np.sqrt(np.abs(x) * self.smooth) * side
         return force @ self.directions + linear
 
@@ -190,7 +186,11 @@ class Friction:
 
     def of_load(self, rigid: Array, v: Array) -> Array:
         """Torques (S, n) of friction by load where the links take `rigid` (S, n)."""
-        return self.load * np.abs(rigid) * np.tanh(v / self.smooth[: v.shape[1]])
+        return (
+            np.zeros_like(rigid)
+            if self.load is None
+            else self.load * np.abs(rigid) * np.tanh(v / self.smooth[: v.shape[1]])
+        )
 
     def left(self, torque: Array, v: Array) -> Array:
         """What the links take (S, n) of a torque (S, n): rigid + load |rigid| tanh(v/v0)
@@ -215,7 +215,7 @@ class Plant:
     offset: Array
     R: Array  # motor speed = R joint speed
     description: dict[str, Any] = field(repr=False)
-    cogging: Array = field(default_factory=lambda: np.zeros(1))
+    cogging: Array | None = None
     pitch: Array = field(default_factory=lambda: np.ones(1))
 
     @property
@@ -227,7 +227,7 @@ class Plant:
         gravity, offset and cogging.
         """
         M, bias = self.rigid(q, dq)
-        if self.cogging.any():
+        if self.cogging is not None:
             bias = bias + self.cogging * np.sin(2 * np.pi * q / self.pitch)
         return M + self.rotor, bias + self.offset
 

@@ -264,7 +264,7 @@ def step(
     free, friction = (inverse @ (tau - bias)[..., None])[..., 0], plant.friction
 
     def acceleration(v: Array) -> Array:
-        if friction.load.any():
+        if friction.load is not None:
             rigid = friction.left(tau - plant.offset - friction(v), v)
             return np.asarray((inverse @ (rigid - bias + plant.offset)[..., None])[..., 0])
         return np.asarray(free - (inverse @ friction(v)[..., None])[..., 0])
@@ -356,11 +356,12 @@ def simulate(
         cell.encoder_correlation,
         np.random.default_rng([3, seed]).standard_normal((S, n)),
     )
+    white = np.sqrt(1 - rho**2) * rng.standard_normal((N, S, n))
     # In the part of a period that has begun, the command before the newest still acts.
     periods, begun = divmod(round(cell.actuation_delay_s / T, 9), 1.0)
     back, body = np.linalg.inv(plant.R).T, plant
     for k in range(N):
-        error_seen = rho * error_seen + np.sqrt(1 - rho**2) * rng.standard_normal((S, n))
+        error_seen = rho * error_seen + white[k]
         seen = q @ plant.R.T + noise * error_seen
         if cell.encoder_step:
             seen = np.round(seen / count) * count
@@ -376,7 +377,7 @@ def simulate(
             integral = np.where(np.abs(u) > c.saturation, integral, after)  # no wind-up
         if feedforward is not None:
             u = u + feedforward[:, k]
-        tau = np.clip(u, -c.saturation, c.saturation) @ to_joints
+        tau = np.minimum(np.maximum(u, -c.saturation), c.saturation) @ to_joints
         measured[:, k], commanded[:, k], q_true[:, k], dq_true[:, k] = seen @ back, tau, q, v
         if later is not None and k == N // 2:
             body = later

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from independent_robots import Chain, Friction, Plant, skew
+from independent_robots import EYE, Chain, Friction, Plant, carried_on, skew
 from independent_simulator import Controller, designed_pd
 
 from acquisition.robot import Robot, robot_from_files
@@ -27,14 +27,16 @@ class UrdfChain(Chain):
     along: Array
 
     def _frames(self, q: Array) -> tuple[Array, Array, Array]:
-        rotation, origin = np.empty((*q.shape, 3, 3)), np.empty((*q.shape, 3))
-        R, p, K = np.eye(3), np.zeros(3), skew(self.along)
-        for j in range(q.shape[1]):
-            s, c = np.sin(q[:, j])[:, None, None], np.cos(q[:, j])[:, None, None]
-            p = p + (R @ self.at[j][:, None])[..., 0]
-            R = R @ self.turned[j] @ (np.eye(3) + s * K[j] + (1 - c) * K[j] @ K[j])
-            rotation[:, j], origin[:, j] = R, p
-        return (rotation @ self.along[..., None])[..., 0], origin, rotation
+        s, c, K = np.sin(q)[..., None, None], np.cos(q)[..., None, None], skew(self.along)
+        local = np.zeros((*q.shape, 4, 4))
+        local[..., :3, :3] = self.turned @ (EYE + s * K + (1 - c) * (K @ K))
+        local[..., :3, 3], local[..., 3, 3] = self.at, 1.0
+        world = carried_on(local)
+        return (
+            (world[..., :3, :3] @ self.along[..., None])[..., 0],
+            world[..., :3, 3],
+            world[..., :3, :3],
+        )
 
 
 def numbers(element: ET.Element | None, key: str) -> Array:

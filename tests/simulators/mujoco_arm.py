@@ -1,6 +1,6 @@
 """Pairs of recordings of an arm that MuJoCo simulates: the package shares no dynamics with it.
 
-Six joints under a PD at 500 Hz; armature, damping, dry friction; the current goes out in steps of
+Six joints under a PD at 250 Hz; armature, damping, dry friction; the current goes out in steps of
 10 mA. The arm stands on a level floor and carries a box that is bolted to its flange, off its axis.
 """
 
@@ -16,7 +16,7 @@ from identification.data import Signals, signals_from_arrays
 
 GAINS = np.array([12.2, 12.0, 11.6, 10.9, 9.4, 9.8])  # N m/A at the joints
 MASS_KG, CENTRE_M = 2.0, (0.02, 0.06, 0.10)
-RATE_HZ, SUBSTEPS, SECONDS, STEP_A = 500.0, 4, 8.0, 0.01
+RATE_HZ, SUBSTEPS, SECONDS, STEP_A = 250.0, 8, 8.0, 0.01
 # By joint: origin of its frame in the one before, its axis, and mass and centre
 # of mass of its link.
 CHAIN = (

@@ -78,14 +78,14 @@ class Arm:
         model.armature[:] = self.Ia
         (q_ref, dq_ref, _), w = self.motion(seed, seconds, rate_hz), 2 * np.pi * BANDWIDTH_HZ
         stiff = np.diag(pin.crba(model, data, q_ref.mean(axis=0))) * w**2
-        damp, h = DAMPING * stiff / w, 1 / rate_hz / STEPS
+        damp, h, rubs = DAMPING * stiff / w, 1 / rate_hz / STEPS, np.any(self.mu)
 
         def speeds(x: Array, torque: Array) -> Array:
-            (q, dq), load = x, np.zeros(model.nv)
-            for _ in range(4 if np.any(self.mu) else 1):  # the load is that of the acceleration
-                dry = (self.Fc + self.mu * np.abs(load)) * np.tanh(dq / (0.003 * self.speed))
+            (q, dq), a = x, None
+            for times in range(4 if rubs else 1):  # the load is that of the acceleration
+                load = np.abs(pin.rnea(self.model, data, q, dq, a)) if times else 0.0
+                dry = (self.Fc + self.mu * load) * np.tanh(dq / (0.003 * self.speed))
                 a = pin.aba(model, data, q, dq, torque - self.Fv * dq - dry)
-                load = pin.rnea(self.model, data, q, dq, a)
             return np.array([dq, a])
 
         x, q, torque = np.array([q_ref[0], dq_ref[0]]), np.empty_like(q_ref), np.empty_like(q_ref)

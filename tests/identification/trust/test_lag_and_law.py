@@ -22,12 +22,14 @@ from identification.trust import TrustLine, trust_in
 
 
 @cache
-def recorded(name: str, lag: int = 0, noise: float = 0.0, stribeck: float = 0.0) -> Signals:
+def recorded(
+    name: str, lag: int = 0, noise: float = 0.0, stribeck: float = 0.0, seconds: float = 7.0
+) -> Signals:
     toml = REPLAY / name / "robot.toml"
     body = plant(toml, smooth=0.002)
     body = replace(body, friction=replace(body.friction, stribeck=stribeck))
     cell = Imperfections(lag=lag, encoder_noise=noise, torque_noise_percent=1.0)
-    path = references(body, range(1), duration_s=10.0, rate_hz=1000.0)
+    path = references(body, range(1), duration_s=seconds, rate_hz=1000.0)
     runs = simulate(body, described_controller(body), path, cell, substeps=1)
     return runs.signals(robot_named(name), 0, effort_timing="unknown")
 
@@ -216,7 +218,10 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
     """
     if block:
         monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", block)
-    problem, rng = make_problem(recorded("emps"), Overrides()), np.random.default_rng(1)
+    problem, rng = (
+        make_problem(recorded("emps", seconds=10.0), Overrides()),
+        np.random.default_rng(1),
+    )
     motions = list(motion_blocks(problem))
     assert (len(motions) > 1) == (block is not None)
     speed = np.concatenate([z.kept(z.dq) for z in motions])

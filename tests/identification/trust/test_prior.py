@@ -25,6 +25,7 @@ from identification.study import write_signals
 NAMES = [name for name, *_ in SIX]
 # wrist_3 turns its own axis: its links need next to no torque, no prior can tell its gain
 TOLD = NAMES[:5]
+fitted = cache(fit_by_default)
 CELL = Imperfections(torque_noise_percent=2.0, encoder_noise=2e-5)
 
 
@@ -35,7 +36,7 @@ def runs(payload_kg: float = 0.0):
     return simulate(
         body,
         law,
-        references(body, range(1), duration_s=10, rate_hz=RATE_HZ),
+        references(body, range(1), duration_s=8, rate_hz=RATE_HZ),
         CELL,
         seed=1,
         substeps=3,
@@ -85,7 +86,7 @@ def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
 
 
 def test_links_off_by_forty_percent_are_no_fault():
-    fit = fit_by_default(recorded())
+    fit = fitted(recorded())
     line = fit.trust.line("prior")
     assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
     assert {one.name for one in line.figures} == set(TOLD)
@@ -154,7 +155,7 @@ def test_without_gains_or_inertials_there_is_no_prior():
 
 
 def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_other_blocks():
-    fit = fit_by_default(recorded())
+    fit = fitted(recorded())
     data, problem = fit.data, fit.problem
     system, weights = data.observed.system, fit.estimate.weights
     known = np.array([data.prior.get(name, 0.0) for name in system.names])

@@ -22,7 +22,10 @@ from identification.trust.columns import missing_terms
 
 def white(name: str) -> SetUp:
     cell = Imperfections(encoder_noise=1e-6 if name == "emps" else 1e-5, torque_noise_percent=2.0)
-    return replace(sound(name, np.random.default_rng(1)), cell=cell, timing="command", substeps=1)
+    return replace(
+        sound(name, np.random.default_rng(1)),
+        cell=cell, timing="command", duration_s=7.0, substeps=1,
+    )  # fmt: skip
 
 
 def arm() -> SetUp:

@@ -74,7 +74,10 @@ def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals
     body = replace(body, friction=replace(body.friction, **friction))
     cell = replace(cell, drift_percent=30.0 if fault == "drift" else 0.0)
     reference = references(
-        described, range(5, 6), duration_s=5.0 if arm else 10.0, rate_hz=controller.rate_hz
+        described,
+        range(5, 6),
+        duration_s={"scara": 10.0, "emps": 6.0, "tx40": 5.0}[name],
+        rate_hz=controller.rate_hz,
     )
     runs = simulate(body, controller, reference, cell, seed=5, substeps=2 if arm else 1)
     return runs.signals(description(toml, controller if arm else None), 0)
