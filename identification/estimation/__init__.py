@@ -51,6 +51,7 @@ from .system import (
     SPANS,
     System,
     by_joint,
+    orthonormal,
     r_factor,
     spans_of,
     stacked,

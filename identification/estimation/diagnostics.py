@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..report import TorqueResidual
-from .system import orthonormal
+from .system import inverse_factor
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
@@ -83,8 +83,7 @@ def first_stage(Q: Array, W: Array, rows: float) -> tuple[float, float]:
     the least explained direction of W, weak below 10.
     """
     b = W.shape[1]
-    Qw = orthonormal(W / np.linalg.norm(W, axis=0))
-    strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
+    strength = float(min(1.0, np.linalg.svd(Q.T @ W @ inverse_factor(W)[0], compute_uv=False)[-1]))
     return strength, float(strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b)
 
 

@@ -182,10 +182,8 @@ def joint_weights(system: System) -> Array:
 
 def weights_of(system: System, rho: Array) -> Array:
     """Return 1/s_j (n,) of residuals rho (r,) of the rows: s_j² = |rho_j|² / r_j."""
-    n = len(system.rows)
-    return _reciprocal(
-        np.sqrt(np.bincount(system.joint_of_row, rho**2, n) / np.maximum(1, system.rows))
-    )
+    squares = np.bincount(system.joint_of_row, rho**2, minlength=len(system.rows))
+    return _reciprocal(np.sqrt(squares / np.maximum(1, system.rows)))
 
 
 def _reciprocal(s: Array) -> Array:
@@ -223,7 +221,7 @@ def essential_parameters(
 
     def solved(kept: NDArray[np.intp]) -> tuple[Array, Array, float, float]:
         some = R[:, kept]
-        return _solve(orthonormal(some / _norms(some)), some, R[:, -1])
+        return _solve(orthonormal(some), some, R[:, -1])
 
     kept, tested = np.arange(b), (float("nan"),) * 4
     beta, bread, norm, _ = solved(kept)
@@ -291,7 +289,8 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
     W, Y = system.weighted(weights)
     spanning = W if Z is None else Z * weights[system.joint_of_row][:, None]
     singular = refuse_rank_deficiency(spanning, system.names)
-    Q = orthonormal(spanning / _norms(spanning))
+    Q = orthonormal(spanning)
+    del spanning
     beta, bread, residual_norm, condition = _solve(Q, W, Y)
     if Z is None:
         condition = float(singular[0] / singular[-1])
@@ -308,7 +307,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
         covariance=_covariance(bread, residual_norm, r),
         weights=weights,
         residual_norm=residual_norm,
-        condition_number=float(np.linalg.cond(r_factor(system.weighted(np.ones(len(weights)))[0]))),
+        condition_number=float(np.linalg.cond(r_factor(system.W))),
         condition_number_scaled=condition,
         rows=r,
         Q=Q,
@@ -321,7 +320,7 @@ def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
     cond(QᵀW), columns scaled.
     """
     d = _norms(W)
-    A = Q.T @ (W / d)  # upper triangular where Q spans W
+    A = Q.T @ W / d  # upper triangular where Q spans W
     q, R = np.linalg.qr(A)
     bread = np.linalg.solve(R, q.T) / d[:, None]
     beta = np.linalg.solve(R, q.T @ (Q.T @ Y)) / d

@@ -16,7 +16,7 @@ from ..errors import NoFitError
 # with 120 spans than with an instant a span, 11 % with 240, 8.5 % with 480.
 SPANS, FINE_SPANS = 120, 240
 SHORT = 12_000  # instants of a recording whose rows are kept as they are
-_BLOCK_ROWS = 1024  # of a block that is factored at a time
+_BLOCK_ROWS, _BLOCKS = 1024, 16  # of a block that is factored; blocks at a time, as they are copied
 _MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
@@ -137,19 +137,27 @@ def r_factor(A: Array) -> Array:
     blocks = r // _BLOCK_ROWS
     if blocks < 2 or c >= _BLOCK_ROWS:
         return np.asarray(np.linalg.qr(A, mode="r"))
-    whole = A[: blocks * _BLOCK_ROWS].reshape(blocks, _BLOCK_ROWS, c)
-    each: Array = np.asarray(np.linalg.qr(whole, mode="r"))
-    return r_factor(np.concatenate([each.reshape(-1, c), A[blocks * _BLOCK_ROWS :]]))
+    end, some = blocks * _BLOCK_ROWS, _BLOCKS * _BLOCK_ROWS
+    each = (A[k : min(end, k + some)].reshape(-1, _BLOCK_ROWS, c) for k in range(0, end, some))
+    factors = [np.asarray(np.linalg.qr(few, mode="r")).reshape(-1, c) for few in each]
+    return r_factor(np.concatenate([*factors, A[end:]]))
 
 
 def orthonormal(A: Array) -> Array:
-    """Orthonormal columns (r, c) that span the independent columns of norm one A (r, c): A R⁻¹."""
+    """Orthonormal columns (r, c) that span the independent columns of A (r, c): A R⁻¹."""
     if len(A) < 2 * _BLOCK_ROWS:
         return np.asarray(np.linalg.qr(A)[0])
-    R = r_factor(A)
-    Q = np.asarray(A @ np.linalg.inv(R))
+    inverse, condition = inverse_factor(A)
+    Q = np.asarray(A @ inverse)
     # A second time where R is ill-conditioned, for orthonormality to rounding.
-    return Q if np.linalg.cond(R) < _MAX_CONDITION else np.asarray(Q @ np.linalg.inv(r_factor(Q)))
+    return Q if condition < _MAX_CONDITION else np.asarray(Q @ inverse_factor(Q)[0])
+
+
+def inverse_factor(A: Array) -> tuple[Array, float]:
+    """R⁻¹ (c, c) of A (r, c) = Q R, and the condition number of R with columns of norm one."""
+    R = r_factor(A)
+    d = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
+    return np.asarray(np.linalg.pinv(R / d) / d[:, None]), float(np.linalg.cond(R / d))
 
 
 def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
@@ -185,9 +193,10 @@ def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str
     """Parameters not excited, parameters not distinguishable, and the singular values
     of the column-scaled W.
     """
-    norms = np.linalg.norm(W, axis=0)
+    R = r_factor(W)
+    norms = np.linalg.norm(R, axis=0)
     excited = norms > 1e-12 * norms.max()
-    _, singular, Vt = np.linalg.svd(r_factor(W[:, excited] / norms[excited]))
+    _, singular, Vt = np.linalg.svd(R[:, excited] / norms[excited])
     lost = singular < RANK_TOLERANCE * singular[:1]
     involved = np.abs(Vt[lost]).max(axis=0, initial=0.0) > 0.05
     known = [name for name, s in zip(names, excited, strict=True) if s]

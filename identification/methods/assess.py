@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, release_memory
 from ..errors import NoFitError
 from ..estimation import (
     Estimate,
@@ -98,7 +98,6 @@ def counted_lags(
 def fit_of(
     model: Model,
     evidence: FitData,
-    solved: LeastSquares,
     x: Array,
     ls: LeastSquares,
     z: Sequence[Simulated] = (),
@@ -106,7 +105,8 @@ def fit_of(
     """The fit of an estimate and its x (p,), and its assessment; `ls`: least squares; `z`: the
     robot simulated in each recording, if it was.
     """
-    rows, predicted, predict = evidence.observed, solved.tau_predicted, partial(model.predicted, x)
+    rows, predicted, predict = evidence.observed, evidence.predicted, partial(model.predicted, x)
+    release_memory(rows.C)
     names = tuple(joint.name for joint in model.problem.signals.robot.joints)
     evidence = replace(evidence, held_out=held_out_parts(evidence, predict))
     evidence = with_prior(evidence, predict)
@@ -114,7 +114,7 @@ def fit_of(
     measured, of_model, speed = rows.tau, predicted, rows.speed
     try:  # errors of the model, without the noise that passes the cut-off of the fit
         if (behind := model.behind_rule()) is not None:
-            filtered, (measured, of_model, speed) = behind, behind.torques(x, solved.estimate)
+            filtered, (measured, of_model, speed) = behind, behind.torques(x, evidence.estimate)
     except NoFitError as error:
         warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
     of_filtered = spans_of([len(problem.settings.instants) for problem in filtered.problems])
@@ -122,7 +122,7 @@ def fit_of(
     fitted = [
         FittedRecording(
             problem=problem,
-            arm=model.unknowns.arms[k].settled(solved.estimate),
+            arm=model.unknowns.arms[k].settled(evidence.estimate),
             rows=part,
             errors=torque_errors(
                 measured[own],
@@ -142,8 +142,8 @@ def fit_of(
         recordings=tuple(fitted[k] for k in model.order),
         method=evidence.method,
         status="solved",
-        estimate=solved.estimate,
-        intervals=solved.intervals,
+        estimate=evidence.estimate,
+        intervals=evidence.intervals,
         least_squares=ls.of_base(),
         t_s=np.concatenate([one.problem.row_times_s() for one in model.equations]),
         tau=rows.tau,
@@ -218,7 +218,7 @@ def _short_moves(problem: Problem) -> list[str]:
     ]
 
 
-def assess_iv(loop: Loop, best: Pass, passes: Sequence[Pass], start: str) -> Fit:
+def assess_iv(loop: Loop, best: Pass, passes: Sequence[Pass]) -> Fit:
     """The fit of the pass that is returned; the robot simulated with its estimate
     validates the direct model.
     """
@@ -227,7 +227,7 @@ def assess_iv(loop: Loop, best: Pass, passes: Sequence[Pass], start: str) -> Fit
     x = model.x_of(estimate, best.x)
     tau, predicted, _ = model.torques(x, estimate)
     solved = replace(ls, estimate=estimate, tau_predicted=predicted)
-    evidence = evidence_of(model, "iv", solved, replace(rows, tau=tau), x, best.lags)
+    evidence = evidence_of(model, "iv", solved, replace(rows, tau=tau, late=None), x, best.lags)
     strength, F = tests_of(evidence.observed.system, estimate)
     status, reason = status_of(model, passes, best, F)
     if reason is not None and best.number != len(passes):
@@ -238,7 +238,7 @@ def assess_iv(loop: Loop, best: Pass, passes: Sequence[Pass], start: str) -> Fit
     saturated = [saturated_percents(one.problem.with_samples()) for one in model.equations]
     controllers = [controller_of(problem)[1] for problem in model.problems]
     iv = InstrumentEvidence(
-        start=start,
+        start=loop.iteration.start,
         reference="recorded"
         if all(problem.signals.q_ref is not None for problem in model.problems)
         else "surrogate",
@@ -261,8 +261,7 @@ def assess_iv(loop: Loop, best: Pass, passes: Sequence[Pass], start: str) -> Fit
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         by_reference=reason if status == "converged" else None,
     )
-    solved = replace(solved, intervals=evidence.intervals)
-    fit = fit_of(model, evidence, solved, x, ls, z)
+    fit = fit_of(model, evidence, x, ls, z)
     warnings = (*fit.warnings, *_iv_warnings(model, z, controllers, saturated, F))
     return replace(fit, status=status, iv=iv, warnings=warnings)
 

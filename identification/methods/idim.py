@@ -71,12 +71,12 @@ def identify(
     """
     # (1), (2), (H), (I): tau = IDM(q, dq, ddq) beta; the terms, and the unknowns x
     model, by, reason = _read(signals, overrides, method, iteration, say)
-    model, rows = with_best_ramps(model, instruments=by == "iv")
-    found = least_squares(model, rows, by)  # (B)
+    found = least_squares(*with_best_ramps(model, instruments=by == "iv"), by)  # (B)
     if by == "iv" and _can_be_simulated(found):
         try:
-            found = at_gains(found)
-            fit = _by_instruments(found, iteration or Iteration(), essential=essential, say=say)
+            loop = iv.Loop(at_gains(found), iteration or Iteration(), essential=essential)
+            del found  # its rows are as many as those of a pass
+            fit = _by_instruments(loop, say)
         except NoFitError as error:
             if method is None and not overrides.gains:
                 error.args = (f"{error.args[0]}; least squares: --method wls",)
@@ -189,11 +189,10 @@ def _by_measured_motion(found: Solution, method: Method, *, essential: bool) -> 
         alone = model.unknowns.plain and not len(model.load)
         noise = position_noise_line(first, method, solved, alone=alone)
         evidence = replace(evidence, position_noise=noise)
-    solved = replace(solved, intervals=evidence.intervals)
-    return fit_of(model, evidence, solved, found.x, ls)
+    return fit_of(model, evidence, found.x, ls)
 
 
-def _by_instruments(found: Solution, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
+def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
     """IDIM-IV: the instruments Z are the columns of x along the motion of the robot simulated with
     the previous estimate.
 
@@ -201,9 +200,8 @@ def _by_instruments(found: Solution, iteration: Iteration, *, essential: bool, s
     same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq,
     decimated as W, finds the lag L of the torque by the same instruments, and solves for beta_k+1.
     """
-    model, ls = found.model, solution_of(found, essential=essential)
-    loop = iv.Loop(found, ls, iteration, essential=essential)
-    x, lags, passes, asked = found.x, model.lags, list[Pass](), iv.start_values(loop, iteration)
+    model, x, passes = loop.model, loop.x, list[Pass]()
+    lags, asked = model.lags, iv.start_values(loop)
     while not passes or not (passes[-1].is_last or len(passes) == loop.most):
         say(f"pass {len(passes) + 1}: simulating the robot")
         passes = [one.without_rows() for one in passes]
@@ -217,4 +215,4 @@ def _by_instruments(found: Solution, iteration: Iteration, *, essential: bool, s
     best = iv.conclude(loop, passes)
     if (alone := iv.by_reference(loop, passes, best)) is not None:
         passes, best = [*passes, alone], alone
-    return assess_iv(loop, best, [one.without_rows() for one in passes], iteration.start)
+    return assess_iv(loop, best, [one.without_rows() for one in passes])

@@ -21,9 +21,9 @@ from ..model import BaseParameters, InverseModel
 from ..regression import Lag, Rows, base_places, lags_in
 from ..simulation import Simulated
 from ..trust import covariance_of_all
-from .fit import LeastSquares, Pass, join_reasons
+from .fit import Pass, join_reasons
 from .model import Asked, Model
-from .start import Solution
+from .start import Solution, solution_of
 from .status import why_by_reference
 
 # samples; the column of the lag is of first order, not exact for many
@@ -60,18 +60,17 @@ class Loop:
     Attributes:
         model: recordings and unknowns; `x`: (p,) of least squares.
         ls: least squares, whose weights are used.
+        iteration: settings of the passes.
         robots: prepared for simulations.
         speed: (rows, n) measured, of all recordings.
         fitted: places of the unknowns that are estimated.
         most, tolerance_percent: of the passes.
     """
 
-    def __init__(
-        self, found: Solution, ls: LeastSquares, iteration: Iteration, *, essential: bool
-    ) -> None:
-        """From `found` and its evidence `ls`; `essential`: only such parameters are estimated."""
+    def __init__(self, found: Solution, iteration: Iteration, *, essential: bool) -> None:
+        """From `found`; `essential`: only such parameters are estimated."""
         self.model, self.x, self.speed = found.model, found.x, found.rows.speed
-        self.ls = ls.without_rows()
+        self.ls, self.iteration = solution_of(found, essential=essential).without_rows(), iteration
         stored, names = self.model.problem.signals.robot.identification, self.model.names
         self.most = iteration.max_iterations or stored.max_iterations
         self.tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
@@ -80,7 +79,7 @@ class Loop:
         self.fitted = np.arange(len(names))
         if essential:
             others = np.delete(self.fitted, base_places(names))
-            self.fitted = np.union1d(ls.essential.kept, others)
+            self.fitted = np.union1d(self.ls.essential.kept, others)
 
     def along(
         self, x: Array, asked: Asked | None, *, tests: bool, of_lag: bool
@@ -101,8 +100,9 @@ class Loop:
         Rows have the weights of least squares. Raises `NoFitError` as `instrumental_variables`.
         """
         system = rows.system.with_columns(self.fitted)
-        Z, weights = rows.Z[:, self.fitted], self.ls.full.weights
-        return self.model.combined(system, instrumental_variables(system, Z, weights))
+        Z = rows.Z if len(self.fitted) == len(self.model.names) else rows.Z[:, self.fitted]
+        estimate = instrumental_variables(system, Z, self.ls.full.weights)
+        return self.model.combined(system, estimate)
 
     @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
     def next_pass(
@@ -178,18 +178,20 @@ class Loop:
         )
 
 
-def start_values(loop: Loop, iteration: Iteration) -> Asked:
+def start_values(loop: Loop) -> Asked:
     """Return the values (p,) that are simulated first, and their covariance (f, f).
 
     They are x of least squares; or a regular start (covariance None) or given values, which do not
     give the torques by which a lag is found.
     """
     problem, repeated = loop.model.problem, partial(loop.model.unknowns.repeated, loop.x)
-    if iteration.start == "regular" and iteration.values is None:
-        return repeated(regular_start(problem.model, problem.base, iteration.inertias)), None
+    if loop.iteration.start == "regular" and loop.iteration.values is None:
+        return repeated(regular_start(problem.model, problem.base, loop.iteration.inertias)), None
     full = loop.ls.full
     C = covariance_of_all(loop.model.names, full, loop.ls.of_full, full)
-    return loop.x if iteration.values is None else repeated(iteration.values(problem.base)), C
+    return loop.x if loop.iteration.values is None else repeated(
+        loop.iteration.values(problem.base)
+    ), C
 
 
 def next_values(model: Model, passes: Sequence[Pass]) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import regression
-from ..arrays import Array
+from ..arrays import Array, release_memory
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..estimation import Estimate, System, combined
 from ..regression import (
@@ -113,11 +113,18 @@ class Model:
 
     @property
     def lags(self) -> tuple[Lag, ...]:
-        """The lag of each group of recordings as known without a fit."""
-        replayed, groups = [one for _, one in self.replays], self.unknowns.groups
-        known = known_lags(self.problems, replayed, groups)
-        rates = [self.problems[group[0]].signals.sample_rate_hz for group in groups]
-        return tuple(combined_lag(one, 1 / fs, None) for one, fs in zip(known, rates, strict=True))
+        """The lag of each group of recordings as known without a fit: the mean of theirs, with the
+        smallest deviation.
+        """
+        found = []
+        for group in self.unknowns.groups:
+            each = [_known(self.problems[k].settings.known_lag, self.replays[k][1]) for k in group]
+            mean_s = float(np.mean([known.value_s for known in each]))
+            known = replace(min(each, key=lambda known: known.sd_s), value_s=mean_s)
+            found.append(
+                combined_lag(known, 1 / self.problems[group[0]].signals.sample_rate_hz, None)
+            )
+        return tuple(found)
 
     def start(self) -> Array:
         """x (p,) of nothing but described gains and known lags."""
@@ -192,8 +199,8 @@ class Model:
             (x, *map(arm.values, estimates[k : k + 1] if by_recording else estimates))
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        of = zip(*self.run(torque_of_recording, each), strict=True)
-        tau, predicted, speed = map(np.concatenate, of)
+        found = self.run(torque_of_recording, each)
+        tau, predicted, speed = map(np.concatenate, zip(*found, strict=True))
         return tau, predicted, speed
 
     def predicted(self, x: Array, *estimates: Estimate, by_recording: bool = False) -> Array:
@@ -241,6 +248,7 @@ class Model:
             for robot, one, beta, term in zip(robots, self.equations, own, more, strict=True)
         ]
         z, each = zip(*self.recordings.work.run(simulate, tasks), strict=True)
+        release_memory(each[0].Z)
         return z, stacked_rows(each)
 
     def without(self, left_out: dict[str, str]) -> "Model":
@@ -341,20 +349,6 @@ def refuse_standing_joints(model: Model, share: Array) -> None:
         signals[0].robot.bandwidth_hz,
         "; ".join(one.unmeasured for one in signals if one.unmeasured),
     )
-
-
-def known_lags(
-    problems: Sequence[Problem],
-    replayed: Sequence[KnownLag | None],
-    groups: Sequence[Sequence[int]],
-) -> list[KnownLag]:
-    """The known lag of each group of recordings: their mean, with the smallest deviation."""
-    found = []
-    for group in groups:
-        each = [_known(problems[k].settings.known_lag, replayed[k]) for k in group]
-        best = min(each, key=lambda known: known.sd_s)
-        found.append(replace(best, value_s=float(np.mean([known.value_s for known in each]))))
-    return found
 
 
 def _known(known: KnownLag, replayed: KnownLag | None) -> KnownLag:

@@ -37,6 +37,7 @@ from ..estimation import (
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
 from ..report import Method
+from ..trust import relative_residual
 from .fit import LeastSquares
 from .model import Model, refuse_standing_joints
 from .observation import solver_of
@@ -213,12 +214,9 @@ def solution_of(found: Solution, *, essential: bool) -> LeastSquares:
 def refuse_without_scale(model: Model, rows: Rows, arm: NDArray[np.intp]) -> None:
     """Refuse recordings whose known torques are no more than the robot's parameters could give."""
     of, system = model.unknowns, rows.system
-    Y, W = system.Y, system.W[:, arm]
-    size = np.linalg.norm(W, axis=0)
-    A = W / np.where(size > 0, size, 1.0)
-    left = np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y, rcond=1e-10)[0])
-    typical = np.linalg.norm(rows.tau * rows.share)
-    if left > MIN_KNOWN_SHARE * max(float(np.linalg.norm(Y)), 1e-9 * float(typical)):
+    size, typical = np.linalg.norm(system.Y), np.linalg.norm(rows.tau * rows.share)
+    left = size * relative_residual(system.W[:, arm], system.Y) if size > 0 else 0.0
+    if left > MIN_KNOWN_SHARE * max(float(size), 1e-9 * float(typical)):
         return
     payloads = {one.payload for one in of.payloads}
     several = len(payloads) + any(one.payload is None for one in of.arms) > 1

@@ -26,8 +26,8 @@ from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff
 # of positions in the cache of a process: 64 MB, a few times as much in all
 MAX_CACHED_NUMBERS = 8_000_000
 BEGINNING_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
-# numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
-_SERIES_BLOCK = 12_000_000
+# numbers of the regressor of a block, 64 MB; short blocks spend more time on margins
+_SERIES_BLOCK = 8_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -68,13 +68,6 @@ class Equation:
         """
         return np.arange(len(self.arm.unknowns) - len(self.lags))
 
-    def instruments(self, *, along: bool) -> NDArray[np.intp]:
-        """Places of the unknowns that have an instrument `along` another motion: all free ones and
-        the lags; along the measured one, gains and lags, whose torque has no noise.
-        """
-        free = np.arange(len(self.names))
-        return np.concatenate([free if along else self.gains, self.lags])
-
     def residual(self, x: Array, motion: MotionBlock) -> Array:
         """Return the residual (n, rows), N m or N, about x (p,): the known torque that no term
         explains.
@@ -164,18 +157,18 @@ class Rows:
 
     def without(self, names: Collection[str]) -> "Rows":
         """The same without the columns of some parameters."""
-        if not names:
-            return self
         stay = np.array([name not in names for name in self.system.names])
         x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
         Z = self.Z[:, stay] if self.Z.size else self.Z
         return replace(self, x=x, Z=Z, system=self.system.with_columns(np.flatnonzero(stay)))
 
     def about(self, x: Array) -> "Rows":
-        """The same about other values of what is held and of the lags, to first order."""
+        """The same about other values of what is held and of the lags, to first order, without rows
+        of the lag.
+        """
         f = len(self.system.names)
         Y = self.system.Y - self.L @ (x - self.x)[f:]
-        return replace(self, x=x, system=replace(self.system, Y=Y))
+        return replace(self, x=x, late=None, system=replace(self.system, Y=Y))
 
 
 class Candidate(Protocol):
@@ -222,16 +215,16 @@ def rows_of_recording(
     problem = equation.problem.with_samples()
     share, beta, names = sample_weights(problem).of_rows, equation.arm.beta(x), equation.names
     collected, parts = SpanRows(*share.shape), list[tuple[Array, Array]]()
-    arm = np.setdiff1d(np.arange(len(names)), equation.gains)
+    arm, lag = np.setdiff1d(np.arange(len(names)), equation.gains), None
     of_late = np.r_[arm, equation.lags]
-    lag = None
     if of_lag:
         tau, predicted, speed = torque_of_recording(equation, x)
         lag = LagCollector(problem, share, share * (tau - predicted), speed)
-    places, k = equation.instruments(along=along is not None), 0
+    f, K = len(names), len(equation.lags)
+    own = f if along is not None or len(equation.gains) else 0
     # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
-    asked = along is not None or further is not None or len(equation.gains) > 0
-    places = places if asked else places[:0]
+    asked = own > 0 or further is not None
+    places = np.r_[np.arange(own), equation.lags] if asked else np.arange(0)
     others: Iterable[MotionBlock | None] = repeat(None) if along is None else along
     for motion, other in zip(equation.motions(), others, strict=False):
         J = equation.columns(x, motion)
@@ -246,20 +239,14 @@ def rows_of_recording(
         if further is not None:
             C = np.concatenate([further.columns(z), further.at_rest(motion)], axis=1)
             fast = fast_for_lag(z, further.sliding)
-        k = C.shape[1]
         A = np.concatenate([C, Z[:, places], J[:, equation.regressors], r], axis=1)
         collected.add(motion.at.first, A, motion.share.T, fast)
-        tau = motion.filtered(equation.drives.measured(x, motion).T).T
-        parts.append((tau, motion.kept(motion.dq)))
+        measured = equation.drives.measured(x, motion)
+        parts.append((motion.filtered(measured.T).T, motion.kept(motion.dq)))
     tau, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
     rows, fast_rows, followed = collected.rows()
-    C, Z, J, r = np.split(rows, np.cumsum([k, len(places), len(equation.regressors)]), axis=1)
-    W, f = J[:, : len(names)], len(names)
-    own = max(0, len(places) - len(equation.lags))
-    instruments = Z[:, :own]
-    if 0 < own < f:
-        instruments = W.copy()
-        instruments[:, equation.gains] = Z[:, :own]
+    C, Z, J, r = np.split(rows, np.cumsum([C.shape[1], len(places), J.shape[1] - K]), axis=1)
+    W = J[:, :f]
     of_lag_names = (*(names[i] for i in arm), *(equation.arm.unknowns[i] for i in equation.lags))
     return Rows(
         x=x,
@@ -267,7 +254,7 @@ def rows_of_recording(
         L=np.c_[J[:, f:], Z[:, own:]],
         C=C,
         fast=fast_rows,
-        Z=instruments,
+        Z=Z[:, :own],
         share=share,
         tau=tau,
         speed=speed,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import deviations_of_sums
+from ..estimation import deviations_of_sums, orthonormal
 from ..report import Assumed
 from . import candidates
 from .fit_data import FitData
@@ -28,6 +28,7 @@ MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indisti
 MIN_INDEPENDENT_NORM = 0.01
 # the same, and of a column's norm beside the torque's: below, it is rounding and biases nothing
 MIN_BIAS = 1e-6
+MAX_NUMBERS = 1_000_000  # of columns that are tried at a time: 8 MB, a few times as much in all
 MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording shows it
 # error of a zero; a larger one that is not noticed is assumed away
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
@@ -105,23 +106,35 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
     observed, (places, joints) = evidence.observed, evidence.candidates[0].places
     acts, weight = joints.T[observed.system.joint_of_row], evidence.weight[:, None]
     tried, lags = evidence.candidates[0].terms, observed.L.shape[1] - len(evidence.lags)
-    everywhere = [term.kind not in candidates.IN_FAST_ROWS for term in tried]
-    C = observed.C[:, places] * (acts & (observed.fast[:, None] | everywhere)) * weight
+    everywhere = np.array([term.kind not in candidates.IN_FAST_ROWS for term in tried])
+
+    def columns(at: NDArray[np.intp]) -> Array:
+        counts = acts[:, at] & (observed.fast[:, None] | everywhere[at])
+        return np.asarray(observed.C[:, places[at]] * counts * weight)
+
     rate = -observed.L[:, lags:].sum(axis=1, keepdims=True) * weight
-    terms, together = _scored(evidence, tried, C), dict[str, float]()
+    terms, together = (
+        {
+            int(at[i]): term
+            for at in np.array_split(np.arange(len(tried)), 1 + acts.size // MAX_NUMBERS)
+            if len(at) or not tried
+            for i, term in _scored(evidence, [tried[k] for k in at], columns(at)).items()
+        },
+        dict[str, float](),
+    )
     for k, term in terms.items():
         clocks, none = term.kind == candidates.CLOCKS, replace(term, t=0.0)
         if clocks or (term.kind == candidates.LAG and abs(term.t) > candidates.MIN_T):
             # In fast rows only: friction near reversals looks like a lag. And beside the common
             # lag, which its prior holds.
             among = observed.fast | ~acts[:, k], rate[:, : int(clocks)]
-            again = _scored(evidence, [term], C[:, [k]], among).get(0, none)
+            again = _scored(evidence, [term], columns(np.array([k])), among).get(0, none)
             terms[k] = again if clocks or again.t * term.t > 0 else none
     fit = _fit(evidence)
     for kind in {term.kind for term in terms.values()} - {candidates.CLOCKS}:
         own = [k for k, x in terms.items() if x.kind == kind and np.isfinite(x.noticed)]
-        z, apart = fit.projected(C[:, own])
-        g = np.linalg.lstsq(z.T @ C[:, own], z.T @ fit.rho, rcond=1e-6)[0]
+        z, apart = fit.projected(C := columns(np.array(own, dtype=np.intp)))
+        g = np.linalg.lstsq(z.T @ C, z.T @ fit.rho, rcond=1e-6)[0]
         together[kind] = float(fit.taken_percent(fit.rho - apart @ g))
     return tuple(
         replace(term, together_percent=together.get(term.kind, term.taken_percent))
@@ -156,8 +169,9 @@ def _fit(evidence: FitData, among: tuple[NDArray[np.bool_], Array] | None = None
     estimate, W = evidence.estimate, evidence.W
     if among is None:
         return _Fit(W, estimate.Q, estimate.bread, evidence.residual(estimate.beta))
-    W, Q = (np.c_[A, among[1]] * among[0][:, None] for A in (W, estimate.Q))
-    Q = np.linalg.qr(Q)[0]
+    W, Q = (np.c_[A, among[1]] for A in (W, estimate.Q))
+    W[~among[0]] = Q[~among[0]] = 0.0
+    Q = orthonormal(Q)
     bread = np.linalg.pinv(Q.T @ W, rcond=1e-12)
     return _Fit(W, Q, bread, among[0] * evidence.Y - W @ (bread @ (Q.T @ evidence.Y)))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals, spans_of
+from ..estimation import Estimate, Intervals, r_factor, spans_of
 from ..regression import Arm, Lag, Problem, Rows
 from ..report import Method
 from .candidates import Candidates
@@ -146,6 +146,12 @@ class FitData:
     def Y(self) -> Array:
         """(r,) weighted torques."""
         return self.observed.system.Y * self.weight
+
+    def factor(self, part: Part) -> Array:
+        """R factor of the weighted rows [Z W Y] of some spans of time."""
+        rows = part[self.observed.system.span]
+        Z = self.Z[np.ix_(rows, self.places)] * self.weight[rows, None]
+        return r_factor(np.c_[Z, self.W[rows], self.Y[rows]])
 
     def residual(self, beta: Array) -> Array:
         """(r,) weighted residuals of parameters beta (b,)."""

@@ -39,11 +39,7 @@ def held_out_parts(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
     numbers = [evidence.count(part) for part in parts]
     if not several and sum(numbers) - max(numbers) <= len(estimate.beta):
         return ()
-    Z = evidence.Z[:, evidence.places] * evidence.weight[:, None]
-    weighted = np.c_[Z, evidence.W, evidence.Y]
-    by_others = predictions_by_others(
-        [weighted[part[rows.system.span]] for part in parts], estimate.names, own
-    )
+    by_others = predictions_by_others([*map(evidence.factor, parts)], estimate.names, own)
     betas = [estimate.beta if several and lost else beta for beta, lost in by_others]
     predicted = predict(*(replace(estimate, beta=x) for x in betas), by_recording=several)
     measured = np.concatenate([x.measured_rows() for x in evidence.problems])

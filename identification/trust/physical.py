@@ -191,11 +191,11 @@ def _gravity_findings(evidence: FitData, poses: Array) -> list[Finding]:
         return []
     # by unknown its column at rest
     same = np.array(base.names)[terms.weighs][:, None] == np.array(system.names)
-    G = evidence.observed.C[:, -len(terms.weighs) :] @ same
+    A = np.c_[system.W, evidence.observed.C[:, -len(terms.weighs) :], system.Y]
+    A *= evidence.weight[:, None]
     # The small R factor has the same column products as the rows.
-    R = estimation.r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
-    W, G, Y = np.split(R, [len(system.names), -1], axis=1)
-    left = [100 * relative_residual(of, Y[:, 0]) for of in (W, W - G)]
+    W, G, Y = np.split(estimation.r_factor(A), [len(system.names), -1], axis=1)
+    left = [100 * relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
     finding: Finding = (
         "caution",
         f"the torques fit a model without gravity better: residual {left[1]:.3g} % against "

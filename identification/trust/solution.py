@@ -216,7 +216,7 @@ def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
         return None
     system = evidence.observed.system.part(rows).with_columns(evidence.places)
     with suppress(NoFitError):
-        Z = evidence.Z[rows][:, evidence.places]
+        Z = evidence.Z[np.ix_(rows, evidence.places)]
         own = estimation.instrumental_variables(system, Z, weights)
         rho = evidence.residual(own.beta)[rows]
         scores = estimation.scores_of_recordings(system, own.Q, own.bread, rho, part)
