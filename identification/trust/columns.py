@@ -169,9 +169,9 @@ def _fit(evidence: FitData, among: tuple[NDArray[np.bool_], Array] | None = None
     estimate, W = evidence.estimate, evidence.W
     if among is None:
         return _Fit(W, estimate.Q, estimate.bread, evidence.residual(estimate.beta))
-    W, Q = (np.c_[A, among[1]] for A in (W, estimate.Q))
-    W[~among[0]] = Q[~among[0]] = 0.0
-    Q = orthonormal(Q)
+    rows = among[0][:, None].astype(float)  # so that no product is a further copy
+    Q = orthonormal(np.c_[estimate.Q, among[1]] * rows)
+    W = np.c_[W, among[1]] * rows
     bread = np.linalg.pinv(Q.T @ W, rcond=1e-12)
     return _Fit(W, Q, bread, among[0] * evidence.Y - W @ (bread @ (Q.T @ evidence.Y)))
 
