@@ -18,9 +18,12 @@ from .system import equal_spans, is_short, r_factor, spans_of
 class SpanRows:
     """Collects the rows of a recording, such as [Z J r], by joint and span of time."""
 
-    def __init__(self, instants: int, n: int) -> None:
-        """Of `instants` of n joints, without any rows yet."""
-        self.spans, self._short = equal_spans(instants), is_short(instants)
+    def __init__(self, instants: int, n: int, *, one: bool = False) -> None:
+        """Of `instants` of n joints, without any rows yet; `one`: a single span, for products of
+        all the rows of a joint.
+        """
+        self.spans = np.array([0, instants]) if one else equal_spans(instants)
+        self._short = is_short(instants) and not one
         self._rows, self._columns = np.zeros(n), 0
         # by joint and place: rows, and twice their span, one more for fast ones
         self._parts = dict[tuple[int, int], tuple[Array, NDArray[np.intp]]]()

@@ -273,7 +273,7 @@ def _iv_warnings(
     saturated: Sequence[dict[str, float]],
     first_stage_F: float,
 ) -> tuple[str, ...]:
-    warnings, robots = [], [problem.signals.robot for problem in model.problems]
+    robots = [problem.signals.robot for problem in model.problems]
     each = list(zip(robots, controllers, z, strict=True))
     without = [robot for robot, controller, _ in each if controller == "surrogate"]
     unknown = [
@@ -281,30 +281,21 @@ def _iv_warnings(
         for robot, controller, one in each
         if controller != "surrogate" and not one.prior_known
     ]
-    if any(problem.signals.q_ref is None for problem in model.problems):
-        warnings.append(
-            "surrogate reference: none recorded, the measured position is used instead; the "
-            "instruments are not "
-            "strictly exogenous"
-        )
-    if without:
-        warnings.append(
-            f"no controller described: simulated with a {without[0].bandwidth_hz:g} Hz PD instead"
-        )
-    if unknown:
-        warnings.append(
-            "least squares gives no positive inertias: the gain update uses those that suit the "
-            "described gains at "
-            f"{unknown[0].bandwidth_hz:g} Hz"
-        )
-    for shares in saturated:
-        at_limit = (
-            f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT
-        )
-        if found := ", ".join(at_limit):
-            warnings.append(f"drives at their limit: {found} of the samples")
-    if first_stage_F < MIN_FIRST_STAGE_F:
-        warnings.append(
-            f"weak instruments: first-stage F = {first_stage_F:.2g}, below {MIN_FIRST_STAGE_F:g}"
-        )
-    return tuple(warnings)
+    limits = (
+        ", ".join(f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT)
+        for shares in saturated
+    )
+    warnings = (
+        not model.exogenous
+        and "surrogate reference: none recorded, the measured position is used instead; the "
+        "instruments are not strictly exogenous",
+        without
+        and f"no controller described: simulated with a {without[0].bandwidth_hz:g} Hz PD instead",
+        unknown
+        and "least squares gives no positive inertias: the gain update uses those that suit the "
+        f"described gains at {unknown[0].bandwidth_hz:g} Hz",
+        *(found and f"drives at their limit: {found} of the samples" for found in limits),
+        first_stage_F < MIN_FIRST_STAGE_F
+        and f"weak instruments: first-stage F = {first_stage_F:.2g}, below {MIN_FIRST_STAGE_F:g}",
+    )
+    return tuple(text for text in warnings if isinstance(text, str) and text)

@@ -116,6 +116,7 @@ class Rows:
         system: of the free ones: W = J, Y = r + J x.
         L: (r, h + K) columns of what is held, and of the lags; without these, (r, h), where W and
             Y alone were asked for.
+        at_rest: [G W] of all the time, G being links at rest, and Y; None until C are asked for.
         C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for;
             `fast`: (r,) which rows of them show a lag.
         Z: (r, f) instruments of the free unknowns; (r, 0) where they are W itself.
@@ -130,6 +131,7 @@ class Rows:
     x: Array
     system: System
     L: Array
+    at_rest: System | None
     C: Array
     fast: NDArray[np.bool_]
     Z: Array
@@ -215,6 +217,7 @@ def rows_of_recording(
     problem = equation.problem.with_samples()
     share, beta, names = sample_weights(problem).of_rows, equation.arm.beta(x), equation.names
     collected, parts = SpanRows(*share.shape), list[tuple[Array, Array]]()
+    rest, at_rest = SpanRows(*share.shape, one=True), None
     arm, lag = np.setdiff1d(np.arange(len(names)), equation.gains), None
     of_late = np.r_[arm, equation.lags]
     if of_lag:
@@ -237,8 +240,9 @@ def rows_of_recording(
             J[:, equation.lags] = Z[:, equation.lags]
             lag.add(np.concatenate([Z[:, of_late], J[:, of_late], r], axis=1), z)
         if further is not None:
-            C = np.concatenate([further.columns(z), further.at_rest(motion)], axis=1)
-            fast = fast_for_lag(z, further.sliding)
+            C, fast = further.columns(z), fast_for_lag(z, further.sliding)
+            still = np.concatenate([further.at_rest(motion), J[:, :f], r], axis=1)
+            rest.add(motion.at.first, still, motion.share.T)
         A = np.concatenate([C, Z[:, places], J[:, equation.regressors], r], axis=1)
         collected.add(motion.at.first, A, motion.share.T, fast)
         measured = equation.drives.measured(x, motion)
@@ -247,11 +251,17 @@ def rows_of_recording(
     rows, fast_rows, followed = collected.rows()
     C, Z, J, r = np.split(rows, np.cumsum([C.shape[1], len(places), J.shape[1] - K]), axis=1)
     W = J[:, :f]
+    if further is not None:
+        A, _, of_rest = rest.rows()
+        Y = A[:, -1] + A[:, -1 - f : -1] @ x[:f]
+        of_links = ("at rest",) * (A.shape[1] - 1 - f)
+        at_rest = System(W=A[:, :-1], Y=Y, names=(*of_links, *names), **of_rest)
     of_lag_names = (*(names[i] for i in arm), *(equation.arm.unknowns[i] for i in equation.lags))
     return Rows(
         x=x,
         system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names, **followed),
         L=np.c_[J[:, f:], Z[:, own:]],
+        at_rest=at_rest,
         C=C,
         fast=fast_rows,
         Z=Z[:, :own],
@@ -271,9 +281,11 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
     of_rows = {name: np.concatenate([getattr(r, name) for r in each])[order] for name in "LCZ"}
     of_time = {n: np.concatenate([getattr(r, n) for r in each]) for n in ("share", "tau", "speed")}
     late, instruments = zip(*(rows.late or (None, None) for rows in each), strict=True)
+    still = [rows.at_rest for rows in each if rows.at_rest is not None]
     return Rows(
         x=each[0].x,
         system=stacked([rows.system for rows in each]),
+        at_rest=stacked(still) if still else None,
         fast=np.concatenate([rows.fast for rows in each])[order],
         **of_rows,
         **of_time,

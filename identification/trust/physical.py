@@ -184,17 +184,17 @@ def _gravity_findings(evidence: FitData, poses: Array) -> list[Finding]:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
-    base, system, terms = evidence.problem.base, evidence.observed.system, evidence.candidates[0]
+    base, rest, terms = evidence.problem.base, evidence.observed.at_rest, evidence.candidates[0]
+    assert rest is not None
     gravity, columns = evidence.robot.gravity, base.columns[terms.weighs]
     at_rest = evidence.problem.model.regressor(poses, 0 * poses, 0 * poses)[:, :, columns]
     if np.abs(at_rest).max(initial=0.0) <= MIN_ARM_M * np.linalg.norm(gravity):
         return []
     # by unknown its column at rest
-    same = np.array(base.names)[terms.weighs][:, None] == np.array(system.names)
-    A = np.c_[system.W, evidence.observed.C[:, -len(terms.weighs) :], system.Y]
-    A *= evidence.weight[:, None]
+    same = np.array(base.names)[terms.weighs][:, None] == np.array(rest.names[len(terms.weighs) :])
     # The small R factor has the same column products as the rows.
-    W, G, Y = np.split(estimation.r_factor(A), [len(system.names), -1], axis=1)
+    A = np.c_[rest.W, rest.Y] * evidence.estimate.weights[rest.joint_of_row][:, None]
+    G, W, Y = np.split(estimation.r_factor(A), [len(terms.weighs), -1], axis=1)
     left = [100 * relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
     finding: Finding = (
         "caution",
