@@ -236,6 +236,8 @@ def test_load_friction_holds_a_weight_within_its_share(share, held):
         # of two speeds Coulomb and viscous friction say all
         ({"Fr": 30.0}, False, [(1.0, (0.1, 0.2))], ["root"]),
         ({"Fr": 30.0}, False, [(1.0, (0.05, 0.1, 0.2))], []),
+        # never slow: its column is zero
+        ({"Fs": 30.0}, False, [(1.0, (0.15, 0.2))], ["stribeck"]),
         # of a weight that hardly accelerates it is Coulomb friction
         ({"mu": 0.2}, True, [(0.1,)], ["load"]),
         ({"mu": 0.2}, True, [(4.0,)], []),
@@ -246,7 +248,7 @@ def test_load_friction_holds_a_weight_within_its_share(share, held):
 def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(
     values, vertical, motions, left_out
 ):
-    kinds = [{"Fr": "root", "mu": "load"}[name] for name in values]
+    kinds = [{"Fr": "root", "mu": "load", "Fs": "stribeck"}[name] for name in values]
     robot = axis(["viscous", "coulomb", *kinds], vertical=vertical, Fv=100.0, Fc=20.0, **values)
     made = [two_speeds(robot, *motion) for motion in motions]
     model = system_of(*(problem for problem, _ in made))
@@ -255,7 +257,7 @@ def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(
     assert [text.split(" ")[0] for text in told] == left_out
     assert list(found.model.left_out.values()) == told
     if left_out:
-        assert not any(name.startswith(("Fr", "mu")) for name in found.estimate.names)
+        assert not any(name.startswith(("Fr", "mu", "Fs")) for name in found.estimate.names)
     else:
         np.testing.assert_allclose(found.estimate.beta, made[0][1], rtol=1e-7)
 

@@ -27,7 +27,7 @@ SCARA = GainCase(robot="scara", white=5.0)
 
 @pytest.mark.parametrize(
     ("off_m", "mass_kg", "told"),
-    [((0.003, 0, 0), 2.0, None), ((0, 0, 0.06), 2.0, "centre of mass"), ((0, 0, 0), 1.0, "gains")],
+    [((0.003, 0, 0), 2.0, None), ((0, 0, 0.015), 2.0, "centre of mass"), ((0, 0, 0), 1.0, "gains")],
 )
 def test_what_is_stated_wrongly_of_a_payload_is_told(off_m, mass_kg, told):
     """Taken as exact, 3 mm would move the last gain by 2.8 half-widths.
@@ -47,7 +47,8 @@ def test_what_is_stated_wrongly_of_a_payload_is_told(off_m, mass_kg, told):
     assert (np.abs(fit.gains.values - mujoco_arm.GAINS) <= 2 * fit.gains.half).all()
     assert (fit.gains.half < 0.01 * mujoco_arm.GAINS).all()
     (figure,) = fit.trust.line("centre of mass").figures
-    assert abs(figure.value - 1e3 * np.linalg.norm(off_m)) <= 2 * figure.half_width < 1.0
+    # mm; by the noise no less than 0.03
+    assert max(abs(figure.value - 1e3 * np.linalg.norm(off_m)), 0.03) <= 2 * figure.half_width < 1.0
 
 
 def test_a_stated_value_is_combined_by_variances():

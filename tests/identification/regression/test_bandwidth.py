@@ -117,7 +117,10 @@ def test_filters_and_loop_are_told_and_no_warning_contradicts_them(ur5):
 )
 def test_a_stated_cutoff_stays_and_moves_no_loop(ur5, given_hz, told):
     free, given = (make_problem(ur5, Overrides(cutoff_hz=x)) for x in (None, given_hz))
-    assert (given.settings.cutoff_hz or 0.0) == given_hz
+    assert (given.settings.cutoff_hz or 0.0, given.slip_cutoff_hz) == (
+        given_hz,
+        min(given_hz or np.inf, free.slip_cutoff_hz),
+    )
     assert given.signals.robot.bandwidth_hz == free.signals.robot.bandwidth_hz
     assert [text.split(", ")[0] for text in given.settings.warnings] == [NOT_STATED + told]
     stated = replace(ur5, robot=replace(ur5.robot, controller=Controller(bandwidth_hz=3.0)))
