@@ -144,19 +144,22 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
 
 
 class _Fit(NamedTuple):
-    """Weighted columns W (r, b), the span Q of the instruments, bread, and residuals rho (r,)."""
+    """Weighted columns W (r, b), the span Q of the instruments, bread, residuals rho (r,), and
+    the rows (r, 1) that count.
+    """
 
     W: Array
     Q: Array
     bread: Array
     rho: Array
+    rows: Array
 
     def projected(self, C: Array) -> tuple[Array, Array]:
         """Columns C (r, k) made orthogonal to W by the span of Q, and what is left of them
         when beta is solved again.
         """
         along = self.Q @ (self.bread.T @ (self.W.T @ C))
-        return C - along, C - self.W @ (self.bread @ (self.Q.T @ C))
+        return C - along, (C - self.W @ (self.bread @ (self.Q.T @ C))) * self.rows
 
     def taken_percent(self, left: Array) -> Array:
         """Share of the square of rho that is not in what is left of it, (r,) or (r, k)."""
@@ -168,12 +171,14 @@ def _fit(evidence: FitData, among: tuple[NDArray[np.bool_], Array] | None = None
     """The fit; or one `among` some of its rows (r,), with further columns."""
     estimate, W = evidence.estimate, evidence.W
     if among is None:
-        return _Fit(W, estimate.Q, estimate.bread, evidence.residual(estimate.beta))
+        return _Fit(
+            W, estimate.Q, estimate.bread, evidence.residual(estimate.beta), np.ones((1, 1))
+        )
     rows = among[0][:, None].astype(float)  # so that no product is a further copy
     Q = orthonormal(np.c_[estimate.Q, among[1]] * rows)
-    W = np.c_[W, among[1]] * rows
-    bread = np.linalg.pinv(Q.T @ W, rcond=1e-12)
-    return _Fit(W, Q, bread, among[0] * evidence.Y - W @ (bread @ (Q.T @ evidence.Y)))
+    W = np.c_[W, among[1]] if among[1].size else W
+    bread: Array = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
+    return _Fit(W, Q, bread, rows[:, 0] * (evidence.Y - W @ (bread @ (Q.T @ evidence.Y))), rows)
 
 
 def _scored(
@@ -207,10 +212,11 @@ def _scored(
         large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
     noticed = np.maximum((candidates.MIN_T + MARGIN_T) * sigma, large)
     moves, noticed = moves * essential[:, None], np.where(independent, noticed, np.inf)
-    figures = g, t, fit.taken_percent(with_term), moves.max(axis=0), noticed
-    each = zip(terms, *(x.tolist() for x in figures), strict=True)
+    figures = np.stack([g, t, fit.taken_percent(with_term), moves.max(axis=0), noticed])
     return {
         k: replace(term, value=value, t=t, taken_percent=taken, moves=most, noticed=least)
-        for k, (term, value, t, taken, most, least) in enumerate(each)
+        for k, (term, (value, t, taken, most, least)) in enumerate(
+            zip(terms, figures.T.tolist(), strict=True)
+        )
         if stays.get(term.kind, independent)[k]
     }
