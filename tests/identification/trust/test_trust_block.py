@@ -474,10 +474,8 @@ def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
     assert fit.trust.line("position noise").level == "caution"
 
 
-def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
-    """It grows with the variance of the noise: what moves the estimate with
-    the noise's sign cancels.
-    """
+def test_the_move_that_position_noise_is_told_by_grows_with_its_variance():
+    """What moves the estimate with the noise itself would grow with its deviation."""
     fits = (
         examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (6e-6, 2e-5)
     )
