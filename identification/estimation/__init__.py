@@ -53,6 +53,7 @@ from .system import (
     by_joint,
     orthonormal,
     r_factor,
+    release_memory,
     spans_of,
     stacked,
     undetermined_parameters,

@@ -1,6 +1,8 @@
 """The over-determined system of the estimators: its rows by joint and span of time."""
 
+import ctypes
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -18,6 +20,7 @@ SPANS, FINE_SPANS = 120, 240
 SHORT = 12_000  # instants of a recording whose rows are kept as they are
 _BLOCK_ROWS, _BLOCKS = 1024, 16  # of a block that is factored; blocks at a time, as they are copied
 _MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
+_LARGE = 2**24  # bytes of an array beside which freed memory counts
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
 
@@ -143,10 +146,20 @@ def r_factor(A: Array) -> Array:
     return r_factor(np.concatenate([*factors, A[end:]]))
 
 
+def release_memory(beside: Array) -> None:
+    """Return freed memory to the system if there is a large array `beside` it: between the arrays
+    of a long recording the allocator keeps hundreds of MB. Only glibc can.
+    """
+    if beside.nbytes > _LARGE:
+        with suppress(AttributeError, TypeError):
+            ctypes.CDLL(None).malloc_trim(0)
+
+
 def orthonormal(A: Array) -> Array:
     """Orthonormal columns (r, c) that span the independent columns of A (r, c): A R⁻¹."""
     if len(A) < 2 * _BLOCK_ROWS:
         return np.asarray(np.linalg.qr(A)[0])
+    release_memory(A)
     inverse, condition = inverse_factor(A)
     Q = np.asarray(A @ inverse)
     # A second time where R is ill-conditioned, for orthonormality to rounding.

@@ -8,12 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from ..arrays import Array, release_memory
+from ..arrays import Array
 from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     autocorrelation,
     f_tests,
+    release_memory,
     spans_of,
     torque_errors,
 )

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import regression
-from ..arrays import Array, release_memory
+from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..estimation import Estimate, System, combined
+from ..estimation import Estimate, System, combined, release_memory
 from ..regression import (
     NOTHING,
     Candidate,

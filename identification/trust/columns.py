@@ -53,9 +53,12 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
     strongest = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
     strongest += f", t = {first.t:.1f}, {first.taken_percent:.1f} % of the residual"
     untried = (
-        "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
+        "; one joint has no relative gain"
+        if robot.n == 1
+        else "; relative gains not tried: the drive gains are not known"
+        if not robot.gain_known
+        else ""
     )
-    untried = "; one joint has no relative gain" if robot.n == 1 else untried
     more = f"; {len(found) - 1} more with t above {candidates.MIN_T:g}" if len(found) > 1 else ""
     none = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
     return first_case(
