@@ -37,6 +37,10 @@ from .model import Model
 from .recording_report import gain_warnings, recording_warnings
 from .status import direct_errors, largest, status_of, tests_of
 
+SURROGATE = (
+    "surrogate reference: none recorded, the measured position is used instead; the instruments "
+    "are not strictly exogenous"
+)
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 
 
@@ -286,17 +290,21 @@ def _iv_warnings(
         ", ".join(f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT)
         for shares in saturated
     )
-    warnings = (
-        not model.exogenous
-        and "surrogate reference: none recorded, the measured position is used instead; the "
-        "instruments are not strictly exogenous",
-        without
-        and f"no controller described: simulated with a {without[0].bandwidth_hz:g} Hz PD instead",
-        unknown
-        and "least squares gives no positive inertias: the gain update uses those that suit the "
-        f"described gains at {unknown[0].bandwidth_hz:g} Hz",
-        *(found and f"drives at their limit: {found} of the samples" for found in limits),
-        first_stage_F < MIN_FIRST_STAGE_F
-        and f"weak instruments: first-stage F = {first_stage_F:.2g}, below {MIN_FIRST_STAGE_F:g}",
+    return (
+        *([] if model.exogenous else [SURROGATE]),
+        *(
+            f"no controller described: simulated with a {robot.bandwidth_hz:g} Hz PD instead"
+            for robot in without[:1]
+        ),
+        *(
+            "least squares gives no positive inertias: the gain update uses those that suit the "
+            f"described gains at {robot.bandwidth_hz:g} Hz"
+            for robot in unknown[:1]
+        ),
+        *(f"drives at their limit: {found} of the samples" for found in limits if found),
+        *(
+            f"weak instruments: first-stage F = {F:.2g}, below {MIN_FIRST_STAGE_F:g}"
+            for F in [first_stage_F]
+            if F < MIN_FIRST_STAGE_F
+        ),
     )
-    return tuple(text for text in warnings if isinstance(text, str) and text)

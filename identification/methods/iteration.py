@@ -189,9 +189,8 @@ def start_values(loop: Loop) -> Asked:
         return repeated(regular_start(problem.model, problem.base, loop.iteration.inertias)), None
     full = loop.ls.full
     C = covariance_of_all(loop.model.names, full, loop.ls.of_full, full)
-    return loop.x if loop.iteration.values is None else repeated(
-        loop.iteration.values(problem.base)
-    ), C
+    values = loop.iteration.values
+    return (loop.x if values is None else repeated(values(problem.base))), C
 
 
 def next_values(model: Model, passes: Sequence[Pass]) -> Array:

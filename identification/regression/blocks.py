@@ -98,19 +98,13 @@ class MotionBlock(Motion):
         stop = len(x) - (at.high - at.last) * factor
         return x[stop - (at.last - at.first) * factor if at.first else 0 : stop]
 
-    def predicted(self, beta: Array, at: slice = slice(None)) -> Array:
-        """Return the torque (N, n) of the inverse dynamic model, IDM(q, dq, ddq) beta, at
-        samples of the block, undecimated.
-        """
-        problem = self.problem
-        stride = self.decimation.factor // DRIVES_A_ROW if problem.settings.filtered else 1
-        return predicted_torque(self.part(at), problem.model, problem.base, beta, stride)
-
     def with_torque_of(self, beta: Array) -> "MotionBlock":
         """Return the same motion with the torque of the drives that base parameters beta (b,)
         predict, equation (1), which has no noise and is never late.
         """
-        known, tau = self.problem.known(self.t_s), self.predicted(beta)
+        problem, known = self.problem, self.problem.known(self.t_s)
+        stride = self.decimation.factor // DRIVES_A_ROW if problem.settings.filtered else 1
+        tau = predicted_torque(self, problem.model, problem.base, beta, stride)
         found = replace(self, tau=tau if known is None else tau - known, recorded=False)
         same = ("weights", "share", "W", "known")
         vars(found).update({name: x for name, x in vars(self).items() if name in same})

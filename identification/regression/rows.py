@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import SpanRows, System, by_joint, one_thread, stacked
-from .blocks import MotionBlock, motion_blocks
+from .blocks import MotionBlock, motion_blocks, predicted_torque
 from .lag import LagCollector
 from .problem import Problem
 from .states import fast_for_lag
@@ -310,7 +310,7 @@ def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Ar
     Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
     """
     problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
-    parts, settings = list[tuple[Array, ...]](), problem.settings
+    parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)
     rows, fs = len(settings.instants), problem.signals.sample_rate_hz
     # as spans of time end
     edges = settings.stop - settings.decimation * (
@@ -321,7 +321,7 @@ def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Ar
         cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
         predicted = np.concatenate(
             [
-                motion.predicted(beta, slice(first, last))
+                predicted_torque(motion.part(slice(first, last)), *of, beta)
                 for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
                 if first < last
             ]

@@ -86,8 +86,7 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (sum(one.rows[j] for one in systems) - rank))
     beta = np.linalg.lstsq(W / s[joint][:, None], Y / s[joint])[0]
     assert (np.abs(fit.estimate.beta - beta) < 1e-9 * fit.intervals.half).all()
-    # The errors of each are those of its own torque, without weights; the torque of its links is
-    # on a spline between instants.
+    # The errors of each are those of its own torque, without weights.
     for one, problem in zip(fit.recordings, problems, strict=True):
         s = problem.settings
         motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
@@ -97,7 +96,7 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         )
         tau, rho = (s.decimator.filtered(x.T) for x in (motion.tau, motion.tau - full))
         assert one.errors[-1].relative_error_percent == pytest.approx(
-            100 * np.linalg.norm(rho) / np.linalg.norm(tau), rel=1e-6
+            100 * np.linalg.norm(rho) / np.linalg.norm(tau), rel=1e-9
         )
 
 
