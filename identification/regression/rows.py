@@ -28,7 +28,9 @@ from .terms import Drives, Load, Term, load_friction
 from .unknowns import Arm, Unknowns, make_unknowns
 from .weights import sample_weights
 
-MAX_KEPT = 500_000  # numbers of the positions of a recording whose measured motion is kept
+# numbers of the positions of all recordings together whose measured motion is kept: 8 MB, a few
+# times as much in all
+MAX_KEPT = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,6 +43,7 @@ class Equation:
         drives: the term of the drives.
         names: (f,) of the free unknowns, the first of x.
         gains: places of those that are gains of drives; `lags`: places of the lags in x.
+        most: numbers of positions up to which the measured motion is kept.
     """
 
     problem: Problem
@@ -50,6 +53,7 @@ class Equation:
     names: tuple[str, ...]
     gains: NDArray[np.intp]
     lags: NDArray[np.intp]
+    most: int
 
     @cached_property
     def _made(self) -> tuple[MotionBlock, ...]:
@@ -57,7 +61,7 @@ class Equation:
 
     def motions(self) -> Iterable[MotionBlock]:
         """The measured motion in blocks: of a short recording made once, with its regressor."""
-        if 0 < self.problem.signals.q.size <= MAX_KEPT:
+        if 0 < self.problem.signals.q.size <= self.most:
             return self._made
         return motion_blocks(self.problem.with_samples())
 
@@ -98,6 +102,7 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
         names=unknowns.names,
         gains=np.arange(len(unknowns.names))[unknowns.gains],
         lags=unknowns.lags,
+        most=MAX_KEPT // len(unknowns.arms),
     )
 
 
