@@ -4,14 +4,12 @@
 With TEST_CPU=FILE the CPU time of each test is written there. `python tests/slow_tests.py FILE...`
 makes the list of such files; `--check FILE` fails with those of the list that took less than
 LEAST_S and others that took more than MOST_S, in seconds of the machine of the list, and do so
-again alone: two tests on one core take up to twice the time of one. MOST_S is far above SLOW_S, as
-a fit that tests share is counted with the test that happens to be first.
+again alone, and again in the same process: two tests on one core take up to twice the time of one,
+and a fit that tests share is counted with the test that happens to be first.
 """
 
 import os
-import subprocess
 import sys
-import tempfile
 import time
 import timeit
 from collections.abc import Generator
@@ -21,7 +19,7 @@ from typing import Any
 import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
-SLOW_S, LEAST_S, MOST_S = 0.5, 0.2, 4.0
+SLOW_S, LEAST_S, MOST_S = 0.5, 0.2, 1.0
 REFERENCE_S = 0.17  # of `reference_s` on the machine of the list
 
 
@@ -114,14 +112,15 @@ def times_in(*files: str) -> dict[str, float]:
 
 
 def confirmed(file: str) -> dict[str, str]:
-    """Lines on tests that are wrongly listed by a file of TEST_CPU, and are
-    so when they run alone.
+    """Lines on tests that are wrongly listed by a file of TEST_CPU, which is written anew, and
+    are so in each of two runs of these tests alone.
     """
-    if lines := wrongly_listed(times_in(file), REFERENCE_S / reference_s()):
-        with tempfile.NamedTemporaryFile() as again:
-            command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *lines]
-            subprocess.run(command, env={**os.environ, "TEST_CPU": again.name}, check=True)
-            lines = wrongly_listed(times_in(again.name), REFERENCE_S / reference_s())
+    lines = wrongly_listed(times_in(file), REFERENCE_S / reference_s())
+    os.environ["TEST_CPU"] = file
+    for _ in range(2):
+        if lines and (status := pytest.main(["-q", "-p", "no:cacheprovider", *lines])):
+            sys.exit(status)
+        lines = wrongly_listed(times_in(file), REFERENCE_S / reference_s())
     return lines
 
 
