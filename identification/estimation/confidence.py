@@ -150,32 +150,30 @@ def scores_of_recordings(
     weighted residuals rho (r,); `among` some of the spans, by default all.
     """
     found = list[Scores]()
-    for spans, instants in _of_recordings(system, among):
-        each = rows_of_spans(system, spans)
-        scores = np.array([bread @ (Q[own].T @ rho[own]) for own in each])
-        grams = np.array([Q[own].T @ Q[own] for own in each])
-        found.append((scores, grams, cosines(instants)))
+    for B, spans in _by_span(system, among, Q, rho[:, None]):
+        scores = np.array([q.T @ r[:, 0] for q, r in spans]) @ bread.T
+        found.append((scores, np.array([q.T @ q for q, _ in spans]), B))
     return found
 
 
-def rows_of_spans(system: System, spans: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """The rows of each of these spans, ascending; of all joints."""
+def _by_span(
+    system: System, among: NDArray[np.bool_] | None, *columns: Array
+) -> Iterator[tuple[int, list[tuple[Array, ...]]]]:
+    """By recording its number of cosines and, of each of its spans of time, the rows of these
+    columns, all joints together; `among` some of the spans, no recording without any.
+    """
     order = np.argsort(system.span, kind="stable")
-    first, last = (np.searchsorted(system.span[order], at) for at in (spans, spans + 1))
-    return [order[a:b] for a, b in zip(first, last, strict=True)]
-
-
-def _of_recordings(
-    system: System, among: NDArray[np.bool_] | None
-) -> Iterator[tuple[NDArray[np.intp], int]]:
-    """By recording its spans, of those `among`, and their instants; none if it has none there."""
-    first = 0
+    columns, last = tuple(x[order] for x in columns), 0
+    ends = np.searchsorted(system.span[order], np.arange(sum(map(len, system.spans))))
     for own in system.spans:
-        spans = np.arange(first, first + len(own) - 1)
-        here = slice(None) if among is None else among[spans]
-        if (count := int(np.diff(own)[here].sum())) > 0:
-            yield spans[here], count
-        first += len(own) - 1
+        first, last = last, last + len(own) - 1
+        spans = np.arange(first, last)
+        spans = spans if among is None else spans[among[spans]]
+        if (instants := int(np.diff(own)[spans - first].sum())) > 0:
+            yield (
+                cosines(instants),
+                [tuple(x[ends[k] : ends[k + 1]] for x in columns) for k in spans],
+            )
 
 
 def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:
@@ -185,8 +183,12 @@ def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Arr
     """
     each = []
     for scores, grams, B in recordings:
-        along = bread @ grams
-        each.append(deviations(scores, B) / np.sqrt(_share((along * bread).sum(axis=-1), along, B)))
+        cosine = _family(B, len(grams))
+        sums = [np.tensordot(c, grams, axes=1) for c in (cosine, (cosine**2).mean(axis=0))]
+        lost, found, whole = (bread @ x for x in (*sums, grams.sum(axis=0)))
+        found, whole = ((x * bread).sum(axis=-1) for x in (found, whole))
+        share = _share(found - (lost**2).sum(axis=-1).mean(axis=0), whole)
+        each.append(deviations(scores, B) / np.sqrt(share))
     return np.asarray(np.hypot.reduce(each)), sum(B for _, _, B in recordings)
 
 
@@ -213,12 +215,13 @@ def deviations_of_sums(system: System, z: Array, rho: Array, Q: Array) -> Array:
     """
     own = z - Q @ (Q.T @ z)  # the direction that a column adds to Q
     own, each = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), []
-    for spans, instants in _of_recordings(system, None):
-        rows, B = rows_of_spans(system, spans), cosines(instants)
-        scores = np.array([(z[at] * rho[at]).sum(axis=0) for at in rows])
-        squares = np.array([(z[at] ** 2).sum(axis=0) for at in rows])
-        along = np.array([np.c_[z[at].T @ Q[at], (z[at] * own[at]).sum(axis=0)] for at in rows])
-        each.append(deviations(scores, B) / np.sqrt(_share(squares, along, B)))
+    for B, spans in _by_span(system, None, z, z * rho, z**2, Q, z * own):
+        scores, squares, by_own = (np.array([x[i].sum(axis=0) for x in spans]) for i in (1, 2, 4))
+        cosine = _family(B, len(spans))
+        along = np.tensordot(cosine, np.array([x[0].T @ x[3] for x in spans]), axes=1)
+        lost = (along**2).sum(axis=-1) + (cosine @ by_own) ** 2
+        share = _share((cosine**2 @ squares - lost).mean(axis=0), squares.sum(axis=0))
+        each.append(deviations(scores, B) / np.sqrt(share))
     return np.asarray(np.hypot.reduce(each))
 
 
@@ -230,18 +233,15 @@ def deviations(scores: Array, B: int) -> Array:
     return np.asarray(np.sqrt((L**2).mean(axis=0)))
 
 
-def _share(squares: Array, along: Array, B: int) -> Array:
+def _share(found: Array, whole: Array) -> Array:
     """Share (m,) of the variance of the sums z'e, e white, that the cosines find in the residuals.
 
-    By K spans of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. For an
-    estimate z is Q bread'. The estimate removes d directions from the noise: rho = (I - Q Q')e. A
-    cosine's L = a'rho, a being the cosine times z, has the variance |a|² - |Q'a|². Regressors as
-    slow as the cosines lose more of it than d of r rows: on the TX40 up to a third of the
-    deviation, where d/r is a fortieth.
+    `found` (m,) is what they find, `whole` (m,) the sums of z² over all rows; for an estimate z is
+    Q bread'. The estimate removes d directions from the noise: rho = (I - Q Q')e. A cosine's L =
+    a'rho, a being the cosine times z, has the variance |a|² - |Q'a|². Regressors as slow as the
+    cosines lose more of it than d of r rows: on the TX40 up to a third of the deviation, where d/r
+    is a fortieth.
     """
-    cosine = _family(B, len(squares))
-    lost = np.tensordot(cosine, along, axes=1) ** 2  # (B, m, d)
-    found, whole = (cosine**2 @ squares - lost.sum(axis=-1)).mean(axis=0), squares.sum(axis=0)
     present = whole > 0  # a recording may not excite a parameter
     return np.asarray(
         np.maximum(
