@@ -13,6 +13,7 @@ half a period of its integrand.
 """
 
 import math
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -145,16 +146,21 @@ def _told(
         known, value_s=(known.value_s + 0.5 * period_s) * rate_hz, sd_s=known.sd_s * rate_hz
     )
 
-    def solved(letters: str, estimate: str) -> list[LawSolution]:
-        clock = (SPEED_DELAYS[estimate] * period_s * rate_hz, (period_s - 2 * unknown_s) * rate_hz)
-        return [motor.solve(letters, known, clock) for motor in motors]
+    def solved(letters: str, estimates: Iterable[str]) -> dict[str, list[LawSolution]]:
+        found = dict[str, list[LawSolution]]()
+        near: list[LawSolution | None] = [None] * len(motors)
+        for one in estimates:
+            clock = (SPEED_DELAYS[one] * period_s * rate_hz, (period_s - 2 * unknown_s) * rate_hz)
+            found[one] = [
+                motor.solve(letters, known, clock, solution)
+                for motor, solution in zip(motors, near, strict=True)
+            ]
+            near = [*found[one]]
+        return found
 
     # Without the reference's speed a delay of the measured one is one of the reference and a lag.
     tried = {
-        name: {
-            one: solved(letters, one)
-            for one in (SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",))
-        }
+        name: solved(letters, SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",))
         for name, letters in LAWS.items()
     }
     percent = {
@@ -177,7 +183,7 @@ def _told(
         reason = f"{best} fits better"
     elif not clear[name].any():
         reason = "several laws fit alike"
-    ways = {one: tried[name].get(one) or solved(STRUCTURES[name], one) for one in SPEED_DELAYS}
+    ways = tried[name] if len(tried[name]) > 1 else solved(STRUCTURES[name], SPEED_DELAYS)
     estimate = _estimate(ways, known, controller.velocity_estimate)
     stated = described_gains(controller)
     values = [_values(one, known, name, rate_hz) for one in ways[estimate]]

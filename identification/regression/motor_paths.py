@@ -62,15 +62,22 @@ class MotorPaths:
         self.u, self._rest, self._most = u, rest, most
         self._size = max(float(np.linalg.norm(u - u.mean())) if len(u) else 0.0, 1e-300)
 
-    def solve(self, letters: str, known: KnownLag, clock: tuple[float, float]) -> LawSolution:
-        """Least squares by the columns `letters`; `clock`: delay of the speed,
-        period of the controller.
+    def solve(
+        self,
+        letters: str,
+        known: KnownLag,
+        clock: tuple[float, float],
+        near: LawSolution | None = None,
+    ) -> LawSolution:
+        """Least squares by the columns `letters`; `clock`: delay of the speed, period of the
+        controller; `near`: the solution of another delay of the speed.
         """
+        if near is not None and near.percent < MAX_RESIDUAL_PERCENT:
+            return self._refine(letters, (near.d, near.L), known, clock)
         found = list[LawSolution]()
         for by in ("i", "e") if "i" in letters else ("e",):
-            found.append(
-                self._refine(letters, self._first_delay(letters, by, known, clock), known, clock)
-            )
+            d = self._first_delay(letters, by, known, clock)
+            found.append(self._refine(letters, (d, known.value_s), known, clock))
             if found[-1].percent < MAX_RESIDUAL_PERCENT:
                 break
         return min(found, key=lambda one: one.percent)
@@ -83,16 +90,16 @@ class MotorPaths:
         r, dr, ddr, ir = self._r(L, d)
         q, dq, _, iq = self._q(L, 0.0)
         v, dv = self._q(L, clock[0])[1:3]
-        e, de, none, half = r - q, dr - dq, np.zeros_like(r), 0.5 * clock[1]
+        e, de, none, half = r - q, dr - dq, 0.0 * r, 0.5 * clock[1]
         found = {
-            "e": (e, -dr, -de),
-            "f": (dr - v, -ddr, dv - ddr),
-            "v": (-v, none, dv),
-            "w": (dr, -ddr, -ddr),
-            "i": (ir - iq + half * e, -r - half * dr, -e - half * de),
-            "q": (-q, none, dq),
+            "e": lambda: (e, -dr, -de),
+            "f": lambda: (dr - v, -ddr, dv - ddr),
+            "v": lambda: (-v, none, dv),
+            "w": lambda: (dr, -ddr, -ddr),
+            "i": lambda: (ir - iq + half * e, -r - half * dr, -e - half * de),
+            "q": lambda: (-q, none, dq),
         }
-        return tuple(np.column_stack(x) for x in zip(*(found[one] for one in letters), strict=True))
+        return tuple(np.array(x).T for x in zip(*(found[one]() for one in letters), strict=True))
 
     def _first_delay(
         self, letters: str, by: str, known: KnownLag, clock: tuple[float, float]
@@ -109,16 +116,23 @@ class MotorPaths:
             ]
             x = scaled_solution(np.column_stack([c, self._rest, *added]), self.u)
             gain = x[letters.index(letter)]
-            d = float(np.clip(d + x[-1] / gain, -self._most, self._most)) if gain else d
+            step = x[-1] / gain if gain else 0.0
+            d = float(np.clip(d + step, -self._most, self._most))
+            if abs(step) < MIN_STEP:
+                break
         return d
 
     def _refine(
-        self, letters: str, d: float, known: KnownLag, clock: tuple[float, float]
+        self,
+        letters: str,
+        start: tuple[float, float],
+        known: KnownLag,
+        clock: tuple[float, float],
     ) -> LawSolution:
         """Gauss-Newton steps of the values, d and L, which is known within limits; a law far
         from the effort is left.
         """
-        L, step, k = known.value_s, np.inf, len(letters)
+        (d, L), step, k = start, np.inf, len(letters)
         for number in range(STEPS):
             c, by_d, by_L = self._columns(letters, (d, L), clock)
             c = np.c_[c, self._rest]
