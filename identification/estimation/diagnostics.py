@@ -5,6 +5,7 @@ The distributions are written here because importing a library for them takes lo
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,7 @@ def f_tail(F: float, dropped: float, freedom: float) -> float:
     return _incomplete_beta(freedom / 2, dropped / 2, freedom / (freedom + dropped * max(F, 0.0)))
 
 
+@cache
 def t_quantile(p: float, freedom: float) -> float:
     """Quantile p > 1/2 of Student's t distribution with `freedom` degrees of freedom."""
     return _root(lambda t: f_tail(t * t, 1.0, freedom) - 2.0 * (1.0 - p))

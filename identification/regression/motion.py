@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.files import release_pages
 
@@ -85,15 +86,15 @@ def sampled_at(at: Array, x: Array) -> Array:
     picks = np.rint(at).astype(np.intp)
     if np.abs(at - picks).max() < 1e-6:
         return x[picks]
-    return on_spline(at, spline_coefficients(x))
-
-
-def on_spline(at: Array, c: Array) -> Array:
-    """The cubic spline of coefficients c (N + 3, n) at places (K,) from 0 to N - 1."""
     i = at.astype(np.intp)
-    return np.asarray(
-        sum(w * c.take(i + k, axis=0) for k, w in enumerate(_spline_weights((at - i)[:, None])))
-    )
+    return on_spline(i, (at - i)[:, None], spline_coefficients(x))
+
+
+def on_spline(i: NDArray[np.intp], u: Array, c: Array) -> Array:
+    """The cubic spline of coefficients c (N + 3, n) at u, 0 to 1, behind the samples i (K,); u is
+    () or (K, 1).
+    """
+    return np.asarray(sum(w * c.take(i + k, axis=0) for k, w in enumerate(_spline_weights(u))))
 
 
 def _spline_weights(u: Array) -> list[Array]:

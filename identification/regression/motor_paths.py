@@ -4,7 +4,7 @@ and its least squares.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,15 +50,23 @@ class MotorPaths:
     """
 
     def __init__(
-        self, paths: tuple[Array, Array], u: Array, rest: Array, at: Array, most: float
+        self,
+        paths: tuple[Array, Array],
+        u: Array,
+        rest: Array,
+        at: NDArray[np.intp],
+        most: float,
     ) -> None:
         """`paths`: spline coefficients of r and q, each with two derivatives and the integral, at
         places `at`; `rest`: columns beside them; `most`: delay. Times are in samples of the paths.
         """
+
+        def moved(L: float, d: float, c: Array) -> Array:
+            whole, part = divmod(-L - d, 1.0)
+            return on_spline(at + int(whole), np.asarray(part), c).T
+
         # Structures and steps share most of their lags and delays.
-        self._r, self._q = (
-            lru_cache(_REMEMBERED)(lambda L, d, c=c: on_spline(at - L - d, c).T) for c in paths
-        )
+        self._r, self._q = (lru_cache(_REMEMBERED)(partial(moved, c=c)) for c in paths)
         self.u, self._rest, self._most = u, rest, most
         self._size = max(float(np.linalg.norm(u - u.mean())) if len(u) else 0.0, 1e-300)
 
@@ -135,9 +143,10 @@ class MotorPaths:
         (d, L), step, k = start, np.inf, len(letters)
         for number in range(STEPS):
             c, by_d, by_L = self._columns(letters, (d, L), clock)
-            c = np.c_[c, self._rest]
-            x = np.asarray(scaled_solution(c, self.u))
-            rho, J = self.u - c @ x, np.column_stack([c, by_d @ x[:k], by_L @ x[:k]])
+            c = np.hstack([c, self._rest])
+            x = scaled_solution(c, self.u)
+            rho = self.u - c @ x
+            J = np.hstack([c, (by_d @ x[:k])[:, None], (by_L @ x[:k])[:, None]])
             percent = 100 * float(np.linalg.norm(rho)) / self._size
             if step < MIN_STEP or (number == FIRST_STEPS and percent > HOPELESS_PERCENT):
                 break
@@ -203,7 +212,7 @@ def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
     for j in range(s.robot.n):
         own = held[:, j][:, held[:, j].any(axis=0)]
         rest = np.c_[np.ones(len(at)), own][free[:, j]]
-        places, own_paths = at[free[:, j]] / step, (paths[0][j], paths[1][j])
+        places, own_paths = at[free[:, j]] // step, (paths[0][j], paths[1][j])
         found.append(
             MotorPaths(own_paths, u[at, j][free[:, j]], rest, places, MAX_DELAY_S * fs / step)
         )
