@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import BadInputError, Place
+from ..errors import BadInputError
 from ..robot import resolve, robot_from_files
 from .content import GrowingContent
 from .decoding import decode
@@ -67,7 +67,7 @@ class RecordingFollower:
         self.ended, topics = found.complete, found.chunks.take()
         self.events, self.health = events_of(topics, self._path)
         blocks = [
-            rows_of(messages, [FRAME], Place(f"{self._path}: {topic}"))
+            rows_of(messages, [FRAME], f"{self._path}: {topic}")
             for topic, messages in topics.items()
             if FRAMES_TOPIC.fullmatch(topic)
         ]

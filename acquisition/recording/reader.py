@@ -178,7 +178,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         place.refuse(
             text=f"holds no robot.toml{note}", expected="the robot's description as an attachment"
         )
-    robot = robot_from_files(attachments, f"{place}: robot.toml")
+    robot = robot_from_files(attachments, f"{path}: robot.toml")
     unit, expected = metadata.get("effort_unit"), json.dumps(robot.effort_units)
     if unit != expected:
         place.refuse("effort_unit", unit, expected, shown=str(unit))
@@ -186,13 +186,13 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     for topic, blocks in topics.items():
         if not blocks.stamps_ns:
             continue
-        where = Place(f"{place}: {topic}")
+        where = f"{path}: {topic}"
         if topic == "/samples":
             samples = rows_of(blocks, sample_layouts(robot), where)
-            check_samples(samples, -1, str(where))
+            check_samples(samples, -1, where)
         elif match := FRAMES_TOPIC.fullmatch(topic):
             frames[match[1]] = rows_of(blocks, [FRAME], where)
-            check_frames(frames[match[1]], str(where))
+            check_frames(frames[match[1]], where)
     events, health = events_of(topics, path)
     captured = topics.get(CAPTURE_TOPIC)
     return Recording(
@@ -230,19 +230,19 @@ def has_reference(path: Path) -> bool:
     )
 
 
-def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
+def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:
     """Concatenated rows of a known layout, compared as text, never evaluated; further objects of
-    old versions are skipped.
+    old versions are skipped. Errors name `place`.
     """
     text, skipped = blocks.layout, 0
     if (earlier := _EXTRA.fullmatch(text)) is not None:
         text, skipped = f"{earlier[1]}]", int(earlier[2])
     dtype = next((layout for layout in known if repr(layout.descr) == text), None)
     if dtype is None:
-        place.refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
+        Place(place).refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
     whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
     if any(end % whole.itemsize for end in blocks.ends):
-        place.refuse(
+        Place(place).refuse(
             text=f"{len(blocks.data)} bytes",
             expected=f"blocks of whole rows of {whole.itemsize} bytes",
         )
