@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..errors import Place
 from ..files import atomic_write, field_of, release_pages
 from ..recording import (
@@ -28,7 +28,6 @@ from .process_data import (
     MARGIN,
     MAX_BACK,
     MAX_OFF,
-    Bools,
     ProcessData,
     parse_mapping,
 )

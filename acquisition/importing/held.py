@@ -10,10 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import Place
 from ..files import by_rows, taken
-from ..recording import Bools
 from .stamps import smallest_difference
 from .time_base import POSITION, GridValues, interpolate, resample, roundest_rate_hz
 

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import NoReturn, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Ints
+from ..arrays import Bools, Ints
 from ..errors import BadInputError, Place, listed
 from ..files import GrowingBytes, field_of, release_pages
 from ..recording import Block, in_parts, minimum_ahead
@@ -31,7 +30,6 @@ _MAPPING = (
     "inputs, gaps as 0:BITS"
 )
 
-Bools: TypeAlias = NDArray[np.bool_]
 # command, logical address and bytes of datagrams; whether they came back
 Part: TypeAlias = tuple[int, int, int, bool]
 # by quantity and drive: byte in a part, and type

@@ -11,9 +11,8 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import Place
 from ..files import read_columns
 from ..robot import Robot, note
@@ -195,7 +194,7 @@ class Source:
                 )
 
 
-def turn_jumps(x: Array, turn: float) -> NDArray[np.bool_]:
+def turn_jumps(x: Array, turn: float) -> Bools:
     """Steps (N - 1, n) of angles x (N, n) within a turn that are a turn, to a quarter of it."""
     within = np.ptp(x, axis=0) <= MAX_WRAPPED * turn
     return np.asarray((np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25) & within)

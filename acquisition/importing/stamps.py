@@ -3,9 +3,8 @@ path by speed x error.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import Place
 from ..files import by_rows, taken
 
@@ -106,7 +105,7 @@ def even_times(
     return even_s, float(np.std(stamp_s - even_s))
 
 
-def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
+def rows_in_time(time_s: Array, q: Array) -> Bools:
     """Rows whose positions q (N, n) agree with their neighbours at their growing times (N,).
 
     A stamp that is wrong by a tick moves all joints off their path by their speed times the tick. A
@@ -129,7 +128,7 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
     return np.isin(np.arange(len(time_s)), rows)
 
 
-def _late(t: Array, x: Array, quantum: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _late(t: Array, x: Array, quantum: Array) -> tuple[Array, Bools]:
     """Of rows (N - 4,) with two neighbours on both sides: by how many deviations their stamps are
     wrong, and whether they are.
     """

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..errors import Place
 from ..files import BLOCK_ROWS, allocate, atomic_write, taken
-from ..recording import MAX_STAMP_NS, Bools, Header, RecordingWriter, in_gaps
+from ..recording import MAX_STAMP_NS, Header, RecordingWriter, in_gaps
 from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
 from .stamps import MAX_COMPARED_ROWS, MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 

@@ -4,7 +4,7 @@ from .decoding import Decoded, decode, joint_samples, refuse_period
 from .following import RecordingFollower
 from .mapped import resolve_mapped
 from .marks import add_mark, take_marks
-from .measured import Bools, in_gaps, measured_rows
+from .measured import in_gaps, measured_rows
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
 from .rows import (
     CAN_FD,

@@ -24,18 +24,15 @@ is pending, and what lies between gives rows only if every PDO came as often as 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Ints
+from ..arrays import Bools, Ints
 from ..files import kept
 from .rows import Rows
 from .sync_grid import (
     MAX_ANSWER_PERIODS,
     MAX_RUN_SYNCS,
-    Bools,
     Intervals,
     interval_of,
     minimum_ahead,
@@ -197,7 +194,7 @@ def _late(uneven: Bools, proven: Bools, damaged: Bools) -> tuple[Bools, Bools]:
     return late, late & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
 
 
-def _sums(values: NDArray[Any]) -> Rows:
+def _sums(values: Bools | Rows | Ints) -> Rows:
     """Sum of all values before each, then the sum of all."""
     return kept(np.append(np.int32(0), np.cumsum(values, dtype=np.int32)))
 

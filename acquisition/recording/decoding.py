@@ -11,7 +11,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..errors import Place
 from ..files import kept
 from ..protocol import ObjectEntry, Pdo
@@ -19,7 +19,6 @@ from ..robot import Bus, Drive, Robot
 from .association import associate
 from .rows import SENT, Block, Rows, Traffic, sample_dtype, unwrap
 from .sync_grid import (
-    Bools,
     SyncTimes,
     counted_steps,
     recorded_syncs,

@@ -11,11 +11,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..files import by_rows
 from ..robot import Robot
 from .rows import Block
-from .sync_grid import Bools
 
 # periods between two rows, ± half a period: a longer step is a gap; that efforts of a recording
 # repeat by chance for as long

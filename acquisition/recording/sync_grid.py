@@ -14,11 +14,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..files import kept
 from .rows import MAX_PERIOD_OFFSET, Rows
 
-Bools = NDArray[np.bool_]
 Number = TypeVar("Number", np.int32, np.int64, np.float64)
 
 MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause

@@ -11,10 +11,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import protocol as cia
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..bus import Frame, Tap, open_link
 from ..errors import BusFaultError
 from ..recording import SENT
@@ -233,7 +232,7 @@ class SimulatedDrives:
             if stopping[i] and travel[i] == 0.0 and not stays:
                 node.state = cia.State.SWITCH_ON_DISABLED
 
-    def _targets(self, position: Array, enabled: NDArray[np.bool_]) -> Array:
+    def _targets(self, position: Array, enabled: Bools) -> Array:
         """Motor targets (n,) from 607Ah; the present position where a drive is not
         enabled or in another mode.
         """
@@ -254,7 +253,7 @@ class SimulatedDrives:
         q, dq = self.plant.state()
         return self._positions.si(self._counts(q)), self._robot.motor_velocity(dq)
 
-    def _counts(self, q: Array) -> NDArray[np.int64]:
+    def _counts(self, q: Array) -> Ints:
         return self._positions.raw(self._robot.motor_position(q[None])[0])
 
     def _sample(self) -> None:

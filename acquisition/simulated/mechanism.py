@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import BadInputError, Place
 from ..recording import Block
 from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
-
-Mask = NDArray[np.bool_]
 
 TYPICAL_LOAD = 0.3  # of the rated effort: gravity load of a horizontal joint of an industrial arm
 
@@ -35,7 +32,7 @@ class Plant(Protocol):
         the loops move the plant.
         """
 
-    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
+    def step(self, effort: Array, held: Bools, duration_s: float) -> None:
         """Step by `duration_s` under constant `effort` (n,); brakes hold the
         joints where `held` (n,).
         """
@@ -56,7 +53,7 @@ class JointwisePlant:
         coulomb: Array,
         load: Array,
         *,
-        slides: Mask,
+        slides: Bools,
         position: Array,
     ) -> None:
         self._inertia, self._viscous, self._coulomb, self._load, self._slides = (
@@ -76,7 +73,7 @@ class JointwisePlant:
         """None: the loops move it."""
         return None
 
-    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
+    def step(self, effort: Array, held: Bools, duration_s: float) -> None:
         """Load at the middle of the step; Coulomb friction stops a joint, but does
         not reverse its motion.
         """
@@ -142,7 +139,7 @@ class TablePlant:
         """Effort of the row."""
         return np.array(self._samples["effort"][self._row])
 
-    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
+    def step(self, effort: Array, held: Bools, duration_s: float) -> None:
         """Advance to the row at the time reached."""
         self._elapsed_s += duration_s
 
