@@ -146,25 +146,27 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _print(found: "ImportSummary", warnings: TextIO) -> None:
-    from ..recording import overview, read_recording
+    from ..recording import OPTIONAL, overview, read_recording
 
+    recording = read_recording(found.out)
+    about = overview(recording)
+    fields = () if recording.samples is None else recording.samples.dtype.names or ()
     parts = [
-        f"{found.out}: {found.robot}",
-        f"{found.samples} samples at {found.sample_rate_hz:g} Hz",
+        f"{found.out}: {about['robot']}",
+        f"{about['samples']} samples at {about['sample_rate_hz']:g} Hz",
         *(
             [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"]
             if found.effort_units
             else []
         ),
-        *(["with reference"] if found.has_reference else []),
-        *(f"with {name.replace('_', ' ')}" for name in found.optional),
+        *(f"with {name.replace('_', ' ')}" for name in ("reference", *OPTIONAL) if name in fields),
     ]
     print(one_line(", ".join(parts)))
     for name, text in (
         ("topic", found.topic),
         ("times", found.times),
-        ("rows", overview(read_recording(found.out))["rows"]),
-        ("reference", found.reference),
+        ("rows", about["rows"]),
+        ("reference", recording.metadata.get("reference", "")),
     ):
         if text:
             print(one_line(f"{name}: {text}"))

@@ -183,7 +183,7 @@ class StatusLine:
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
     """Rate, losses (true if there are any), range of each joint so far, time left."""
-    losses = {"dropped": status.drops, "missing": status.missing, "late": status.late}
+    losses = {"dropped": status.drops, **{k: status.losses[k] for k in ("missing", "late")}}
     ranges = zip(robot.joints, status.lowest, status.highest, strict=False)
     return [
         (f"{status.rate_hz:.0f} frames/s", False),

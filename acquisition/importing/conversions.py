@@ -19,13 +19,12 @@ from ..recording import (
     Recording,
     RecordingWriter,
     decode,
-    has_reference,
     read_recording,
     resolve_mapped,
     rewrite,
 )
 from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
-from ..session import RecordedSummary, write_decoded
+from ..session import write_decoded
 from .captures import is_capture
 from .ethercat import MAPPING_NOTE, import_capture
 from .log_times import in_order
@@ -61,7 +60,7 @@ def import_recording(
     header = replace(recording.header, notes=notes, **_bus_header(robot, decoded.bus))
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
-    return _summarize(decoded, out)
+    return ImportSummary(out=out, warnings=decoded.warnings)
 
 
 def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
@@ -71,33 +70,26 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
         Place(str(path)).refuse(
             text="holds no samples and no frames before its cut: nothing can be repaired"
         )
-    summary = RecordedSummary(frames=0, samples=0 if samples is None else len(samples), warnings=())
+    warnings: tuple[str, ...] = ()
 
     def write(writer: RecordingWriter) -> None:
-        nonlocal summary
+        nonlocal warnings
         if recording.frames:
             frames = max(recording.frames.values(), key=len)
             end_ns = int(frames["time_ns"][-1])
-            summary = write_decoded(writer, frames, recording.robot, end_ns, str(path))
-            if not summary.no_samples or samples is None:
+            found = write_decoded(writer, frames, recording.robot, end_ns, str(path))
+            warnings = (f"{NO_SAMPLES}{found.no_samples}",) if found.no_samples else found.warnings
+            if not found.no_samples or samples is None:
                 return
-            text = f"{summary.no_samples}; the {len(samples)} samples before the cut are copied"
+            text = f"{found.no_samples}; the {len(samples)} samples before the cut are copied"
             writer.event(end_ns, "warning", text)
-            summary = replace(summary, samples=len(samples), warnings=(text,), no_samples="")
+            warnings = (text,)
         if samples is not None:
             writer.samples(samples)
 
     notes = {**recording.metadata, "recovered_from": recording.sha256}
     rewrite(recording, replace(recording.header, notes=notes), out, write)
-    return ImportSummary(
-        out=out,
-        robot=recording.robot.name,
-        samples=summary.samples,
-        sample_rate_hz=recording.sample_rate_hz,
-        has_reference=summary.samples > 0 and has_reference(out),
-        warnings=summary.warnings
-        or (f"{NO_SAMPLES}{summary.no_samples}",) * bool(summary.no_samples),
-    )
+    return ImportSummary(out=out, warnings=warnings)
 
 
 def is_log(path: Path) -> bool:
@@ -144,7 +136,7 @@ def import_log(
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
-    return _summarize(decoded, out)
+    return ImportSummary(out=out, warnings=decoded.warnings)
 
 
 def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]:
@@ -188,14 +180,3 @@ def _bus_header(robot: Robot, bus: Bus) -> dict[str, Any]:
         "effort_provenance": bus.provenance,
         "effort_timing": bus.file.effort_timing,
     }
-
-
-def _summarize(decoded: Decoded, out: Path) -> ImportSummary:
-    return ImportSummary(
-        out=out,
-        robot=decoded.robot.name,
-        samples=len(decoded.stamps),
-        sample_rate_hz=1.0 / decoded.bus.file.sync_period_s,
-        has_reference=decoded.targets is not None,
-        warnings=decoded.warnings,
-    )

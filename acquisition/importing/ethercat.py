@@ -132,10 +132,6 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
             writer.event(last_ns, "warning", text)
     return ImportSummary(
         out=out,
-        robot=robot.name,
-        samples=len(chosen),
-        sample_rate_hz=header.sample_rate_hz,
-        has_reference=has_reference,
         effort_units=robot.effort_units,
         times=times,
         warnings=tuple(warnings),

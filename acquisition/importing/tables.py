@@ -230,33 +230,36 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
     if time.column is not None:
         column = _column(source.table("time.table", time.table), time.column, rows, place)
         stamp_s = column * TIME_UNITS[time.unit]
-    if time.tick_s is None:
+    if time.ticks is None or time.tick_s is None:
         assert stamp_s is not None
         return (
             even_times(stamp_s, parts["position"], time.resample_hz, place)
             if time.resample_hz
             else (stamp_s, None)
         )
-    time_s = _ticks(source, time, parts, stamp_s) * time.tick_s
+    time_s = _ticks(source, time, time.ticks, time.tick_s, parts, stamp_s) * time.tick_s
     return time_s, None if stamp_s is None else stamp_scatter_s(time_s, stamp_s, time.tick_s, place)
 
 
-def _ticks(source: Source, time: Time, parts: Mapping[str, Array], stamp_s: Array | None) -> Array:
+def _ticks(
+    source: Source,
+    time: Time,
+    name: str | int,
+    tick_s: float,
+    parts: Mapping[str, Array],
+    stamp_s: Array | None,
+) -> Array:
     """Ticks (N,) of the rows, of a counter or counted by positions and speeds."""
-    assert time.ticks is not None
-    assert time.tick_s is not None
-    if time.ticks == FROM_VELOCITY:
+    if name == FROM_VELOCITY:
         if stamp_s is None or "velocity" not in parts:
-            source.place.refuse(
-                "time.ticks", time.ticks, "time.column with the stamps, and [velocity]"
-            )
-        return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], time.tick_s)
+            source.place.refuse("time.ticks", name, "time.column with the stamps, and [velocity]")
+        return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], tick_s)
     table = source.table("time.table", time.table)
-    ticks = _column(table, time.ticks, len(parts["position"]), source.place)
+    ticks = _column(table, name, len(parts["position"]), source.place)
     fractional = np.flatnonzero(ticks != np.rint(ticks))
     if len(fractional):
         row = fractional[0]
-        Place(f"{table}: row {row + 1}").refuse(str(time.ticks), float(ticks[row]), "whole counts")
+        Place(f"{table}: row {row + 1}").refuse(str(name), float(ticks[row]), "whole counts")
     return ticks
 
 

@@ -338,20 +338,14 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSummary:
-    """A written recording: sizes, recorded quantities, the report on the times, the topic that was
-    not named, origin of the reference, warnings.
+    """A written recording, and what it does not say of its import: units of efforts that were
+    converted, the report on the times, the topic that was not named, warnings.
     """
 
     out: Path
-    robot: str
-    samples: int
-    sample_rate_hz: float
-    has_reference: bool
     effort_units: tuple[str, ...] = ()
-    optional: tuple[str, ...] = ()
     times: str = ""
     topic: str = ""
-    reference: str = ""
     warnings: tuple[str, ...] = ()
 
 
@@ -388,13 +382,7 @@ def write_samples(
             writer.event(int(stamps[-1]), "warning", text)
     return ImportSummary(
         out=out,
-        robot=robot.name,
-        samples=len(rows),
-        sample_rate_hz=grid.rate_hz,
-        has_reference="reference" in parts,
         effort_units=robot.effort_units,
-        optional=tuple(name for name in parts if name not in ("position", "effort", "reference")),
         times=grid.notes.get("times", ""),
-        reference=header.notes.get("reference", ""),
         warnings=(*overshoots, *warnings),
     )

@@ -46,11 +46,10 @@ class Pdo:
         """Bytes of data."""
         return self.bits // 8
 
-    def offset(self, index: int, sub: int) -> int | None:
-        """First byte of an object in the frame, None where it is not in it."""
+    def offset(self, index: int, sub: int) -> int:
+        """First byte in the frame of an object that is in it."""
         keys = [entry.key for entry in self.entries]
-        at = keys.index((index, sub)) if (index, sub) in keys else None
-        return None if at is None else sum(entry.bits for entry in self.entries[:at]) // 8
+        return sum(entry.bits for entry in self.entries[: keys.index((index, sub))]) // 8
 
     def pack(self, values: Mapping[tuple[int, int], int]) -> bytes:
         """The frame's data from values by (index, sub-index); two's complement."""

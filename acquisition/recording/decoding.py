@@ -117,8 +117,8 @@ class Decoded:
             raw = np.empty(len(self.stamps[part]), layout)
             raw["stamp_ns"] = self.stamps[part]
             for i, drive in enumerate(self.bus.drives):
-                raw["position"][:, i] = self._integers(drive, drive.position, part)
-                raw["effort"][:, i] = self._integers(drive, drive.effort.entry, part)
+                for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
+                    raw[name][:, i] = _integers(self.traffic, self.rows, drive, entry, part)
                 if self.targets is not None:
                     pdo = drive.carrier(drive.target, "rpdo")
                     assert pdo is not None
@@ -126,11 +126,6 @@ class Decoded:
                         np.maximum(self.targets[i][part], 0), pdo, drive.target
                     )
             yield raw
-
-    def _integers(self, drive: Drive, entry: ObjectEntry, part: slice) -> Ints:
-        carrier = drive.carrier(entry, "tpdo")
-        assert carrier is not None  # `resolve` refuses drives without one
-        return self.traffic.integers(self.rows[carrier][part], carrier, entry)
 
     def write(self, writer: RecordingWriter, stamp_ns: int) -> None:
         """Add samples, counters and warnings to a recording."""
@@ -284,6 +279,19 @@ def decode(
     )
 
 
+def _integers(
+    traffic: Traffic,
+    rows: Mapping[Pdo, Rows],
+    drive: Drive,
+    entry: ObjectEntry,
+    part: slice = slice(None),
+) -> Ints:
+    """A part of the integers of a drive's object, in the `rows` of its PDO."""
+    carrier = drive.carrier(entry, "tpdo")
+    assert carrier is not None  # `resolve` refuses drives without one
+    return traffic.integers(rows[carrier][part], carrier, entry)
+
+
 def _carriers(bus: Bus) -> dict[Pdo, str]:
     """PDOs that hold positions and efforts, each with its name for messages."""
     return {
@@ -297,11 +305,8 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
 def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints) -> Iterator[str]:
     """Warnings about position counters that wrapped."""
     for drive in bus.drives:
-        carrier = drive.carrier(drive.position, "tpdo")
-        assert carrier is not None  # `resolve` refuses drives without one
-        wraps = unwrap(
-            traffic.integers(rows_of[carrier], carrier, drive.position), drive.position.bits
-        )[1]
+        counts = _integers(traffic, rows_of, drive, drive.position)
+        wraps = unwrap(counts, drive.position.bits)[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
             yield (

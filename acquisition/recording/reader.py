@@ -39,16 +39,10 @@ NO_SAMPLES = "no samples: "  # begins the event that gives the reason
 READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
 
 
-class _EventText(msgspec.Struct):
-    kind: str
-    text: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Event:
+class Event(msgspec.Struct, frozen=True, kw_only=True):
     """Something that happened: a session phase, a drive's emergency message, an operator's mark."""
 
-    stamp_ns: int
+    stamp_ns: int = 0  # of its message, in which are the others
     kind: str
     text: str
 
@@ -211,25 +205,6 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     )
 
 
-def has_reference(path: Path) -> bool:
-    """Whether a recording's samples have a reference, by its summary alone; True for a file
-    that is cut or damaged.
-    """
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-
-    try:
-        with path.open("rb") as file:
-            summary = make_reader(file).get_summary()
-    except (OSError, McapError):
-        return True
-    return summary is None or all(
-        b"'reference'" in summary.schemas[channel.schema_id].data
-        for channel in summary.channels.values()
-        if channel.topic == "/samples"
-    )
-
-
 def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:
     """Concatenated rows of a known layout, compared as text, never evaluated; further objects of
     old versions are skipped. Errors name `place`.
@@ -259,8 +234,8 @@ def events_of(
     """Events and counters in messages by topic."""
     return (
         tuple(
-            Event(stamp_ns=stamp, kind=event.kind, text=event.text)
-            for stamp, event in _decode_json(topics, "/events", _EventText, path)
+            msgspec.structs.replace(event, stamp_ns=stamp)
+            for stamp, event in _decode_json(topics, "/events", Event, path)
         ),
         tuple(
             Health(

@@ -71,7 +71,8 @@ class Drive:
     def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
         """The PDO that carries an object."""
         pdos = self.tpdos if direction == "tpdo" else self.rpdos
-        return next((pdo for pdo in pdos if pdo.offset(entry.index, entry.sub) is not None), None)
+        carried = (pdo for pdo in pdos if entry.key in [e.key for e in pdo.entries])
+        return next(carried, None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

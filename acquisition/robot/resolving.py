@@ -24,7 +24,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
         Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")
     seen = traffic or {}
     drives = tuple(
-        _drive(robot, i, place, seen.get(file.node)) for i, file in enumerate(robot.bus.drive)
+        _drive(robot, i, file, place, seen.get(file.node)) for i, file in enumerate(robot.bus.drive)
     )
     contradictions = tuple(
         f"bus.drive[{i}]: {drive.name} confirmed {index:04X}:{sub} = 0x{number:X}, which is not "
@@ -71,14 +71,10 @@ def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[flo
     return lowest, highest
 
 
-def _drive(robot: Robot, i: int, place: str, confirmed: cia.Confirmed | None) -> Drive:
-    assert robot.bus is not None
-    file, motor, files, at = (
-        robot.bus.drive[i],
-        robot.motors[i],
-        robot.files,
-        Place(place, f"bus.drive[{i}]"),
-    )
+def _drive(
+    robot: Robot, i: int, file: DriveFile, place: str, confirmed: cia.Confirmed | None
+) -> Drive:
+    motor, files, at = robot.motors[i], robot.files, Place(place, f"bus.drive[{i}]")
     dictionary, types = None, dict(cia.STANDARD)
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)

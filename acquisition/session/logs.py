@@ -176,9 +176,10 @@ class ProcessLog:
         if self._frames:
             self._hand_over()
         self._send(("stop", stamp_ns))
-        found = self._expect("done", MAX_HUNG_FINISH_S if self._hangs else MAX_FINISH_S)
+        found: RecordedSummary = self._expect(
+            "done", MAX_HUNG_FINISH_S if self._hangs else MAX_FINISH_S
+        )
         self._process.join(5)
-        assert isinstance(found, RecordedSummary)
         return found
 
     def close(self) -> None:

@@ -4,8 +4,9 @@ counters, decoded at the end.
 
 import os
 import shutil
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 
@@ -26,10 +27,10 @@ class Status:
     frames: int = 0  # in all
     rate_hz: float = 0.0  # of frames, in the last half second
     drops: int = 0  # frames that the kernel dropped
-    late: int = 0  # number of PDOs so far, as the next three
-    missing: int = 0
-    duplicate: int = 0
-    short: int = 0
+    # number of PDOs so far that were late, missing, duplicate or too short, by word
+    losses: Mapping[str, int] = field(
+        default_factory=lambda: dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
+    )
     # position of each joint so far, rad or m; empty before the first sample
     lowest: tuple[float, ...] = ()
     highest: tuple[float, ...] = ()
@@ -145,15 +146,7 @@ class Recorder:
         self._status = status = self._next_status(recent, elapsed_s, drops)
         self._writer.health(
             stamp_ns,
-            self.granted
-            | {
-                "frames": status.frames,
-                "kernel_drops": drops,
-                "late": status.late,
-                "missing": status.missing,
-                "duplicate": status.duplicate,
-                "short": status.short,
-            },
+            {**self.granted, "frames": status.frames, "kernel_drops": drops, **status.losses},
         )
         self._writer.flush()
         self._flushed_ns = stamp_ns
@@ -161,11 +154,7 @@ class Recorder:
 
     def _next_status(self, recent: recording.Block, elapsed_s: float, drops: int) -> Status:
         last = self._status
-        low, high, counted = (
-            last.lowest,
-            last.highest,
-            dict.fromkeys(("late", "missing", "duplicate", "short"), 0),
-        )
+        low, high, losses = last.lowest, last.highest, last.losses
         with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
                 recent, self._bus = recording.resolve_mapped(recent, self._robot, self._place)
@@ -173,15 +162,16 @@ class Recorder:
             q = decoded.samples["position"]
             low = tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist())
             high = tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist())
-            counted = {word: sum(getattr(p, word) for p in decoded.pdos) for word in counted}
+            counted = decoded.counters
+            losses = {word: count + int(counted[word]) for word, count in losses.items()}
         return Status(
             frames=last.frames + len(recent),
             rate_hz=len(recent) / max(elapsed_s, 1e-3),
             drops=drops,
+            losses=losses,
             lowest=low,
             highest=high,
             ends=self._ends,
-            **{word: getattr(last, word) + count for word, count in counted.items()},
         )
 
     def finish(self, stamp_ns: int) -> RecordedSummary:

@@ -115,6 +115,8 @@ def record(
     task = _task_of(robot, robot.bus.sync_period_s, options, operator)
     bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)  # before anything opens
     if bus is None or options.passive:
+        if words := listening_words(robot.bus):
+            operator.note(words)
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
     opened = (
@@ -261,10 +263,7 @@ def _listen(
     payload: Payload | None,
 ) -> tuple[Outcome, RecordedSummary]:
     """Record the frames of the bus. Only the recorder's process opens it, and cannot send."""
-    assert robot.bus is not None
     stop, clock = operator.stop, WallClock()
-    if words := listening_words(robot.bus):
-        operator.note(words)
     with closing(
         ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload)
     ) as log:
@@ -340,10 +339,9 @@ def replay(
             expected=f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}",
         )
     recording = read_recording(path)
-    frames = from_drives(recording, str(path))
-    assert recording.robot.bus is not None  # else there were no drives
+    frames, described = from_drives(recording, str(path))
     due_s = np.maximum.accumulate((frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed)
-    count, sync_can_id = 0, recording.robot.bus.sync_can_id
+    count = 0
 
     def listen_until(until_s: float) -> None:
         """Wait. Raises `RefusedError` at the first frame that is not our own."""
@@ -353,7 +351,7 @@ def replay(
             if frame is not None and not frame.flags & ERROR:
                 sent = f"{count} frames were" if count else "nothing was"
                 raise RefusedError(
-                    f"{service_of(frame, sync_can_id)} received",
+                    f"{service_of(frame, described.sync_can_id)} received",
                     what="sending",
                     place=f"{file.interface} {file.channel}",
                     expected=f"an idle bus; {sent} sent",
@@ -362,7 +360,7 @@ def replay(
                 return
 
     with closing(open_link(file, passive=False)) as link:
-        listen_until(time.monotonic() + max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s))
+        listen_until(time.monotonic() + max(LISTEN_S, 1.5 * described.heartbeat_s))
         start_s = time.monotonic()
         for row, at_s in zip(frames, due_s.tolist(), strict=True):
             listen_until(start_s + at_s)
@@ -373,9 +371,9 @@ def replay(
     return count
 
 
-def from_drives(recording: Recording, place: str) -> Block:
-    """Frames that the drives of the recording sent, and SYNC, from the
-    channel with the most frames.
+def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
+    """Frames that the drives of the recording sent, and SYNC, from the channel with the most
+    frames; and the bus as described.
 
     Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and
     heartbeats. Error frames, remote requests and 29-bit frames are left out. Raises `BadInputError`
@@ -397,4 +395,4 @@ def from_drives(recording: Recording, place: str) -> Block:
         raise BadInputError(
             "holds no frame of its drives, and no SYNC", place=place, expected="some to send"
         )
-    return found
+    return found, bus.file

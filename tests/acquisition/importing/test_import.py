@@ -76,7 +76,7 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
     assert recording.samples["effort"] == pytest.approx(EFFORT)
     assert recording.samples["stamp_ns"].tolist() == [0, 2_000_000, 4_000_000]
     assert recording.samples.dtype.names == ("stamp_ns", "position", "effort")
-    assert (recording.sample_rate_hz, result.sample_rate_hz, result.samples) == (500.0, 500.0, 3)
+    assert (recording.sample_rate_hz, len(recording.samples)) == (500.0, 3)
     assert result.effort_units == ("N m", "N m")
     assert recording.metadata["source"] == "tables a.csv"
     told = (
@@ -106,7 +106,7 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
     assert samples["position"] == pytest.approx(np.deg2rad(Q))
     assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
     assert samples["reference"] == pytest.approx(Q[:, ::-1] * [np.pi / 180, 1])
-    assert result.has_reference
+    assert "reference" in samples.dtype.names
     assert (
         recording.metadata["effort_provenance"]
         == "a.csv: c1, c2: mN m at the joint; joint effort = value in N m"
@@ -158,7 +158,8 @@ def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
 @pytest.mark.parametrize("rate_hz", [5000.0, 3.0, 44.1, 999.5])
 def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((2000, 4)), np.arange(2000) / rate_hz)
-    assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
+    out = run(tmp_path, two, with_time("s"), table).out
+    assert read_recording(out).sample_rate_hz == rate_hz
 
 
 def test_a_short_record_with_jitter_keeps_its_own_rate_and_times_before_0_begin_at_0(tmp_path, two):
@@ -169,7 +170,7 @@ def test_a_short_record_with_jitter_keeps_its_own_rate_and_times_before_0_begin_
         with_time("s"),
         csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s),
     )
-    assert result.sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
+    assert read_recording(result.out).sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
     assert read_recording(result.out).samples["stamp_ns"] == pytest.approx(
         [0, 2_080_000, 4_160_000], abs=50_000
     )

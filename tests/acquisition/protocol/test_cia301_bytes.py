@@ -186,7 +186,6 @@ def test_values_in_a_frame():
     with pytest.raises(BadInputError, match="PDO 0x185: 7 bytes: expected 8"):
         TPDO.unpack(data("37 92 FB FF FF FF D4"))
     assert [TPDO.offset(0x6041, 0), TPDO.offset(0x6064, 0), TPDO.offset(0x6074, 0)] == [0, 2, 6]
-    assert [TPDO.offset(0x6064, 1), TPDO.offset(0x6065, 0)] == [None, None]
     assert (TPDO.bits, TPDO.length) == (64, 8)
 
 

@@ -175,5 +175,6 @@ def test_a_repair_of_frames_alone_is_one(tmp_path, robot):
     with RecordingWriter(cut, header(robot)) as writer:
         writer.frames("can0", frames)
     cut.write_bytes(cut.read_bytes()[:-9])
-    assert import_recording(cut, out).samples == 0
-    assert (read_recording(out).frames["can0"] == frames).all()
+    found = read_recording(import_recording(cut, out).out)
+    assert found.samples is None
+    assert (found.frames["can0"] == frames).all()

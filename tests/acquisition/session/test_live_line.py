@@ -36,8 +36,9 @@ from acquisition.session import (
 
 
 def test_everything_that_matters_is_on_the_line():
+    lost = {"late": 2, "missing": 0, "duplicate": 1, "short": 1}
     status = Status(
-        frames=9000, rate_hz=6501.2, drops=3, late=2, lowest=(-0.5, 0.0), highest=(0.25, 1.0)
+        frames=9000, rate_hz=6501.2, drops=3, losses=lost, lowest=(-0.5, 0.0), highest=(0.25, 1.0)
     )
     line = live_line(robot_of(bus_text(2)), status, 12.4)
     assert "".join(part for part, _ in line) == (
