@@ -13,7 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from importlib import import_module
@@ -249,29 +249,18 @@ def add_overwrite(parser: "argparse._ActionsContainer") -> None:
     add_flag(parser, "--overwrite", "replace an existing recording once the new one is complete")
 
 
-class Progress:
-    """A progress line on standard error; only on a terminal (`shown`)."""
+class Progress(ExitStack):
+    """A progress line on standard error, only on a terminal; `say` replaces its text, by a
+    `rich.text.Text` too.
+    """
 
     def __init__(self, text: str) -> None:
-        self.shown = sys.stderr.isatty()
-        if self.shown:
+        super().__init__()
+        self.say: Callable[[Any], None] = lambda text: None
+        if sys.stderr.isatty():
             from rich.console import Console
 
-            self._status = Console(stderr=True).status(text)
-
-    def say(self, text: Any) -> None:
-        """Replace the text; a `rich.text.Text` is also accepted."""
-        if self.shown:
-            self._status.update(text)
-
-    def __enter__(self) -> "Progress":
-        if self.shown:
-            self._status.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.shown:
-            self._status.stop()
+            self.say = self.enter_context(Console(stderr=True).status(text)).update
 
 
 class _Stream:

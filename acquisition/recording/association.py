@@ -77,7 +77,13 @@ def associate(
     ]
     # not as many answers as SYNCs in an interval
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])
-    caught_up = _caught_up(behind)
+    # edges at which a drive is late: it is less behind both before and later
+    caught_up = np.logical_or.reduce(
+        [
+            (x > minimum_ahead(x, MAX_RUN_SYNCS)) & (x > minimum_behind(x, MAX_RUN_SYNCS))
+            for x in behind
+        ]
+    )
     alone = ~uneven & (steps == 1) & ~torn
     proven = _in_order(alone, caught_up, intervals.unusual)
     # The recording may begin while answers are pending: then there are more answers than SYNCs.
@@ -130,15 +136,6 @@ def associate(
     )
 
 
-def _caught_up(behind: Sequence[Rows]) -> Bools:
-    """Edges at which a drive is late: it is less behind both before and later."""
-    late = [
-        (x > minimum_ahead(x, MAX_RUN_SYNCS)) & (x > minimum_behind(x, MAX_RUN_SYNCS))
-        for x in behind
-    ]
-    return np.asarray(np.logical_or.reduce(late))
-
-
 def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:
     """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every
     drive, none of them unusual.
@@ -147,11 +144,10 @@ def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:
     catch up: the longest such run that is seen, and one interval more, proves nothing.
     """
     late, alone = caught_up.any() or unusual.any(), alone & ~unusual
-    hidden = (
-        min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER)
-        if late
-        else 0
-    )
+    both = alone & caught_up[1:] & caught_up[:-1]
+    ends = np.flatnonzero(np.diff(both, prepend=False, append=False))
+    longest = int((ends[1::2] - ends[::2]).max(initial=0))
+    hidden = min(longest + 1, MAX_LATE_IN_ORDER) if late else 0
     in_order, sums = np.zeros(len(caught_up), np.bool_), _sums(alone)
     runs = np.flatnonzero(
         sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden
@@ -197,8 +193,3 @@ def _late(uneven: Bools, proven: Bools, damaged: Bools) -> tuple[Bools, Bools]:
 def _sums(values: Bools | Rows | Ints) -> Rows:
     """Sum of all values before each, then the sum of all."""
     return kept(np.append(np.int32(0), np.cumsum(values, dtype=np.int32)))
-
-
-def _longest_run(true: Bools) -> int:
-    ends = np.flatnonzero(np.diff(true, prepend=False, append=False))
-    return int((ends[1::2] - ends[::2]).max(initial=0))

@@ -1,5 +1,5 @@
-"""Reads the container of an MCAP file, whole or cut, and checks every checksum; not the
-meaning of its content.
+"""Reads the container of a recording, whole or cut, and checks its version and every checksum; not
+the meaning of its messages.
 
 mcap's own readers are not used: they raise the same errors for a cut and for damage, do not check
 the CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
@@ -10,12 +10,13 @@ compressed by zstd or lz4 or not at all, and messages may stand outside of chunk
 
 import hashlib
 import os
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO
 
 import mcap.records
 import zstandard
@@ -24,8 +25,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from ..errors import BadInputError
+from ..errors import BadInputError, Place
 from ..files import NAMES, GrowingBytes, kind_of
+from .rows import CAPTURE_TOPIC
+from .writer import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc
 
 _MAGIC = b"\x89MCAP0\r\n"
 _IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
@@ -33,8 +36,8 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 # bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
 _MAX_CHUNK_BYTES = 64 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
-Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
-Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
+# All topics but those for viewers.
+READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
 _ONE = "expected one recording, not merged with others"
 # At most so many bytes of a chunk, by its compression.
 _UNPACKED: Mapping[str, Callable[[bytes, int], bytes]] = {
@@ -85,28 +88,21 @@ class Messages:
             begin = end
 
 
-Content: TypeAlias = tuple[
-    Mapping[str, str] | None, Mapping[str, bytes], Mapping[str, Messages], bool, str
-]
+def read_content(path: Path) -> tuple["Content", bool, str]:
+    """The content of a recording, whether the file is cut, and its SHA-256.
 
-
-def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Content:
-    """The metadata record `name` (None without it), attachments by name, messages of the `wanted`
-    topics, whether the file is cut, and its SHA-256.
-
-    `accept(metadata, place)` raises to refuse the file before its data is read. For a file without
-    its end, returns what was written before the cut. Raises `BadInputError` when the file cannot be
-    read, is not MCAP, or is damaged.
+    For a file without its end, returns what was written before the cut. Raises `BadInputError` when
+    the file cannot be read, is not MCAP, is damaged, or is refused by `check_metadata`.
     """
     place = str(path)
     try:
         with path.open("rb") as file:
-            return _read(_Records(file), place, name, accept, wanted)
+            return _read(_Records(file), place)
     except OSError as error:
         raise BadInputError(f"cannot be read: {error.strerror}", place=place) from error
 
 
-def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
+def _read(records: "_Records", place: str) -> tuple["Content", bool, str]:
     if records.first != _MAGIC:
         ending, kind = Path(place).suffix.lower(), kind_of(Path(place)).replace("mcap", "")
         if ending in _IMPORTED:
@@ -120,7 +116,7 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
             place=place,
             expected="a recording, as `robot-acquire record` or `import` writes it",
         )
-    found = _Found(place, name, accept, wanted)
+    found = Content(place)
     for opcode, at, content in records:
         try:
             found.add(opcode, content, records.crc_before)
@@ -140,36 +136,40 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
         raise BadInputError(
             "damaged: it has an end, but the records before do not lead to it", place=place
         )
-    return (
-        found.metadata,
-        found.attachments,
-        found.chunks.messages,
-        not records.has_end,
-        records.sha256(),
-    )
+    return found, not records.has_end, records.sha256()
 
 
-class _Found:
-    """The content of the records so far; `complete` after the last one with data.
-
-    Arguments as of `read_content`.
+class Content:
+    """What the records so far hold: the metadata record `recording` (None without it), attachments
+    by name, messages by topic of `READ_TOPICS`; `complete` after the last record with data.
     """
 
-    def __init__(self, place: str, name: str, accept: Accept, wanted: Wanted) -> None:
-        self._place, self._name, self._accept = place, name, accept
+    def __init__(self, place: str) -> None:
+        self._place = place
         self.metadata: dict[str, str] | None = None
         self.attachments: dict[str, bytes] = {}
-        self.chunks, self.complete = _Chunks(wanted), False
+        self.messages: dict[str, Messages] = {}
+        self.complete, self._size = False, 0
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, str | None] = {}  # topic by channel id; None: not one to read
+
+    def take(self) -> dict[str, Messages]:
+        """The messages since the last call."""
+        taken, self.messages = (
+            self.messages,
+            {topic: Messages(m.layout) for topic, m in self.messages.items()},
+        )
+        return taken
 
     def add(self, opcode: int, content: bytes, crc_before: int | None = None) -> None:
         """Add a record. Raises one of `_DAMAGE`; `crc_before`: of all bytes before it, if known."""
         if opcode == Opcode.METADATA:
             record = mcap.records.Metadata.read(_stream(content))
-            if record.name == self._name:
+            if record.name == "recording":
                 if self.metadata is not None:
-                    raise _ForeignError(f"has a second metadata record {self._name!r}: {_ONE}")
+                    raise _ForeignError(f"has a second metadata record {record.name!r}: {_ONE}")
                 self.metadata = dict(record.metadata)
-                self._accept(self.metadata, self._place)
+                check_metadata(self.metadata, self._place)
         elif opcode == Opcode.ATTACHMENT:
             record = mcap.records.Attachment.read(_stream(content))
             _check_crc(zlib.crc32(content[:-4]), content[-4:])
@@ -177,13 +177,40 @@ class _Found:
                 raise _ForeignError(f"has a second attachment {record.name!r}: {_ONE}")
             self.attachments[record.name] = record.data
         elif opcode == Opcode.CHUNK:
-            self.chunks.add(mcap.records.Chunk.read(_stream(content)))
+            content = _unpack(mcap.records.Chunk.read(_stream(content)))
+            self._size += len(content)
+            if self._size > _MAX_TOTAL_BYTES:
+                raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
+            for inner, begin, end in _records(content):
+                self._add_message(inner, content, begin, end)
         elif opcode == Opcode.DATA_END:
             if crc_before is not None:
                 _check_crc(crc_before, content[:4])
             self.complete = True
         else:
-            self.chunks.add_record(opcode, content, 0, len(content))
+            self._add_message(opcode, content, 0, len(content))
+
+    def _add_message(self, opcode: int, content: bytes, begin: int, end: int) -> None:
+        """Add a record with a message, a schema or a channel, the part of `content` from `begin`
+        to `end`; others are skipped.
+        """
+        if opcode == Opcode.MESSAGE:
+            number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
+            if number not in self._channels:
+                raise ValueError(f"a message on channel {number}, which is not described")
+            topic = self._channels[number]
+            if topic is not None:
+                self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
+        elif opcode == Opcode.SCHEMA:
+            schema = mcap.records.Schema.read(_stream(content[begin:end]))
+            self._schemas[schema.id] = schema.data.decode(errors="replace")  # bytes of other topics
+        elif opcode == Opcode.CHANNEL:
+            channel = mcap.records.Channel.read(_stream(content[begin:end]))
+            layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
+            if READ_TOPICS.fullmatch(channel.topic):
+                self._channels[channel.id] = channel.topic
+                if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
+                    raise _ForeignError(f"{channel.topic} changes its layout: {_ONE}")
 
 
 class GrowingContent:
@@ -193,9 +220,9 @@ class GrowingContent:
     Raises `BadInputError` where the file is not one that is being written, or is damaged.
     """
 
-    def __init__(self, path: Path, name: str, accept: Accept, wanted: Wanted) -> None:
+    def __init__(self, path: Path) -> None:
         self._path, self._file, self._at = path, path.open("rb"), len(_MAGIC)
-        self.found = _Found(str(path), name, accept, wanted)
+        self.found = Content(str(path))
 
     def read(self) -> bool:
         """Whether there were new records."""
@@ -300,54 +327,6 @@ def _check_crc(computed: int, crc: bytes) -> None:
         raise ValueError(f"CRC is {computed:08x}: expected {expected:08x}")
 
 
-class _Chunks:
-    """The chunks read so far: their channels, and the messages of the wanted topics."""
-
-    def __init__(self, wanted: Wanted) -> None:
-        self._wanted, self._size = wanted, 0
-        self._schemas: dict[int, str] = {}
-        self._channels: dict[int, str | None] = {}  # topic by channel id; None: not a wanted one
-        self.messages: dict[str, Messages] = {}
-
-    def take(self) -> dict[str, Messages]:
-        """The messages since the last call."""
-        taken, self.messages = (
-            self.messages,
-            {topic: Messages(m.layout) for topic, m in self.messages.items()},
-        )
-        return taken
-
-    def add(self, chunk: Any) -> None:
-        content = _unpack(chunk)
-        self._size += len(content)
-        if self._size > _MAX_TOTAL_BYTES:
-            raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
-        for opcode, begin, end in _records(content):
-            self.add_record(opcode, content, begin, end)
-
-    def add_record(self, opcode: int, content: bytes, begin: int, end: int) -> None:
-        """Add a record with a message, a schema or a channel, the part of `content` from `begin`
-        to `end`; others are skipped.
-        """
-        if opcode == Opcode.MESSAGE:
-            number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
-            if number not in self._channels:
-                raise ValueError(f"a message on channel {number}, which is not described")
-            topic = self._channels[number]
-            if topic is not None:
-                self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
-        elif opcode == Opcode.SCHEMA:
-            schema = mcap.records.Schema.read(_stream(content[begin:end]))
-            self._schemas[schema.id] = schema.data.decode(errors="replace")  # bytes of other topics
-        elif opcode == Opcode.CHANNEL:
-            channel = mcap.records.Channel.read(_stream(content[begin:end]))
-            layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
-            if self._wanted(channel.topic):
-                self._channels[channel.id] = channel.topic
-                if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
-                    raise _ForeignError(f"{channel.topic} changes its layout: {_ONE}")
-
-
 def _unpack(chunk: Any) -> bytes:
     """The records of a chunk.
 
@@ -364,3 +343,20 @@ def _unpack(chunk: Any) -> bytes:
         raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
     return content
+
+
+def check_metadata(metadata: Mapping[str, str], place: str) -> None:
+    """Refuse a recording of a newer version, or with damaged metadata."""
+    text = metadata.get("schema_version", "")
+    if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
+        Place(place).refuse("schema_version", text, "a whole number from 1")
+    if int(text) > SCHEMA_VERSION:
+        Place(place).refuse(
+            "schema_version",
+            int(text),
+            f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
+        )
+    if metadata.get("crc32") != metadata_crc(metadata):
+        Place(f"{place}: metadata").refuse(
+            "crc32", metadata.get("crc32"), repr(metadata_crc(metadata))
+        )

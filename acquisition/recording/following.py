@@ -15,7 +15,7 @@ from ..robot import resolve, robot_from_files
 from .content import GrowingContent
 from .decoding import decode
 from .mapped import resolve_mapped
-from .reader import READ_TOPICS, Event, Health, check_metadata, events_of, rows_of
+from .reader import Event, Health, events_of, rows_of
 from .rows import FRAME, Block, Traffic
 from .sync_grid import MAX_RUN_SYNCS, MIN_PAUSE_PERIODS
 from .writer import FRAMES_TOPIC
@@ -35,7 +35,7 @@ class RecordingFollower:
 
     def __init__(self, path: Path) -> None:
         self._path, self.ended, self.problem = path, False, ""
-        self._content = GrowingContent(path, "recording", check_metadata, READ_TOPICS.fullmatch)
+        self._content = GrowingContent(path)
         self._content.read()
         found = self._content.found
         if found.metadata is None or "robot.toml" not in found.attachments:
@@ -64,7 +64,7 @@ class RecordingFollower:
         Raises `BadInputError`: it is gone, cut, replaced or damaged.
         """
         grown, found = self._content.read(), self._content.found
-        self.ended, topics = found.complete, found.chunks.take()
+        self.ended, topics = found.complete, found.take()
         self.events, self.health = events_of(topics, self._path)
         blocks = [
             rows_of(messages, [FRAME], f"{self._path}: {topic}")

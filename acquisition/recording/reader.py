@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from mmap import mmap
@@ -22,10 +23,8 @@ from .rows import CAPTURE_TOPIC, FRAME, Block, check_frames, check_samples
 from .writer import (
     EFFORT_TIMINGS,
     FRAMES_TOPIC,
-    SCHEMA_VERSION,
     Header,
     RecordingWriter,
-    metadata_crc,
     sample_layouts,
 )
 
@@ -35,8 +34,6 @@ FIRST_DATE_NS = 946_684_800 * 10**9
 # The end of a layout of rows with values of further objects of the drives, of earlier versions.
 _EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
-# All topics but those for viewers.
-READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
@@ -158,9 +155,8 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     """
     path = Path(path)
     place = Place(str(path))
-    metadata, attachments, topics, cut, sha256 = read_content(
-        path, "recording", check_metadata, READ_TOPICS.fullmatch
-    )
+    found, cut, sha256 = read_content(path)
+    metadata, attachments, topics = found.metadata, found.attachments, found.messages
     note = " (the file is cut before its description)" if cut else ""
     expected = (
         "a recording of robot-acquire, which `robot-acquire import --topic NAME` makes of a "
@@ -257,32 +253,12 @@ def _decode_json(
         Place(f"{path}: {topic}").refuse(text=str(error))
 
 
-def check_metadata(metadata: Mapping[str, str], place: str) -> None:
-    """Refuse a recording of a newer version, or with damaged metadata."""
-    text = metadata.get("schema_version", "")
-    if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
-        Place(place).refuse("schema_version", text, "a whole number from 1")
-    if int(text) > SCHEMA_VERSION:
-        Place(place).refuse(
-            "schema_version",
-            int(text),
-            f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
-        )
-    if metadata.get("crc32") != metadata_crc(metadata):
-        Place(f"{place}: metadata").refuse(
-            "crc32", metadata.get("crc32"), repr(metadata_crc(metadata))
-        )
-
-
 def _rate(metadata: Mapping[str, str], place: Place) -> float:
     text = metadata.get("sample_rate_hz", "")
-    try:
-        rate_hz = float(text)
-    except ValueError:
-        rate_hz = math.nan
-    if not 0 < rate_hz < math.inf:
-        place.refuse("sample_rate_hz", text, "a positive number")
-    return rate_hz
+    with suppress(ValueError):
+        if 0 < (rate_hz := float(text)) < math.inf:
+            return rate_hz
+    place.refuse("sample_rate_hz", text, "a positive number")
 
 
 def _payload(metadata: Mapping[str, str], place: Place) -> Payload | None:

@@ -258,10 +258,8 @@ class RecordingWriter:
         """Add records of pcap; all of them are a file of pcap with nanoseconds, whose
         head is in the first ones.
         """
-        channel = self._channel(
-            CAPTURE_TOPIC, "pcap", "robot_idim/pcap", "text", "parts of a pcap file"
-        )
-        self._writer.add_message(channel, stamp_ns, records, stamp_ns)
+        kind = "pcap", "robot_idim/pcap", "text", "parts of a pcap file"
+        self._add(CAPTURE_TOPIC, kind, stamp_ns, records)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Add an event."""
@@ -307,28 +305,30 @@ class RecordingWriter:
             self._file.flush()
             os.fsync(self._file.fileno())
 
-    def _channel(
-        self, topic: str, encoding: str, schema: str, schema_encoding: str, text: str
-    ) -> int:
+    def _add(
+        self, topic: str, kind: tuple[str, str, str, str], stamp_ns: int, content: bytes
+    ) -> None:
+        """Add a message; `kind`: its encoding, the schema's name, encoding and text."""
         if topic not in self._channels:
+            encoding, schema, schema_encoding, text = kind
             schema_id = self._writer.register_schema(schema, schema_encoding, text.encode())
             self._channels[topic] = self._writer.register_channel(topic, encoding, schema_id)
-        return self._channels[topic]
+        self._writer.add_message(self._channels[topic], stamp_ns, content, stamp_ns)
 
     def _block(self, topic: str, schema: str, block: Block, stamp_ns: int) -> None:
-        channel = self._channel(topic, "numpy", schema, "numpy", repr(block.dtype.descr))
-        self._writer.add_message(channel, stamp_ns, block.tobytes(), stamp_ns)
+        kind = "numpy", schema, "numpy", repr(block.dtype.descr)
+        self._add(topic, kind, stamp_ns, block.tobytes())
 
     def _json(
         self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any
     ) -> None:
         if stamp_ns < 0:
             Place(f"{self._place}: {topic}").refuse("stamp_ns", stamp_ns, "a time from 0")
-        channel = self._channel(topic, "json", schema, "jsonschema", json.dumps(layout))
-        self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
+        kind = "json", schema, "jsonschema", json.dumps(layout)
+        self._add(topic, kind, stamp_ns, msgspec.json.encode(content))
 
     def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
-        channel = self._channel(topic, "cdr", JOINT_STATE, "ros2msg", self._messages.definition)
+        kind = "cdr", JOINT_STATE, "ros2msg", self._messages.definition
         names, nothing = [j.name for j in self._robot.joints], np.zeros(0)
         for row in rows:
             stamp_ns = int(row["stamp_ns"])
@@ -336,7 +336,7 @@ class RecordingWriter:
             content = self._messages.message(
                 stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing
             )
-            self._writer.add_message(channel, stamp_ns, content, stamp_ns)
+            self._add(topic, kind, stamp_ns, content)
 
 
 def _parts(block: Block) -> Iterator[Block]:

@@ -114,11 +114,6 @@ class ProcessLog:
         self._expect("ready", MAX_START_S)
         self._heard_s, self._hangs = time.monotonic(), False
 
-    @property
-    def pid(self) -> int | None:
-        """Process id of the recorder."""
-        return self._process.pid
-
     def tap(self, frame: Frame) -> None:
         """A frame sent or received by the session."""
         self._frames.append(frame)

@@ -296,7 +296,8 @@ class LockStepLink:
     """
 
     def __init__(self, drives: SimulatedDrives, *, tap: Tap | None = None) -> None:
-        self.drives, self._tap, self._time_ns = drives, tap, 1_000_000_000
+        self.drives, self._time_ns = drives, 1_000_000_000
+        self._tap: Tap = tap or (lambda frame: None)
         self._to_drives, self._from_drives = deque[tuple[int, bytes]](), deque(drives.boot())
 
     def now_ns(self) -> int:
@@ -306,8 +307,7 @@ class LockStepLink:
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame to the drives."""
         self._to_drives.append((can_id, data))
-        if self._tap is not None:
-            self._tap(Frame(self._time_ns, can_id, data, SENT))
+        self._tap(Frame(self._time_ns, can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
         """The next frame, None when there is none until `until_ns`."""
@@ -327,8 +327,7 @@ class LockStepLink:
                 until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
             )
         frame = Frame(self._time_ns, *self._from_drives.popleft())
-        if self._tap is not None:
-            self._tap(frame)
+        self._tap(frame)
         return frame
 
 

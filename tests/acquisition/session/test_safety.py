@@ -168,14 +168,14 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
             time.sleep(0.05)
             log.poll(time.time_ns())
 
-    os.kill(log.pid, signal.SIGSTOP)
+    os.kill(log._process.pid, signal.SIGSTOP)
     try:
         with pytest.raises(RobotIdimError, match="no status from the recorder for"):
             poll()
         with pytest.raises(BusFaultError, match=r"the recorder did not answer in 0.5 s"):
             log.finish(time.time_ns())
     finally:
-        os.kill(log.pid, signal.SIGCONT)
+        os.kill(log._process.pid, signal.SIGCONT)
         log.close()
 
 
