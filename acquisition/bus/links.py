@@ -188,11 +188,11 @@ class MasterLink(Protocol):
 class Link:
     """A bus in real time.
 
-    A `passive` link raises on sending. `tap` is called with every frame sent and received.
+    That of a passive bus raises on sending. `tap` is called with every frame sent and received.
     """
 
-    def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
-        self._bus, self._passive = bus, passive
+    def __init__(self, bus: Any, *, tap: Tap | None = None) -> None:
+        self._bus = bus
         self._tap: Tap = tap or (lambda frame: None)
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         # Sent frames that a multicast group or an adapter will return to us.
@@ -210,8 +210,6 @@ class Link:
 
         Raises `RobotIdimError` where the link is passive or the bus does not take it.
         """
-        if self._passive:
-            refuse_to_send()
         import can
 
         self._own.append((can_id, data))
@@ -269,4 +267,4 @@ class Link:
 
 def open_link(file: BusFile, *, passive: bool, tap: Tap | None = None) -> Link:
     """A link in real time."""
-    return Link(open_bus(file, passive=passive), passive=passive, tap=tap)
+    return Link(open_bus(file, passive=passive), tap=tap)

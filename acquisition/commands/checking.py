@@ -40,7 +40,7 @@ from ..robot import (
     missing_limits,
     ripple_notes,
 )
-from ..session import DEVIATIONS, real_time_scheduling, sync_jitter
+from ..session import DEVIATIONS, real_time_scheduling, scheduling_words, sync_jitter
 
 SCALES = {
     0x608F: "encoder increments per turns",
@@ -71,7 +71,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     A session may start if all findings are `ok`.
     """
     handle = open_bus(bus.file, passive=False)
-    with closing(Link(handle, passive=False)) as link:
+    with closing(Link(handle)) as link:
         findings = [_load(bus), Finding("second stop", second_stop(bus.file))]
         findings += [
             Finding("effort", text)
@@ -85,7 +85,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
             text = f"{granted} bytes{few if granted < QUEUE_BYTES else ''}"
             findings.append(Finding("kernel queue", text, ok=granted >= QUEUE_BYTES // 10))
         with real_time_scheduling() as scheduling:
-            findings.append(Finding("scheduling", scheduling.words))
+            findings.append(Finding("scheduling", scheduling_words(scheduling)))
             found = check_drives(link, bus)
         if all(finding.ok for finding in found if finding.subject in (OTHER_NODES, "state")):
             found += _positions(robot, Master(link, bus))

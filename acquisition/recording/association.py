@@ -23,7 +23,6 @@ is pending, and what lies between gives rows only if every PDO came as often as 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,20 +43,6 @@ MAX_LATE_USUAL = 11  # intervals in a row that late drives answer at their usual
 MIN_IN_ORDER, MAX_LATE_IN_ORDER = 3, 8
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Answers:
-    """The (N,) SYNCs whose answers are all known, also SYNCs that were not recorded."""
-
-    answered: Rows  # (N,) grid indices
-    # (N,) PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS`
-    # makes the row doubtful
-    late: Bools
-    rows: list[Rows]  # for each PDO the (N,) frames that answer
-    # late, duplicate, missing frames of each PDO; missing: where all drives answer
-    losses: list[dict[str, int]]
-    missing_share: float  # the largest share of missing ones of a PDO there
-
-
 def associate(
     pdos: Sequence[Rows],
     repeats: Sequence[Rows],
@@ -65,10 +50,23 @@ def associate(
     times_of: Callable[[Rows], Ints],
     intervals: Intervals,
     period: float,
-) -> Answers:
-    """Assign the frames of `pdos` to SYNCs where the order is proven; `repeats`: those that
-    `without_repeats` left out; `times_of`: times of frames;
-    `period` of SYNC; ns.
+) -> tuple[Rows, Bools, list[Rows], list[dict[str, int]], float]:
+    """Assign the frames of `pdos` to SYNCs where the order is proven.
+
+    Parameters
+    ----------
+    repeats : frames that `without_repeats` left out.
+    times_of : times of frames, ns.
+    period : of SYNC, ns.
+
+    Returns
+    -------
+    (N,) grid indices of the SYNCs whose answers are all known, also SYNCs that were not recorded.
+    (N,) whether PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS` makes the row
+        doubtful.
+    For each PDO the (N,) frames that answer.
+    Late, duplicate, missing frames of each PDO; missing: where all drives answer.
+    The largest share of missing ones of a PDO there.
     """
     steps, torn, edges = intervals.steps, intervals.torn, _sums(intervals.steps)
     behind = [
@@ -127,13 +125,8 @@ def associate(
         came = times_of(rows[-1][late_rows]) - times_of(sync_rows[asked[late_rows]])
         # else SYNCs came in a burst, and the drive is in time
         lost["late"] = int(np.count_nonzero(came > MAX_ANSWER_PERIODS * period))
-    return Answers(
-        answered=kept(np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)),
-        late=late,
-        rows=rows,
-        losses=losses,
-        missing_share=share,
-    )
+    answered = kept(np.flatnonzero(np.repeat(keep, steps)).astype(np.int32))
+    return answered, late, rows, losses, share
 
 
 def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:

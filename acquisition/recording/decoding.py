@@ -5,6 +5,7 @@ A drive samples at SYNC and sends its PDO afterwards, so a sample has the time o
 block by block, because those of an hour do not fit in memory.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -43,16 +44,13 @@ MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
 
 @dataclass(frozen=True, kw_only=True)
 class PdoCount:
-    """Frames of one PDO: received, late, duplicate, too short, and missing between the
-    first and the last SYNC.
+    """Frames of one PDO: received, and by `LOSSES` those that were late, duplicate, too short, or
+    missing between the first and the last SYNC.
     """
 
     name: str
     received: int
-    late: int = 0
-    duplicate: int
-    missing: int = 0
-    short: int
+    losses: Counter[str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,7 +142,7 @@ class Decoded:
             "uncertain": self.syncs + self.syncs_lost - len(self.stamps),
             "sync_jitter_sd_s": self.jitter_s[0],
             "sync_jitter_worst_s": self.jitter_s[1],
-            **{word: sum(getattr(p, word) for p in self.pdos) for word in LOSSES},
+            **{word: sum(pdo.losses[word] for pdo in self.pdos) for word in LOSSES},
         }
 
 
@@ -221,7 +219,11 @@ def decode(
         pdos.append(kept(rows))
         repeats.append(again)
         counted.append(
-            PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short)
+            PdoCount(
+                name=name,
+                received=len(rows) + len(again),
+                losses=Counter(duplicate=len(again), short=short),
+            )
         )
     intervals = sync_steps(sync_rows, times, pdos, times_of, ours=ours, period=period)
     if (traffic.at("length", sync_rows) >= 1).all():
@@ -234,29 +236,23 @@ def decode(
     if len(sync_rows) >= MIN_SYNCS:
         refuse_period(clock.period_s, bus.file.sync_period_s, place, np.diff(times) * 1e-9)
     del times, rows
-    answers = associate(pdos, repeats, sync_rows, times_of, intervals, period)
-    del pdos  # large in a long session
-    counts = tuple(
-        replace(
-            pdo,
-            late=lost["late"],
-            duplicate=pdo.duplicate + lost["duplicate"],
-            missing=lost["missing"],
-        )
-        for pdo, lost in zip(counted, answers.losses, strict=True)
+    answered, late, answers, losses, missing_share = associate(
+        pdos, repeats, sync_rows, times_of, intervals, period
     )
+    del pdos  # large in a long session
+    for count, lost in zip(counted, losses, strict=True):
+        count.losses.update(lost)  # adds
     if (
-        answers.missing_share > max_missing
-        and max(count.missing for count in counts) > MAX_MISSING_COUNT
+        missing_share > max_missing
+        and max(count.losses["missing"] for count in counted) > MAX_MISSING_COUNT
     ):
         Place(place).refuse(
-            text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
+            text=f"{missing_share:.1%} of the PDOs of a drive are missing",
             expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
         )
-    answered = answers.answered
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
-    rows_of = dict(zip(carriers, map(kept, answers.rows), strict=True))
+    rows_of = dict(zip(carriers, map(kept, answers), strict=True))
     stamps, syncs_lost = kept(clock.stamps[answered]), int(np.sum(steps - 1))
     return Decoded(
         traffic=traffic,
@@ -264,9 +260,9 @@ def decode(
         bus=bus,
         rows=rows_of,
         stamps=stamps,
-        late=answers.late,
+        late=late,
         targets=_targets(traffic, sync_rows, index_of, answered, bus),
-        pdos=counts,
+        pdos=tuple(counted),
         syncs=len(sync_rows),
         syncs_lost=syncs_lost,
         period_s=clock.period_s,
@@ -274,7 +270,7 @@ def decode(
         warnings=(
             *bus.warnings,
             *_wraps(traffic, bus, rows_of, stamps),
-            *_warnings(counts, syncs_lost, clock, bus, answered),
+            *_warnings(counted, syncs_lost, clock, bus, answered),
         ),
     )
 
@@ -391,6 +387,6 @@ def _warnings(
             f"{at_ends} of {len(clock.stamps)} SYNC at the beginning and the end give no rows"
         )
     for count in counts:
-        if losses := [f"{getattr(count, word)} {word}" for word in LOSSES if getattr(count, word)]:
+        if losses := [f"{count.losses[word]} {word}" for word in LOSSES if count.losses[word]]:
             texts.append(f"{count.name}: {', '.join(losses)} of {count.received}")
     return texts

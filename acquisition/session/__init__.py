@@ -6,4 +6,4 @@ from .logs import InlineLog
 from .recorder import RecordedSummary, Recorder, Status, write_decoded
 from .running import INTERRUPTED, RecordOptions, UserInterface, record, replay, stop_on_signals
 from .session import Outcome, Stop, Task, run_active
-from .timing import DEVIATIONS, real_time_scheduling, sync_jitter
+from .timing import DEVIATIONS, real_time_scheduling, scheduling_words, sync_jitter

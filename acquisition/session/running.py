@@ -54,7 +54,7 @@ from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import RecordedSummary, Recorder, Status, refuse_taken
 from .session import Outcome, Stop, Task, run_active
-from .timing import real_time_scheduling, refuse_jitter
+from .timing import real_time_scheduling, refuse_jitter, scheduling_words
 
 STOPPED = "stopped by"
 INTERRUPTED = f"{STOPPED} {signal.SIGINT.name}"  # by the operator
@@ -142,8 +142,8 @@ def record(
         # After the recorder has started.
         with real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted:
             if granted is not None and isinstance(log, ProcessLog):
-                log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
-                log.granted(granted.counters)
+                log.event(link.now_ns(), "mark", f"SYNC loop: {scheduling_words(granted)}")
+                log.granted(granted)
             outcome = run_active(
                 robot, Master(link, bus), log, task, operator.stop, operator.announce
             )

@@ -7,7 +7,7 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -93,35 +93,21 @@ MAX_JITTER_SYNCS, MIN_JITTER_SYNCS, MAX_JITTER_S = 200, 20, 1.0
 DEVIATIONS = 3  # standard deviations of jitter within the largest delay of SYNC
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scheduling:
-    """Scheduling that the system has granted to this process."""
-
-    fifo: bool
-    locked: bool
-
-    @property
-    def words(self) -> str:
-        """In words."""
-        fifo = (
-            f"SCHED_FIFO, priority {PRIORITY}"
-            if self.fifo
-            else "SCHED_OTHER: SCHED_FIFO is not permitted (rtprio)"
-        )
-        return (
-            f"{fifo}; memory {'locked' if self.locked else 'not locked: memlock is not unlimited'}"
-        )
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """As counters of `/health`."""
-        return {"sched_fifo": float(self.fifo), "memory_locked": float(self.locked)}
+def scheduling_words(granted: Mapping[str, float]) -> str:
+    """What `real_time_scheduling` was granted, in words."""
+    fifo = (
+        f"SCHED_FIFO, priority {PRIORITY}"
+        if granted["sched_fifo"]
+        else "SCHED_OTHER: SCHED_FIFO is not permitted (rtprio)"
+    )
+    locked = "locked" if granted["memory_locked"] else "not locked: memlock is not unlimited"
+    return f"{fifo}; memory {locked}"
 
 
 @contextmanager
-def real_time_scheduling() -> Iterator[Scheduling]:
+def real_time_scheduling() -> Iterator[dict[str, float]]:
     """Real-time scheduling, locked memory, no garbage collection inside the block where permitted;
-    yields what was granted.
+    yields what was granted, as counters of `/health`.
     """
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     collected = gc.isenabled()
@@ -134,15 +120,13 @@ def real_time_scheduling() -> Iterator[Scheduling]:
     with suppress(OSError):  # not permitted; RESET_ON_FORK: new child processes do not inherit it
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
         fifo = True
-    granted = Scheduling(
-        fifo=fifo, locked=unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0
-    )
+    locked = unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0
     try:
-        yield granted
+        yield {"sched_fifo": float(fifo), "memory_locked": float(locked)}
     finally:
-        if granted.locked:
+        if locked:
             libc.munlockall()
-        if granted.fifo:
+        if fifo:
             with suppress(OSError):
                 os.sched_setscheduler(0, policy, parameter)
         if collected:

@@ -171,7 +171,7 @@ FRAMES = [
 @pytest.mark.parametrize(("given", "expected"), FRAMES)
 def test_frames_of_python_can(given, expected):
     tapped: list[Frame] = []
-    frame = Link(FakeBus(given), passive=True, tap=tapped.append).take(0)
+    frame = Link(FakeBus(given), tap=tapped.append).take(0)
     assert frame[1:] == expected[1:]
     # a double holds no more of such a time
     assert frame.time_ns == pytest.approx(expected.time_ns, abs=200)
@@ -223,7 +223,7 @@ def test_a_receiver_keeps_the_order_and_marks_can_fd():
 
 def test_what_a_link_sends():
     fake, tapped = FakeBus(), []
-    link = Link(fake, passive=False, tap=tapped.append)
+    link = Link(fake, tap=tapped.append)
     link.send(0x605, b"\x40\x41\x60\0\0\0\0\0")
     assert fake.sent == [(0x605, b"\x40\x41\x60\0\0\0\0\0", False)]
     assert [frame[1:] for frame in tapped] == [(0x605, b"\x40\x41\x60\0\0\0\0\0", SENT)]
@@ -236,12 +236,8 @@ def test_what_a_link_sends():
 
 def test_what_a_link_cannot_send_or_read_is_told_and_not_noted():
     fake, tapped = FakeBus(OSError("gone")), []
-    with pytest.raises(RefusedError) as caught:
-        Link(fake, passive=True, tap=tapped.append).send(0x80, b"")
-    assert (caught.value.place, caught.value.what) == ("bus", "sending")
-    assert fake.sent == []
     fake.send = raising(can.CanOperationError("buffer full"))
-    link = Link(fake, passive=False, tap=tapped.append)
+    link = Link(fake, tap=tapped.append)
     with pytest.raises(BusFaultError, match="bus: frame 0x605 cannot be sent: buffer full"):
         link.send(0x605, b"")
     with pytest.raises(BusFaultError, match="bus: cannot be read: gone"):
@@ -258,13 +254,13 @@ def group(*messages: can.Message | Exception) -> FakeBus:
 def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_fails():
     datagram, broken = can.CanOperationError("no frame"), can.CanOperationError("failed to wait")
     broken.__cause__ = OSError(19, "No such device")
-    assert Link(group(datagram, message()), passive=False).take(0.1).can_id == 0x185
+    assert Link(group(datagram, message())).take(0.1).can_id == 0x185
     for fake, why in ((FakeBus(datagram), "no frame"), (group(broken), "failed to wait")):
         with pytest.raises(BusFaultError, match=f"bus: cannot be read: {why}"):
-            Link(fake, passive=False).take(0.01)
+            Link(fake).take(0.01)
     noisy = group()
     noisy.messages = SimpleNamespace(pop=lambda _: datagram)  # again and again
-    assert Link(noisy, passive=False).take(0.01) is None
+    assert Link(noisy).take(0.01) is None
 
 
 def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
@@ -274,7 +270,7 @@ def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
     """
     monkeypatch.setattr(FakeBus, "__module__", "can.interfaces.gs_usb")
     fake = FakeBus()
-    link = Link(fake, passive=False)
+    link = Link(fake)
     link.send(0x80, b"")
     fake.messages.append(message(0x80, b"", is_rx=False))
     assert link.take(0.0) is None
@@ -297,7 +293,7 @@ def test_frames_that_a_group_gives_back_are_left_out_once_and_can_fd_is_for_the_
     # one gives nothing back
     for bus, ids in ((group(*heard), [0x185, 0x80]), (FakeBus(*heard), [0x80, 0x185, 0x80])):
         tapped: list[Frame] = []
-        link = Link(bus, passive=False, tap=tapped.append)
+        link = Link(bus, tap=tapped.append)
         link.send(0x80, b"")
         assert [link.take(1.0).can_id for _ in ids] == ids
         assert link.take(0) is None
@@ -355,9 +351,10 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
     if not passive:
         bus.send(message())
         return
-    for send in (bus.send, bus.send_periodic):
-        with pytest.raises(RefusedError, match="passive"):
-            send(message(), 0.1)
+    for send in (bus.send, bus.send_periodic, Link(bus).send):
+        with pytest.raises(RefusedError, match="passive") as caught:
+            send(0x80, b"")
+        assert (caught.value.place, caught.value.what) == ("bus", "sending")
 
 
 def test_a_queue_is_enlarged_past_the_limit_where_we_may():

@@ -199,9 +199,9 @@ def test_a_last_sync_that_is_not_recorded_stands_a_period_after_the_one_before()
 
 def test_an_answer_behind_the_next_sync_is_late_unless_syncs_came_in_a_burst():
     late = decoded(f"{BEFORE} S 1:5 S 1:6 2:5 2:6 {AFTER}")
-    assert [pdo.late for pdo in late.pdos] == [0, 1]
+    assert [pdo.losses["late"] for pdo in late.pdos] == [0, 1]
     burst = decoded(f"{BEFORE} S+1.8 S+0.2 1:5 2:5 1:6 2:6 {AFTER}")
-    assert [pdo.late for pdo in burst.pdos] == [0, 0]
+    assert [pdo.losses["late"] for pdo in burst.pdos] == [0, 0]
     assert len(burst.stamps) == 9
 
 

@@ -44,9 +44,7 @@ def test_a_clean_session():
     right(found)
     assert found.warnings == ()
     assert found.syncs == 50
-    assert [(p.received, p.late, p.duplicate, p.missing, p.short) for p in found.pdos] == [
-        (50, 0, 0, 0, 0)
-    ] * 2
+    assert [(p.received, dict(+p.losses)) for p in found.pdos] == [(50, {})] * 2
     assert found.period_s == pytest.approx(0.002)
     codec = BUS.drives[0].position_codec
     assert found.samples["position"][3, 0] == pytest.approx(codec.si(np.array(counts(1, 3))) / 50)
@@ -61,7 +59,7 @@ def test_missing_duplicate_and_short_pdos():
     intervals[30][1] = (t, can_id, 7, flags, data)
     found = decoded(intervals)
     right(found, lost=(10, 30))
-    assert [(p.duplicate, p.missing, p.short) for p in found.pdos] == [(0, 2, 1), (1, 0, 0)]
+    assert [dict(+p.losses) for p in found.pdos] == [{"missing": 2, "short": 1}, {"duplicate": 1}]
     assert found.warnings[0] == "2 samples are missing in 2 gaps"
     # A SYNC without a sample is counted, also beside one that was not recorded, but has its sample.
     assert (found.counters["uncertain"], found.syncs_lost) == (2, 0)
@@ -182,4 +180,7 @@ def test_traffic_of_a_third_party_is_decoded_exactly():
         assert counts.tolist() == np.rint(q * 6553600 / (2 * np.pi)).tolist()
         torque = 60 * a + 80 * v + 25 * np.sign(v) + 200 * np.cos(q)
         assert np.abs(found.samples["effort"][:, i] / 0.42e-3 - torque).max() <= 0.5 + 1e-6
-    assert [(p.received, p.late, p.missing) for p in found.pdos] == [(299, 1, 0), (299, 2, 0)]
+    assert [(p.received, p.losses["late"], p.losses["missing"]) for p in found.pdos] == [
+        (299, 1, 0),
+        (299, 2, 0),
+    ]

@@ -27,6 +27,7 @@ from acquisition.session import (
     real_time_scheduling,
     record,
     running,
+    scheduling_words,
     timing,
 )
 from acquisition.session.running import _before_motion as before_motion
@@ -285,7 +286,7 @@ def test_what_is_granted_is_given_back(monkeypatch):
     with real_time_scheduling() as granted:
         assert not gc.isenabled()
         # memory is locked only where the limit is unlimited
-        assert (granted.fifo, granted.locked) == (True, False)
+        assert granted == {"sched_fifo": 1.0, "memory_locked": 0.0}
     assert gc.isenabled()
     assert [policy for _, policy, *_ in calls] == [os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, before]
 
@@ -294,8 +295,8 @@ def test_what_is_granted_is_given_back(monkeypatch):
 
     monkeypatch.setattr(os, "sched_setscheduler", denied)
     with real_time_scheduling() as granted:
-        assert granted.counters == {"sched_fifo": 0.0, "memory_locked": 0.0}
-        assert "SCHED_FIFO is not permitted" in granted.words
+        assert granted == {"sched_fifo": 0.0, "memory_locked": 0.0}
+        assert "SCHED_FIFO is not permitted" in scheduling_words(granted)
 
 
 def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch):
