@@ -81,14 +81,14 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
             elif 0 <= time_ns <= MAX_STAMP_NS and can_id <= MAX_CAN_ID and len(data) <= MAX_PAYLOAD:
                 waiting[interface] += ROW.pack(time_ns, can_id, len(data), flags, data)
                 if len(waiting[interface]) > _AT_ONCE:
-                    stored[interface].extend(waiting.pop(interface))
+                    stored[interface].write(waiting.pop(interface))
             else:
                 Place(f"{path}: frame {number}").refuse(
                     text=f"time {time_ns / 1e9:.10g} s, identifier 0x{can_id:X}, {len(data)} bytes",
                     expected=f"0 to {MAX_STAMP_NS * 1e-9:.10g} s, 29 bits and 8 bytes at most",
                 )
         for interface, rows in waiting.items():
-            stored[interface].extend(rows)
+            stored[interface].write(rows)
     except OSError as error:
         raise BadInputError(
             f"cannot be read: {error.strerror or error}", place=str(path)

@@ -28,7 +28,7 @@ from ..bus import (
     supervision_refusal,
 )
 from ..errors import BadInputError, BusFaultError, one_line
-from ..protocol import DISABLED, State, frame_bits
+from ..protocol import DISABLED, State
 from ..robot import (
     FILL_IN,
     MAX_LOAD,
@@ -229,8 +229,7 @@ def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
 
 
 def _load(bus: Bus) -> Finding:
-    bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
-    fastest_hz = MAX_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
+    fastest_hz = MAX_LOAD * bus.file.bitrate / bus.bits
     text = (
         f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
         f"at most {fastest_hz:.0f} Hz"

@@ -1,8 +1,10 @@
-"""Kinds of files, by their content."""
+"""Files: their bytes, and their kinds by these."""
 
 import re
 from contextlib import suppress
 from pathlib import Path
+
+from ..errors import Place
 
 NAMES = {  # of what is read and written here
     "mcap": "a recording",
@@ -32,6 +34,14 @@ _BEGINNINGS = {
     "md": rb"# ",  # also a remark of TOML
 }
 _HEAD_BYTES = 1 << 20  # a comment may stand above
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file. Raises `BadInputError` if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
 
 
 def kind_of(path: Path) -> str:

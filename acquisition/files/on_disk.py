@@ -17,30 +17,23 @@ BLOCK_ROWS = 100_000  # of an array that are processed at a time
 Kind = TypeVar("Kind", bound=np.generic)
 
 
-class GrowingBytes:
-    """Bytes that grow, in memory or, if they exceed an eighth of `MAX_BYTES_IN_MEMORY`, in an
-    unnamed temporary file.
+class GrowingBytes(tempfile.SpooledTemporaryFile[bytes]):
+    """Bytes that grow by `write`, in memory or, if they exceed an eighth of `MAX_BYTES_IN_MEMORY`,
+    in an unnamed temporary file. Raises `OSError` where the disk is full.
     """
 
     def __init__(self) -> None:
         """Start without bytes."""
-        self._max_bytes = MAX_BYTES_IN_MEMORY // 8
-        self._file = tempfile.SpooledTemporaryFile(max_size=self._max_bytes)  # noqa: SIM115 (open as long as the bytes are used)
-
-    def __len__(self) -> int:
-        return self._file.tell()
-
-    def extend(self, content: bytes | bytearray) -> None:
-        """Append. Raises `OSError` where the disk is full."""
-        self._file.write(content)
+        super().__init__(max_size=MAX_BYTES_IN_MEMORY // 8)
 
     def whole(self) -> bytes | mmap.mmap:
-        """All bytes; nothing may be appended afterwards."""
-        if len(self) <= self._max_bytes:
-            self._file.seek(0)
-            return self._file.read()
-        self._file.flush()
-        return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
+        """All bytes; nothing may be written afterwards."""
+        size = self.tell()
+        if size <= MAX_BYTES_IN_MEMORY // 8:
+            self.seek(0)
+            return self.read()
+        self.flush()
+        return mmap.mmap(self.fileno(), size, access=mmap.ACCESS_READ)
 
 
 def allocate(shape: tuple[int, ...], dtype: Any = np.float64, *, many: int = 1) -> NDArray[Any]:

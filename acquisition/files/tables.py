@@ -15,6 +15,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import BadInputError, Place, listed
 from .atomic import atomic_write
+from .kinds import read_bytes
 
 MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
 # `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows
@@ -104,10 +105,7 @@ def scan_table(path: Path, rows: int) -> list[TableColumn]:
 def _read(path: Path) -> tuple[bytes, Place, bool]:
     """The bytes of a table, its place in errors, and whether it is a MAT file."""
     place = Place(str(path))
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        place.refuse(text=f"cannot be read: {error.strerror}")
+    data = read_bytes(path)
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
         place.refuse(
             text="a MAT file of version 7.3 (HDF5)", expected="version 7; save it with -v7"

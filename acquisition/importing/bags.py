@@ -326,7 +326,7 @@ class _Parts:
                 )
             row += content[places].tobytes() if len(content) else self._without
             self._given[kind] += len(content) > 0
-        self._rows.extend(row)
+        self._rows.write(row)
 
     def _checked(self, source: tuple[str, tuple[str, ...]]) -> list[int] | None:
         """Indices of the joints in messages of a source; None if it has none of them."""

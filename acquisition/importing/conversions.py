@@ -166,7 +166,7 @@ def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decod
     decoded = decode(frames, robot, bus, name)
     positions = GrowingBytes()
     for block in decoded.blocks():
-        positions.extend(block["position"].tobytes())
+        positions.write(block["position"].tobytes())
     q = np.frombuffer(positions.whole()).reshape(-1, robot.n)
     warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
     return replace(decoded, warnings=decoded.warnings + warnings)

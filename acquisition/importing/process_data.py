@@ -103,7 +103,7 @@ class ProcessData:
         ]
         clock = clock[(clock["counter"] > 0) & (clock["length"] >= 4)]
         for part in set(self._fields) & set(parts):
-            self._columns[part].extend(self._extract(part, parts[part], given, clock).tobytes())
+            self._columns[part].write(self._extract(part, parts[part], given, clock).tobytes())
         self._packets += len(given.begin)
         return np.unique(found["packet"])
 
@@ -238,7 +238,7 @@ class ProcessData:
             )
             self._place.refuse(text=text, expected="an undamaged capture of one start of the bus")
         inputs = [part for part in self._fields if part[3]]
-        if not inputs or not all(len(self._columns[part]) for part in inputs):
+        if not inputs or not all(self._columns[part].tell() for part in inputs):
             self.refuse_no_rows()
         parts = {
             part: np.frombuffer(self._columns[part].whole(), self._row(part))
@@ -263,7 +263,7 @@ class ProcessData:
                 near[part] = rows[max(0, low - MARGIN) : high + MARGIN]
             found = self._joined(near, full, begin, end)
             begin = end
-            joined.extend((found[found["clock_ns"] >= 0] if clock else found).tobytes())
+            joined.write((found[found["clock_ns"] >= 0] if clock else found).tobytes())
             for rows in parts.values():
                 release_pages(rows)
         return np.frombuffer(joined.whole(), found.dtype), clock

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
-from ..files import read_columns, write_columns
+from ..files import read_bytes, read_columns, write_columns
 from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .held import grid_of_new_rows
@@ -90,10 +90,7 @@ def import_tables(
     read; `payload`: what the robot carried.
     """
     place = Place(str(map_path))
-    try:
-        content = map_path.read_bytes()
-    except OSError as error:
-        place.refuse(text=f"cannot be read: {error.strerror}")
+    content = read_bytes(map_path)
     if lines := lines_to_fill_in(content):
         place.refuse(
             "lines",

@@ -93,7 +93,6 @@ from .transfers import (
     Values,
     abort_answer,
     answer_of,
-    bus_load,
     check_answer,
     configuration,
     contradicted,

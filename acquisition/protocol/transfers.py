@@ -1,5 +1,5 @@
-"""PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and bus
-load; expedited transfers.
+"""PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and size on the bus;
+expedited transfers.
 
 The SDO functions are for our requests, the answers of simulated drives, and another master's
 traffic. Every object read or written here has at most four bytes, but for the texts that a
@@ -7,7 +7,7 @@ scan reads in segments.
 """
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -168,12 +168,6 @@ def frame_bits(length: int) -> int:
     worst case of bit stuffing.
     """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
-
-
-def bus_load(pdos: Iterable[Pdo], *, bitrate: int, sync_period_s: float) -> float:
-    """Share of each period that SYNC and one frame of each PDO take; above 1 they do not fit."""
-    bits = frame_bits(0) + sum(frame_bits(pdo.length) for pdo in pdos)
-    return bits / (bitrate * sync_period_s)
 
 
 REQUEST, ANSWER = 0x600, 0x580  # identifiers, plus the node id

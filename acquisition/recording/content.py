@@ -76,9 +76,9 @@ class Messages:
 
     def add(self, stamp_ns: int, content: bytes) -> None:
         """Append a message."""
-        self.data.extend(content)
+        self.data.write(content)
         self.stamps_ns.append(stamp_ns)
-        self.ends.append(len(self.data))
+        self.ends.append(self.data.tell())
 
     def items(self) -> Iterator[tuple[int, bytes]]:
         """Log time and content of each message."""

@@ -214,7 +214,7 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
     whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
     if any(end % whole.itemsize for end in blocks.ends):
         Place(place).refuse(
-            text=f"{len(blocks.data)} bytes",
+            text=f"{blocks.ends[-1]} bytes",
             expected=f"blocks of whole rows of {whole.itemsize} bytes",
         )
     rows = np.frombuffer(blocks.data.whole(), whole)

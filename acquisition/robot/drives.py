@@ -89,10 +89,15 @@ class Bus:
         return round(self.file.sync_period_s * 1e9)
 
     @property
-    def load(self) -> float:
-        """Share of the bus that SYNC and all PDOs need, with the worst case of bit stuffing."""
+    def bits(self) -> int:
+        """Bits of SYNC and one frame of each PDO, with the worst case of bit stuffing."""
         pdos = [pdo for drive in self.drives for pdo in (*drive.tpdos, *drive.rpdos)]
-        return cia.bus_load(pdos, bitrate=self.file.bitrate, sync_period_s=self.file.sync_period_s)
+        return cia.frame_bits(0) + sum(cia.frame_bits(pdo.length) for pdo in pdos)
+
+    @property
+    def load(self) -> float:
+        """Share of each period that `bits` take; above 1 they do not fit."""
+        return self.bits / (self.file.bitrate * self.file.sync_period_s)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -257,13 +262,3 @@ def check_carriers(bus: Bus) -> None:
                 text=f"a PDO to the drive carries {other}",
                 expected=f"only {', '.join(sorted(known))} to track",
             )
-
-
-def effort_scale(rule: cia.Rule, file: DriveFile, at: Place, expected: str) -> float:
-    """SI per raw unit, with the sign; refused if the rated value that the rule
-    multiplies is not stated.
-    """
-    rated = getattr(file, rule.rated) if rule.rated else 1.0
-    if rated is None:
-        at.refuse(rule.rated, None, expected)
-    return float((file.effort_sign or file.sign) * rule.factor * rated)

@@ -8,7 +8,7 @@ from .. import protocol as cia
 from ..errors import Place
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
-from .drives import POSITION_TYPE, Bus, Drive, effort_scale, refuse_counts, refuse_pdos
+from .drives import POSITION_TYPE, Bus, Drive, refuse_counts, refuse_pdos
 from .robot import Robot
 
 Entry = Callable[[str, str], cia.ObjectEntry]  # from a key of the description and an object's name
@@ -211,7 +211,10 @@ def _effort(
             text=f"{entry} ({entry.type}) is not known",
         )
     rule = cia.RULES[name]
-    scale = effort_scale(rule, file, at, f"the rated value that {name!r} multiplies")
+    rated = getattr(file, rule.rated) if rule.rated else 1.0
+    if rated is None:
+        at.refuse(rule.rated, None, f"the rated value that {name!r} multiplies")
+    scale = float((file.effort_sign or file.sign) * rule.factor * rated)
     if rule.unit != motor.recorded_unit:
         at.refuse(
             f"{word}_rule",
@@ -219,7 +222,7 @@ def _effort(
             f"{motor.recorded_unit} as motor {motor.name!r} says, or {rule.unit} as effort_unit",
             text=f"gives {rule.unit}",
         )
-    times = f" x {getattr(file, rule.rated):g} ({rule.rated})" if rule.rated else ""
+    times = f" x {rated:g} ({rule.rated})" if rule.rated else ""
     parts = (
         f"object {entry} ({meaning if known else 'as described'})",
         *(() if word == "reference" else ("the actual value instead of the reference",)),

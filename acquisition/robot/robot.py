@@ -17,7 +17,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
-from ..files import read_meshes
+from ..files import read_bytes, read_meshes
 from .bus import FILL_IN, BusFile, dictionary_label
 from .description import Capsule, Joint, Motor, RobotFile
 from .fit_tables import Controller, Identification, PayloadFile
@@ -174,10 +174,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     """
     path = Path(path)
     place = Place(str(path))
-    try:
-        files = {"robot.toml": path.read_bytes()}
-    except OSError as error:
-        place.refuse(text=f"cannot be read: {error.strerror}")
+    files = {"robot.toml": read_bytes(path)}
     begin = files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
     if begin in _OTHER_FILES:
         text, way_out = _OTHER_FILES[begin]

@@ -29,8 +29,8 @@ def test_bytes_are_those_appended_wherever_they_are(monkeypatch, held):
     monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", held)
     grown = GrowingBytes()
     for part in (b"ab", b"", b"cdefgh", b"ij"):
-        grown.extend(part)
-    assert (len(grown), bytes(grown.whole())) == (10, b"abcdefghij")
+        grown.write(part)
+    assert (grown.tell(), bytes(grown.whole())) == (10, b"abcdefghij")
 
 
 def test_what_is_let_go_is_read_again(everything_on_disk):
