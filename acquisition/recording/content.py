@@ -181,31 +181,29 @@ class Content:
             self._size += len(content)
             if self._size > _MAX_TOTAL_BYTES:
                 raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
-            for inner, begin, end in _records(content):
-                self._add_message(inner, content, begin, end)
+            for inner, _, part in _records(BytesIO(content).read, len(content)):
+                self._add_message(inner, part)
         elif opcode == Opcode.DATA_END:
             if crc_before is not None:
                 _check_crc(crc_before, content[:4])
             self.complete = True
         else:
-            self._add_message(opcode, content, 0, len(content))
+            self._add_message(opcode, content)
 
-    def _add_message(self, opcode: int, content: bytes, begin: int, end: int) -> None:
-        """Add a record with a message, a schema or a channel, the part of `content` from `begin`
-        to `end`; others are skipped.
-        """
+    def _add_message(self, opcode: int, content: bytes) -> None:
+        """Add a record with a message, a schema or a channel; others are skipped."""
         if opcode == Opcode.MESSAGE:
-            number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
+            number, _, stamp_ns, _ = _MESSAGE.unpack_from(content)
             if number not in self._channels:
                 raise ValueError(f"a message on channel {number}, which is not described")
             topic = self._channels[number]
             if topic is not None:
-                self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
+                self.messages[topic].add(stamp_ns, content[_MESSAGE.size :])
         elif opcode == Opcode.SCHEMA:
-            schema = mcap.records.Schema.read(_stream(content[begin:end]))
+            schema = mcap.records.Schema.read(_stream(content))
             self._schemas[schema.id] = schema.data.decode(errors="replace")  # bytes of other topics
         elif opcode == Opcode.CHANNEL:
-            channel = mcap.records.Channel.read(_stream(content[begin:end]))
+            channel = mcap.records.Channel.read(_stream(content))
             layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
             if READ_TOPICS.fullmatch(channel.topic):
                 self._channels[channel.id] = channel.topic
@@ -244,45 +242,39 @@ class GrowingContent:
             raise BadInputError("is not a recording", place=place)
         self._file.seek(self._at)
         data = self._file.read(_MAX_CHUNK_BYTES)
-        for opcode, begin, end in _records(data):
+        for opcode, begin, content in _records(BytesIO(data).read, len(data)):
             try:
-                self.found.add(opcode, data[begin:end])
+                self.found.add(opcode, content)
             except _DAMAGE as error:
                 raise BadInputError(
                     f"damaged at byte {before + begin}: {error}", place=place
                 ) from error
-            self._at = before + end
+            self._at = before + begin + len(content)
         return self._at > before
 
 
 class _Records:
-    """The complete records of a file, one at a time: opcode, byte at which the
-    content begins, content.
-
-    `crc_before` is the CRC of all bytes before the current record. Opcode 0 is unwritten disk space
-    and ends the iteration.
-    """
+    """The complete records of a file, one at a time, as of `_records`."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
-        self._digest, self._crc = hashlib.sha256(), 0
-        self.crc_before = 0
+        self._digest = hashlib.sha256()
+        self._crcs = 0, 0, 0  # of all bytes before the last two parts, before the last, in all
         file.seek(max(0, self._size - len(_MAGIC)))
         self.has_end = self._size > 2 * len(_MAGIC) and file.read() == _MAGIC
         file.seek(0)
         self.first = self._take(len(_MAGIC))
 
     def __iter__(self) -> Iterator[tuple[int, int, bytes]]:
-        at = len(_MAGIC)
-        while at + 9 <= self._size:
-            self.crc_before = self._crc
-            head = self._take(9)
-            length = int.from_bytes(head[1:], "little")
-            if head[0] == 0 or at + 9 + length > self._size:
-                return
-            at += 9 + length
-            yield head[0], at - length, self._take(length)
+        begin = len(_MAGIC)
+        for opcode, at, content in _records(self._take, self._size - begin):
+            yield opcode, begin + at, content
+
+    @property
+    def crc_before(self) -> int:
+        """CRC of all bytes before the current record, of a head and its content."""
+        return self._crcs[0]
 
     def only_zeros_follow(self) -> bool:
         """Whether nothing but zero bytes follows the current record."""
@@ -301,20 +293,22 @@ class _Records:
     def _take(self, length: int) -> bytes:
         part = self._file.read(length)
         self._digest.update(part)
-        self._crc = zlib.crc32(part, self._crc)
+        self._crcs = (*self._crcs[1:], zlib.crc32(part, self._crcs[2]))
         return part
 
 
-def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Opcode, first byte and end of the content of every complete record of a chunk."""
+def _records(take: Callable[[int], bytes], size: int) -> Iterator[tuple[int, int, bytes]]:
+    """Opcode, first byte and content of each complete record in `size` bytes, which `take` gives in
+    order. Opcode 0 is unwritten disk space and ends the iteration.
+    """
     at = 0
-    while at + 9 <= len(data) and data[at] != 0:
-        begin = at + 9
-        end = begin + int.from_bytes(data[at + 1 : begin], "little")
-        if end > len(data):
+    while at + 9 <= size:
+        head = take(9)
+        length = int.from_bytes(head[1:], "little")
+        if head[0] == 0 or at + 9 + length > size:
             return
-        yield data[at], begin, end
-        at = end
+        at += 9 + length
+        yield head[0], at - length, take(length)
 
 
 def _stream(content: bytes) -> Any:

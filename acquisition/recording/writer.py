@@ -140,27 +140,6 @@ def _software() -> str:
     return ", ".join(versions)
 
 
-class _JointStates:
-    """Serializes JointStates to CDR by the package rosbags."""
-
-    def __init__(self) -> None:
-        from rosbags.typesys import Stores, get_typestore  # slow to import, only needed for writing
-
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        types = self._store.types
-        self._state, self._time = types[JOINT_STATE], types["builtin_interfaces/msg/Time"]
-        self._header = types["std_msgs/msg/Header"]
-        self.definition: str = self._store.generate_msgdef(JOINT_STATE, ros_version=2)[0]
-
-    def message(
-        self, stamp_ns: int, names: list[str], position: Array, velocity: Array, effort: Array
-    ) -> bytes:
-        """A JointState; arrays (n,) each, or empty."""
-        header = self._header(self._time(*divmod(stamp_ns, 1_000_000_000)), "")
-        state = self._state(header, names, position, velocity, effort)
-        return bytes(self._store.serialize_cdr(state, JOINT_STATE))
-
-
 class RecordingWriter:
     """Writes a recording; a context manager.
 
@@ -173,8 +152,10 @@ class RecordingWriter:
 
     def __init__(self, path: Path, header: Header) -> None:
         from mcap.writer import Writer
+        from rosbags.typesys import Stores, get_typestore  # slow to import, only needed for writing
 
-        self._messages = _JointStates()  # slow to make, so not while frames arrive
+        self._ros = get_typestore(Stores.ROS2_JAZZY)  # slow to make, so not while frames arrive
+        self._joint_state: str = self._ros.generate_msgdef(JOINT_STATE, ros_version=2)[0]
         self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None
         self._last_stamp_ns = -1
@@ -328,15 +309,17 @@ class RecordingWriter:
         self._add(topic, kind, stamp_ns, msgspec.json.encode(content))
 
     def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
-        kind = "cdr", JOINT_STATE, "ros2msg", self._messages.definition
+        """Add JointStates, serialized to CDR by the package rosbags."""
+        kind, types = ("cdr", JOINT_STATE, "ros2msg", self._joint_state), self._ros.types
+        state, time = types[JOINT_STATE], types["builtin_interfaces/msg/Time"]
+        header = types["std_msgs/msg/Header"]
         names, nothing = [j.name for j in self._robot.joints], np.zeros(0)
         for row in rows:
             stamp_ns = int(row["stamp_ns"])
+            stamp = header(time(*divmod(stamp_ns, 1_000_000_000)), "")
             # The effort of a JointState is in N m or N by definition, never in A or V.
-            content = self._messages.message(
-                stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing
-            )
-            self._add(topic, kind, stamp_ns, content)
+            shown = state(stamp, names, row[field], nothing, row["effort"] if effort else nothing)
+            self._add(topic, kind, stamp_ns, bytes(self._ros.serialize_cdr(shown, JOINT_STATE)))
 
 
 def _parts(block: Block) -> Iterator[Block]:

@@ -318,9 +318,7 @@ class LockStepLink:
                 continue
             if due_ns is not None and due_ns <= self._time_ns:
                 self._from_drives += self.drives.advance(self._time_ns)
-                if self._from_drives:
-                    break
-                due_ns = self.drives.due_ns()
+                continue
             if self._time_ns >= until_ns:
                 return None
             self._time_ns = (
