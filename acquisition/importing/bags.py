@@ -103,13 +103,18 @@ def import_bag(
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
     held = grid_of_new_rows(time_s, parts, place, options.resample_hz)
-    grid = held or resample(time_s, parts, rate_hz=options.resample_hz, place=place)
     clock = "times of reception" if received else "header stamps"
     way_out = (
         "record a topic that the robot's own clock stamps, or import a table whose map states "
         "sample_rate_hz"
     )
-    grid = held or with_warnings(grid, time_s, position, clock, way_out)
+    grid = held or with_warnings(
+        resample(time_s, parts, rate_hz=options.resample_hz, place=place),
+        time_s,
+        position,
+        clock,
+        way_out,
+    )
     grid, reference = replace(grid, first_ns=first_ns), dict[str, str]()
     try:
         if controller:

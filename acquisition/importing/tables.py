@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import Place
 from ..files import read_bytes, read_columns, write_columns
-from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
+from ..recording import OPTIONAL, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .held import grid_of_new_rows
 from .quantities import TIME_UNITS, TURN, Angles, Quantity, Source, TableNumber
@@ -279,9 +279,21 @@ def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) 
 
 def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
     """Write the joint samples of a recording as CSV in SI, units in the names, whole or not at
-    all; returns their number.
+    all; returns their number. Calls `warn` if samples are missing.
     """
-    samples, robot = _samples(path, warn)
+    recording = read_recording(path)
+    if recording.samples is None:
+        Place(str(path)).refuse(
+            text=recording.no_samples,
+            expected=(
+                "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
+                "that are not lost"
+            ),
+        )
+    samples, robot = recording.samples, recording.robot
+    missing = [gap.missing for gap in gaps(samples, recording.sample_rate_hz) if not gap.late]
+    if missing:
+        warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
     fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
     joints = list(enumerate(robot.joints))
     names = [
@@ -295,25 +307,6 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     )
     write_columns(out, ["_".join(name.split()) for name in names], columns)
     return len(samples)
-
-
-def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
-    """Samples and robot; calls `warn` if samples are missing."""
-    recording = read_recording(path)
-    if recording.samples is None:
-        Place(str(path)).refuse(
-            text=recording.no_samples,
-            expected=(
-                "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
-                "that are not lost"
-            ),
-        )
-    missing = [
-        gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late
-    ]
-    if missing:
-        warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
-    return recording.samples, recording.robot
 
 
 def _unit(robot: Robot, field: str, joint: int) -> str:

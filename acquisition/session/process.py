@@ -44,7 +44,6 @@ STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 SILENT_S = 0.3
 SILENT_PERIODS = 3  # of SYNC, if longer than SILENT_S
 ALIVE, ENDED = b"\1", b"\0"
-Pipes = tuple[Connection, Connection | None]  # to the session, and of its signs of life
 
 
 def silence_s(file: BusFile) -> float:
@@ -161,14 +160,14 @@ class Role(Enum):
 
 
 def run(
-    pipes: Pipes,
+    pipes: tuple[Connection, Connection | None],
     path: Path,
     files: Mapping[str, bytes],
     place: str,
     role: Role,
     payload: Payload | None,
 ) -> None:
-    """The recorder's process.
+    """The recorder's process; `pipes`: to the session, and of its signs of life.
 
     It ignores signals such as Ctrl-C, and ends on request or when the session has died.
     """

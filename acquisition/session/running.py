@@ -58,7 +58,6 @@ from .timing import real_time_scheduling, refuse_jitter, scheduling_words
 
 STOPPED = "stopped by"
 INTERRUPTED = f"{STOPPED} {signal.SIGINT.name}"  # by the operator
-ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +70,8 @@ class UserInterface:
 
     stop: Stop = field(default_factory=Stop)
     confirm: Confirm = lambda words, faults: False
-    show: ShowStatus = lambda status, left_s: None  # called twice a second
+    # called twice a second, with the status of the recorder and the seconds left
+    show: Callable[[Status, float | None], None] = lambda status, left_s: None
     # called as soon as the outcome is known
     announce: Callable[[Outcome], None] = lambda outcome: None
     # what a passive recording does to the bus, before it is opened

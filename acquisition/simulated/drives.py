@@ -101,11 +101,6 @@ class SimulatedDrives:
         self._actual, self._reported = np.zeros((2, robot.n))
         self._held = np.ones(robot.n, np.bool_)
 
-    @property
-    def states(self) -> list[cia.State]:
-        """State of each drive."""
-        return [node.state for node in self.nodes]
-
     def set_heartbeats(self, every_ms: int) -> None:
         """Set `every_ms`, from the next boot on, for drives whose dictionaries have a
         heartbeat time (1017h) of 0.

@@ -212,7 +212,6 @@ def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array
 
 
 GROUP = "robot_idim.plants"
-PlantOf = Callable[[Robot, Payload | None], tuple[Plant, LoopGains]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -240,7 +239,7 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
             robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})"
         )
     try:
-        plant_of: PlantOf = plants[0].load()
+        plant_of: Callable[[Robot, Payload | None], tuple[Plant, LoopGains]] = plants[0].load()
     except (ImportError, AttributeError) as error:
         Place(f"entry point {GROUP} {plants[0].value}").refuse(text=f"cannot be loaded: {error}")
     plant, loops = plant_of(robot, payload)

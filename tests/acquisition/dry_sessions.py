@@ -165,6 +165,10 @@ class FaultyDrives(SimulatedDrives):
         self.late: list[tuple[int, int, bytes]] = []
         self._faults, self._answered = tuple(faults), [0] * robot.n
 
+    @property
+    def states(self):
+        return [node.state for node in self.nodes]
+
     def receive(self, now_ns, can_id, data):
         return self._audible(super().receive(now_ns, can_id, data))
 
