@@ -28,7 +28,7 @@ from .links import (
     socket_of,
 )
 from .logs import SUFFIXES, read_log
-from .master import OPERATIONAL, Master, Orders, send_orders
+from .master import OPERATIONAL, Master, Orders, send_order
 from .passive import listening_words
 from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives

@@ -275,17 +275,11 @@ def _place(node: int, index: int, sub: int) -> str:
 Orders = list[tuple[int, int]]
 
 
-def send_orders(master: Master, orders: Orders) -> None:
-    """Send the orders to all drives by PDO.
+def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> None:
+    """Send the RPDOs of one drive that carry only its command, target and mode.
 
     Raises `BusFaultError` when the bus accepts no frame.
     """
-    for watch, (control, target) in zip(master.nodes, orders, strict=True):
-        send_order(master, watch, control, target)
-
-
-def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> None:
-    """Send the RPDOs of one drive that carry only its command, target and mode."""
     drive = watch.drive
     values = {
         (drive.control.index, drive.control.sub): control,

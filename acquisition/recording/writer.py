@@ -15,11 +15,12 @@ import re
 import shutil
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -140,7 +141,7 @@ def _software() -> str:
     return ", ".join(versions)
 
 
-class RecordingWriter:
+class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     """Writes a recording; a context manager.
 
     `flush` makes what was written so far survive a kill or a power cut.
@@ -169,9 +170,6 @@ class RecordingWriter:
         for name, content in header.files.items():
             self._writer.add_attachment(0, 0, name, "application/octet-stream", content)
         self.flush()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -11,8 +11,6 @@ from .description import Motor
 from .drives import POSITION_TYPE, Bus, Drive, refuse_counts, refuse_pdos
 from .robot import Robot
 
-Entry = Callable[[str, str], cia.ObjectEntry]  # from a key of the description and an object's name
-
 
 def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | None = None) -> Bus:
     """The drives of `robot` with their PDOs and codecs.
@@ -159,10 +157,14 @@ def _drive(
 
 
 def _pdos(
-    way: str, file: DriveFile, default: tuple[cia.ObjectEntry, ...], entry: Entry, at: Place
+    way: str,
+    file: DriveFile,
+    default: tuple[cia.ObjectEntry, ...],
+    entry: Callable[[str, str], cia.ObjectEntry],
+    at: Place,
 ) -> tuple[cia.Pdo, ...]:
-    """The PDOs of one direction, as described, else as few as possible with the
-    `default` objects in order.
+    """The PDOs of one direction, as described, else as few as possible with the `default` objects
+    in order; `entry` makes one of a key of the description and an object's name.
     """
     pdos = []
     files: tuple[PdoFile, ...] = getattr(file, way) or _pack(default)

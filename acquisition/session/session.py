@@ -247,7 +247,8 @@ class _Session:
                     *self._targets[-3:],
                     bus.joints_of(self._robot, self._bus, self._held),
                 ]
-                bus.send_orders(self._master, order)
+                for watch, (control, target) in zip(self._master.nodes, order, strict=True):
+                    bus.send_order(self._master, watch, control, target)
             self._sync()
 
     def _sync(self) -> None:
