@@ -82,9 +82,8 @@ def import_bag(
     `bag`: a folder, .mcap or .db3; `payload`: what the robot carried. States at the start are left
     out as long as a position or an effort is nan: drivers publish it until they have read one.
 
-    Raises `BadInputError`: the bag or its topic cannot be read, efforts are missing, zero,
-    not finite or in other units than those of robot.toml, stamps do not grow or have gaps.
-    Nothing is written then.
+    Raises `BadInputError` before anything is written: the bag or its topic cannot be read, efforts
+    are missing, zero, not finite or not in units of robot.toml, stamps have gaps or do not grow.
     """
     joints = [joint.name for joint in robot.joints]
     position_side(robot, "joint", "position", Place(str(bag)))
@@ -92,11 +91,11 @@ def import_bag(
     place = read.place
     stamps_ns, received, parts, warnings = read.states(topic)
     controller = options.reference_topic or _only_controller(controllers, joints, Place(str(bag)))
-    position = parts["position"]
+    q = parts["position"]
     parts["effort"], provenance, effort_object = _effort(
         robot, parts.get("effort"), options.effort_unit, place
     )
-    refuse_several_publishers(position, parts["effort"], joints, place)
+    refuse_several_publishers(q, parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
         warnings.append("velocities that are not finite numbers are left out")
@@ -109,11 +108,7 @@ def import_bag(
         "sample_rate_hz"
     )
     grid = held or with_warnings(
-        resample(time_s, parts, rate_hz=options.resample_hz, place=place),
-        time_s,
-        position,
-        clock,
-        way_out,
+        resample(time_s, parts, rate_hz=options.resample_hz, place=place), time_s, q, clock, way_out
     )
     grid, reference = replace(grid, first_ns=first_ns), dict[str, str]()
     try:
