@@ -207,6 +207,7 @@ def quirky(
         return serve(node, data, answer) if node.drive.node == 2 else answer
 
     monkeypatch.setattr(SimulatedNode, "_serve", served)
+    monkeypatch.setattr("acquisition.session.session.HOLD_S", 0.0)  # of each of many sessions
     return type(
         "Changed", (Quirky,), {"change": staticmethod(change), "other": staticmethod(other)}
     )
@@ -214,7 +215,7 @@ def quirky(
 
 def agreed(tmp_path, kind: type[Quirky], bus=None, robot=None) -> dict[str, str]:
     """Verdicts of `check`, which only reads, once each session has ended as they say."""
-    robot = robot or robot_of(bus_text(2))
+    robot = robot or robot_of(bus_text(2, extra="enable_watch_s = 0.05"))
     run, _ = connected(robot, kind)
     sent, send = [], run.send
     run.send = lambda can_id, data: (sent.append((can_id, data[:1])), send(can_id, data))
@@ -223,7 +224,7 @@ def agreed(tmp_path, kind: type[Quirky], bus=None, robot=None) -> dict[str, str]
     tasks = {"recording": Task(duration_s=0.1)}
     ready = partial(before_motion, robot, options=RecordOptions(), confirm=lambda *_: True)
     tasks["motion"] = Task(
-        reference=swing(2, seconds=0.3, amplitude=0.02), before_motion=lambda master: ready(master)
+        reference=swing(2, seconds=0.2, amplitude=0.02), before_motion=lambda master: ready(master)
     )
     for name, task in tasks.items():
         done = dry_session(
