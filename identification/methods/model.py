@@ -12,6 +12,7 @@ from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..estimation import Estimate, System, combined, release_memory
+from ..model import load_parameters
 from ..regression import (
     NOTHING,
     Candidate,
@@ -99,11 +100,10 @@ class Model:
             found.append(equation_of(problem, self.unknowns, k))
         return tuple(found)
 
-    @cached_property
+    @property
     def load(self) -> NDArray[np.intp]:
         """Places of the parameters of load friction in x."""
-        found = regression.load_friction(self.problem.model, self.problem.base)
-        names = [self.problem.base.names[place] for place in found.places] if found else []
+        names = load_parameters(self.problem.base)
         return np.array([self.names.index(name) for name in names], dtype=np.intp)
 
     @property

@@ -45,7 +45,8 @@ class InverseModel:
     `units`, link by link.
 
     `sources` are their origins: (link, place in LINK), or a term of a joint; `of_links` (p,) marks
-    the former. `coulomb_directions` (c, n) are the directions r of friction with a sign, at the
+    the former; `nonzero` (n, p) the entries of the regressor that can be non-zero.
+    `coulomb_directions` (c, n) are the directions r of friction with a sign, at the
     speed r·dq: joints and coupled motors.
     """
 
@@ -69,7 +70,7 @@ class InverseModel:
             len(self.names),
             np.array([not isinstance(s, JointTerm) for s in self.sources]),
         )
-        self._nonzero = self._structure()
+        self.nonzero = self._structure()
         along = [
             s.direction for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING
         ]
@@ -77,7 +78,7 @@ class InverseModel:
 
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
         """Entries (E, 2) of the regressor that can be non-zero: (joint, place in `columns`)."""
-        return np.argwhere(self._nonzero[:, columns])
+        return np.argwhere(self.nonzero[:, columns])
 
     def series(self, q: Array, dq: Array, ddq: Array, columns: NDArray[np.intp]) -> Array:
         """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n)."""

@@ -16,7 +16,7 @@ from .motion import (
     smooth,
 )
 from .payload import payload_of
-from .problem import MAX_CACHED_NUMBERS, Problem, RowBlock, make_problem, row_blocks
+from .problem import MAX_CACHED_NUMBERS, Problem, make_problem, row_blocks
 from .rows import (
     Candidate,
     Equation,
@@ -41,7 +41,6 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
-from .states import fast_for_lag, friction_states, recorded_power, rigid_torque_at_rows, row_states
-from .terms import LoadFriction, Term, load_friction
+from .states import friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
 from .weights import refuse_standing_joints, sample_weights, weights_at, with_weights_of

@@ -17,7 +17,7 @@ from ..arrays import Array
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .motion import Motion, differentiate, smooth
-from .problem import Problem, RowBlock, row_blocks
+from .problem import Problem, row_blocks
 from .weights import sample_weights, weights_at
 
 DRIVES_A_ROW = 20  # at which the torque of a model is computed: its rate counts in the intervals
@@ -32,14 +32,16 @@ class MotionBlock(Motion):
 
     Attributes:
         problem: of the recording.
-        at: its rows; `decimation` leads from its samples to the rows.
+        near: the rows that it has samples of; `inside`: in these, its own ones; `decimation` leads
+            from its samples to the rows.
         stride: step between samples that tell what links need: more than 1 for a low-passed motion.
         recorded: whether the torque `tau` is the recorded one, which may be late; else it is that
             of the drives of a simulated or predicted robot.
     """
 
     problem: Problem
-    at: RowBlock
+    near: slice
+    inside: slice
     decimation: Decimation
     stride: int = 1
     recorded: bool = False
@@ -52,14 +54,19 @@ class MotionBlock(Motion):
     @cached_property
     def share(self) -> Array:
         """Return the weights (n, rows) of the rows, 0 for those that do not count."""
-        return sample_weights(self.problem).of_rows[self.at.first : self.at.last].T
+        return sample_weights(self.problem).of_rows[self.near][self.inside].T
+
+    @property
+    def first(self) -> int:
+        """Its first row."""
+        return int(self.near.start + self.inside.start)
 
     @cached_property
     def W(self) -> Array:
         """Return the regressor (n, b, rows) F[w IDM]; columns of load friction are zero."""
         of = self.problem.model, self.problem.base
         whole = _decimated(self, self.weights, *of, self.decimation, self.stride)
-        return np.ascontiguousarray(whole[..., self.at.inside])
+        return np.ascontiguousarray(whole[..., self.inside])
 
     @cached_property
     def known(self) -> Array:
@@ -67,26 +74,19 @@ class MotionBlock(Motion):
         x = self.problem.known(self.t_s)
         return np.zeros_like(self.share) if x is None else self.weighted(x.T)
 
-    def drives(self, lag_s: float) -> Array:
-        """Return the torque (N, n) of the drives, recorded `lag_s` later, by the gains of the
-        problem.
-        """
-        if not self.recorded:
-            return self.tau
-        first = round(self.t_s[0] * self.problem.signals.sample_rate_hz)
-        return self.problem.drives(first, first + len(self.t_s), lag_s)
-
-    def weighted(self, x: Array, joints: NDArray[np.intp] | slice = slice(None)) -> Array:
+    def weighted(
+        self, x: Array, joints: Sequence[int] | NDArray[np.intp] | slice = slice(None)
+    ) -> Array:
         """Return F[w x] (k, rows) of series x (k, N), one for each of some joints."""
         return self.filtered(self.weights[joints] * x)
 
     def filtered(self, x: Array) -> Array:
         """Return the rows (..., rows) of series x (..., N)."""
-        return self.decimation.filtered(x)[..., self.at.inside]
+        return self.decimation.filtered(x)[..., self.inside]
 
     def kept(self, x: Array) -> Array:
         """Return the samples of x (N, k) at the instants of the rows, (rows, k)."""
-        return self.decimation.kept(x)[self.at.inside]
+        return self.decimation.kept(x)[self.inside]
 
     def rate(self, x: Array) -> Array:
         """Return dx/dt (N, k) of x (N, k), per second."""
@@ -94,9 +94,7 @@ class MotionBlock(Motion):
 
     def own(self, x: Array) -> Array:
         """Return the samples of x (N, n) that no other block has."""
-        at, factor = self.at, self.decimation.factor
-        stop = len(x) - (at.high - at.last) * factor
-        return x[stop - (at.last - at.first) * factor if at.first else 0 : stop]
+        return x[self.decimation.samples(self.inside, len(x))]
 
     def with_torque_of(self, beta: Array) -> "MotionBlock":
         """Return the same motion with the torque of the drives that base parameters beta (b,)
@@ -111,26 +109,22 @@ class MotionBlock(Motion):
         return found
 
 
-def motion_of_block(problem: Problem, at: RowBlock) -> MotionBlock:
-    """The recorded motion, low-passed, of the samples that a block needs."""
-    settings, signals = problem.settings, problem.signals
-    span = at.samples(settings.stop - settings.start, settings.decimation)
-    start, stop = (settings.start + k for k in (span.start, span.stop))
-    x = problem.motion.between(start, stop, settings.cutoff_hz)
-    stride = settings.decimator.stride_behind(settings.cutoff_hz, signals.sample_rate_hz)
-    return MotionBlock(
-        **vars(x),
-        problem=problem,
-        at=at,
-        decimation=settings.decimator,
-        stride=1 if problem.exact else stride,
-        recorded=True,
-    )
-
-
 def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
-    """The recorded motion of the span used, in blocks."""
-    return (motion_of_block(problem, at) for at in row_blocks(problem))
+    """The recorded motion of the span used, low-passed, in blocks."""
+    settings, decimation = problem.settings, problem.settings.decimator
+    stride = decimation.stride_behind(settings.cutoff_hz, problem.signals.sample_rate_hz)
+    for near, inside in row_blocks(problem):
+        span = decimation.samples(near, settings.stop - settings.start)
+        start, stop = (settings.start + k for k in (span.start, span.stop))
+        yield MotionBlock(
+            **vars(problem.motion.between(start, stop, settings.cutoff_hz)),
+            problem=problem,
+            near=near,
+            inside=inside,
+            decimation=decimation,
+            stride=1 if problem.exact else stride,
+            recorded=True,
+        )
 
 
 def predicted_torque(

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +71,14 @@ class Decimation:
     def rows(self, samples: int) -> int:
         """Number of rows that so many samples give."""
         return -(-samples // self.factor)
+
+    def samples(self, rows: slice, N: int) -> slice:
+        """The samples of a series of N that give these rows: counted from the last one, which
+        decimation keeps.
+        """
+        before = N - self.rows(N) * self.factor
+        start, stop = (before + k * self.factor for k in (rows.start, rows.stop))
+        return slice(max(0, start), stop)
 
     def filtered(self, x: Array) -> Array:
         """x decimated along its last axis: low-pass, then every `factor`-th sample."""
@@ -324,15 +333,8 @@ def _chebyshev(r: int) -> _Filter:
 
 def _fast_size(least: int) -> int:
     """The smallest number from `least` on with no factors but 2, 3 and 5, for a fast transform."""
-    size = least
-    while True:
-        left = size
-        for factor in (2, 3, 5):
-            while left % factor == 0:
-                left //= factor
-        if left == 1:
-            return size
-        size += 1
+    # those divide a power of 30 that is high enough
+    return next(size for size in count(least) if pow(30, size.bit_length(), size) == 0)
 
 
 def nearby(x: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:

@@ -149,8 +149,7 @@ class LagCollector:
 
     def add(self, rows: Array, z: MotionBlock) -> None:
         """Add the rows [Z J r] (n, columns, T) of a block, of those that are fast along z."""
-        at = z.at
-        share = self._share[at.first : at.last]
+        share = self._share[z.near][z.inside]
         used = fast_for_lag(z, self._sliding) & (share.T > 0)
         white, counts, T = np.zeros_like(rows), used.copy(), rows.shape[2]
         counts[:, :LAG_ORDER] = False
@@ -158,7 +157,7 @@ class LagCollector:
             h = np.array([own[k] for own in self._filters])[:, None, None]
             white[..., k:] += h * rows[..., : T - k]
             counts[:, LAG_ORDER:] &= used[:, LAG_ORDER - k : T - k]
-        self._collected.add(at.first, white, share * counts.T)
+        self._collected.add(z.first, white, share * counts.T)
 
     def rows(self, names: tuple[str, ...]) -> tuple[System, Array]:
         """The system of the unknowns with these `names`, and its instruments (r, columns)."""

@@ -5,6 +5,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -59,10 +60,11 @@ class Problem:
             robot if self.gains is None else replace(robot, identified_gain=robot.gain * self.gains)
         )
 
-    def drives(self, start: int, stop: int, lag_s: float) -> Array:
-        """(N, n) torque of the drives by their gains that is recorded `lag_s` behind the samples
-        `start` to `stop`.
+    def drives(self, start: int, stop: int, lag_s: float, kappa: Array | None = None) -> Array:
+        """(N, n) torque of the drives that is recorded `lag_s` behind the samples `start` to
+        `stop`, by factors `kappa` (n,) on the described gains, by default those that were found.
         """
+        kappa = self.gains if kappa is None else kappa
         s, by = self.signals, lag_s * self.signals.sample_rate_hz
         low = max(0, math.floor(start + by) - SPLINE_REACH)
         high = min(len(s.effort), math.ceil(stop + by) + SPLINE_REACH)
@@ -72,7 +74,7 @@ class Problem:
         tau = sampled_at(np.arange(start - low, stop - low, dtype=np.float64) + by, tau)
         if len(s.effort) > BLOCK_SAMPLES:
             release_pages(s.effort)
-        return tau if self.gains is None else np.linalg.solve(R.T, tau.T).T * self.gains @ R
+        return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
 
     def known(self, t_s: Array) -> Array | None:
         """The known torque (K, n) at samples of the recording at `t_s` (K,); None for none."""
@@ -80,11 +82,6 @@ class Problem:
         if known is None:
             return None
         return np.asarray(known[np.rint(t_s * self.signals.sample_rate_hz).astype(np.intp)])
-
-    @cached_property
-    def series(self) -> int:
-        """Number of series of the regressor: its entries that are not zero."""
-        return len(self.model.entries(self.base.columns))
 
     def used_positions(self) -> Array:
         """q (N, n) of the span used."""
@@ -258,45 +255,19 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class RowBlock:
-    """Rows `first` to `last` of all decimated `rows`, and the rows `low` to `high` whose
-    samples the filters need.
+def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
+    """The rows of the span used, in blocks: the rows that the filters need samples of, and in these
+    the rows of the block itself. The borders depend only on the recording.
 
-    The margins are as long as the reach of the filters: blocks give the same result as one pass.
-    Samples are counted from the end, since decimation keeps the last one.
+    The margins are as long as the reach of the filters, and no block is shorter: blocks give the
+    same result as one pass.
     """
-
-    first: int
-    last: int
-    low: int
-    high: int
-    rows: int
-
-    @property
-    def inside(self) -> slice:
-        """The rows of the block in those from `low` to `high`."""
-        return slice(self.first - self.low, self.last - self.low)
-
-    def samples(self, N: int, factor: int) -> slice:
-        """The samples of a series of N, `factor` to a row, from the rows `low` to `high`."""
-        start = N - (self.rows - self.low) * factor if self.low else 0
-        return slice(start, N - (self.rows - self.high) * factor)
-
-
-def row_blocks(problem: Problem) -> list[RowBlock]:
-    """The rows of the span used, in blocks; the borders depend only on the recording."""
-    settings = problem.settings
-    n_d = settings.decimation
-    margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
-    rows = -(-(settings.stop - settings.start) // n_d)
-    size = max(4 * margin, _SERIES_BLOCK // (problem.series * n_d), 1)
-    found: list[RowBlock] = []
-    while not found or found[-1].last < rows:
-        first = found[-1].last if found else 0
-        last = min(rows, first + size)
-        if rows - last < margin:
-            last = rows  # no block shorter than the reach of the filter
+    n_d, rows = problem.settings.decimation, len(problem.settings.instants)
+    margin = -(-decimation_reach(n_d) // n_d)
+    series = int(problem.model.nonzero[:, problem.base.columns].sum())
+    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
+    found = list[tuple[slice, slice]]()
+    for first, last in pairwise([*range(0, max(1, rows - margin), size), rows]):
         low, high = max(0, first - margin), min(rows, last + margin)
-        found.append(RowBlock(first=first, last=last, low=low, high=high, rows=rows))
+        found.append((slice(low, high), slice(first - low, last - low)))
     return found

@@ -24,7 +24,7 @@ from .blocks import MotionBlock, motion_blocks, predicted_torque
 from .lag import LagCollector
 from .problem import Problem
 from .states import fast_for_lag
-from .terms import Drives, Load, Term, load_friction
+from .terms import Drives, Load, Term, load_of
 from .unknowns import Arm, Unknowns, make_unknowns
 from .weights import sample_weights
 
@@ -39,20 +39,16 @@ class Equation:
 
     Attributes:
         problem: recording, settings, and model of the robot.
-        arm: its term; `terms`: all of them.
-        drives: the term of the drives.
-        names: (f,) of the free unknowns, the first of x.
-        gains: places of those that are gains of drives; `lags`: places of the lags in x.
+        unknowns: x.
+        arm, drives, load: its terms.
         most: numbers of positions up to which the measured motion is kept.
     """
 
     problem: Problem
+    unknowns: Unknowns
     arm: Arm
     drives: Drives
-    terms: tuple[Term, ...]
-    names: tuple[str, ...]
-    gains: NDArray[np.intp]
-    lags: NDArray[np.intp]
+    load: tuple[Load, ...]
     most: int
 
     @cached_property
@@ -65,12 +61,10 @@ class Equation:
             return self._made
         return motion_blocks(self.problem.with_samples())
 
-    @cached_property
-    def regressors(self) -> NDArray[np.intp]:
-        """Places of the unknowns whose columns are of the measured motion: all but the lags, as
-        the rate of a recorded torque is noise.
-        """
-        return np.arange(len(self.arm.unknowns) - len(self.lags))
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """All terms."""
+        return self.arm, self.drives, *self.load
 
     def residual(self, x: Array, motion: MotionBlock) -> Array:
         """Return the residual (n, rows), N m or N, about x (p,): the known torque that no term
@@ -89,19 +83,16 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
     """Put together the equation of motion of recording k: its arm, its drives, and load friction
     if the robot has any.
     """
-    arm, robot = unknowns.arms[k], problem.signals.robot
-    lag = int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)])
-    drives = Drives(R=robot.R, gains=unknowns.gain_places(robot), lag=lag)
-    load = load_friction(problem.model, problem.base)
-    of_load = () if load is None else (Load(P=arm.P, known=arm.known, of=load),)
+    arm = unknowns.arms[k]
     return Equation(
         problem=problem,
+        unknowns=unknowns,
         arm=arm,
-        drives=drives,
-        terms=(arm, drives, *of_load),
-        names=unknowns.names,
-        gains=np.arange(len(unknowns.names))[unknowns.gains],
-        lags=unknowns.lags,
+        drives=Drives(
+            gains=unknowns.gain_places(problem.signals.robot),
+            lag=int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)]),
+        ),
+        load=load_of(problem, arm.P, arm.known),
         most=MAX_KEPT // len(unknowns.arms),
     )
 
@@ -220,19 +211,18 @@ def rows_of_recording(
     The rows, torques in N m or N, stacked by joint and span of time.
     """
     problem = equation.problem.with_samples()
-    share, beta, names = sample_weights(problem).of_rows, equation.arm.beta(x), equation.names
-    collected, parts = SpanRows(*share.shape), list[tuple[Array, Array]]()
-    rest, at_rest = SpanRows(*share.shape, one=True), None
-    arm, lag = np.setdiff1d(np.arange(len(names)), equation.gains), None
-    of_late = np.r_[arm, equation.lags]
+    unknowns, share, beta = equation.unknowns, sample_weights(problem).of_rows, equation.arm.beta(x)
+    names, lags, parts = unknowns.names, unknowns.lags, list[tuple[Array, Array]]()
+    collected, rest = SpanRows(*share.shape), SpanRows(*share.shape, one=True)
+    of_late, lag, at_rest = np.r_[unknowns.arm, lags], None, None
     if of_lag:
         tau, predicted, speed = torque_of_recording(equation, x)
         lag = LagCollector(problem, share, share * (tau - predicted), speed)
-    f, K = len(names), len(equation.lags)
-    own = f if along is not None or len(equation.gains) else 0
+    f, K = len(names), len(lags)
+    own = f if along is not None or unknowns.motors else 0
     # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
     asked = own > 0 or further is not None
-    places = np.r_[np.arange(own), equation.lags] if asked else np.arange(0)
+    places = np.r_[np.arange(own), lags] if asked else np.arange(0)
     others: Iterable[MotionBlock | None] = repeat(None) if along is None else along
     for motion, other in zip(equation.motions(), others, strict=False):
         J = equation.columns(x, motion)
@@ -242,14 +232,15 @@ def rows_of_recording(
         Z = equation.columns(x, z) if asked else J
         r, C, fast = equation.residual(x, motion)[:, None], J[:, :0], None
         if lag is not None:
-            J[:, equation.lags] = Z[:, equation.lags]
+            J[:, lags] = Z[:, lags]
             lag.add(np.concatenate([Z[:, of_late], J[:, of_late], r], axis=1), z)
         if further is not None:
             C, fast = further.columns(z), fast_for_lag(z, further.sliding)
             still = np.concatenate([further.at_rest(motion), J[:, :f], r], axis=1)
-            rest.add(motion.at.first, still, motion.share.T)
-        A = np.concatenate([C, Z[:, places], J[:, equation.regressors], r], axis=1)
-        collected.add(motion.at.first, A, motion.share.T, fast)
+            rest.add(motion.first, still, motion.share.T)
+        # not the columns of the lags: the rate of a recorded torque is noise
+        A = np.concatenate([C, Z[:, places], J[:, :-K], r], axis=1)
+        collected.add(motion.first, A, motion.share.T, fast)
         measured = equation.drives.measured(x, motion)
         parts.append((motion.filtered(measured.T).T, motion.kept(motion.dq)))
     tau, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -261,7 +252,6 @@ def rows_of_recording(
         Y = A[:, -1] + A[:, -1 - f : -1] @ x[:f]
         of_links = ("at rest",) * (A.shape[1] - 1 - f)
         at_rest = System(W=A[:, :-1], Y=Y, names=(*of_links, *names), **of_rest)
-    of_lag_names = (*(names[i] for i in arm), *(equation.arm.unknowns[i] for i in equation.lags))
     return Rows(
         x=x,
         system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names, **followed),
@@ -274,7 +264,7 @@ def rows_of_recording(
         tau=tau,
         speed=speed,
         recorded=along is None,
-        late=None if lag is None else lag.rows(of_lag_names),
+        late=None if lag is None else lag.rows(tuple(unknowns.all[i] for i in of_late)),
     )
 
 

@@ -52,8 +52,8 @@ def row_states(problem: Problem, *, always: bool = False) -> RowStates | None:
     parts, rows = list[tuple[Array, ...]](), len(problem.settings.instants)
     rows_wanted = np.arange(0, rows, max(1, rows // STATES))
     for motion in motion_blocks(problem):
-        at = motion.at
-        here = rows_wanted[(rows_wanted >= at.first) & (rows_wanted < at.last)] - at.first
+        rows_here = np.arange(rows)[motion.near][motion.inside]
+        here = np.flatnonzero(np.isin(rows_here, rows_wanted))
         parts.append(tuple(motion.kept(x)[here] for x in (motion.q, motion.dq, motion.ddq)))
     q, dq, ddq = (np.concatenate([part[i] for part in parts]) for i in range(3))
     return RowStates(rows=rows_wanted, q=q, dq=dq, ddq=ddq)
@@ -63,7 +63,7 @@ def friction_states(problem: Problem, beta: Array, states: RowStates) -> tuple[A
     """Speeds and loads (m, n), by states of a recording, to evaluate the power of
     further friction terms at.
     """
-    rigid = torque_of_links(problem.model, problem.base, beta, states.q, states.dq, states.ddq)
+    rigid = torque_of_links(problem, beta, states.q, states.dq, states.ddq)
     return shaped_states(problem.model, states.dq, np.abs(rigid))
 
 
@@ -85,7 +85,7 @@ def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
     motion = next(motion_blocks(problem))
     q, dq, ddq = (motion.kept(x) for x in (motion.q, motion.dq, motion.ddq))
-    return dq, torque_of_links(problem.model, problem.base, beta, q, dq, ddq)
+    return dq, torque_of_links(problem, beta, q, dq, ddq)
 
 
 def fast_for_lag(motion: MotionBlock, peak: Array) -> NDArray[np.bool_]:
@@ -93,7 +93,7 @@ def fast_for_lag(motion: MotionBlock, peak: Array) -> NDArray[np.bool_]:
     directions of Coulomb friction.
     """
     fast = fast_for_lag_by(motion.problem, motion.decimation.kept(motion.dq), peak)
-    return fast[:, motion.at.inside]
+    return fast[:, motion.inside]
 
 
 def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> NDArray[np.bool_]:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..model import BaseParameters, InverseModel, JointTerm, direct_model
+from ..model import direct_model, load_parameters
 from .blocks import MotionBlock
+from .problem import Problem
 
 
 class Term(Protocol):
@@ -35,12 +36,10 @@ class Drives:
     E_m is the torque at the joints of motor m by its described gain.
 
     Attributes:
-        R: (n, n) motor matrix.
         gains: (n,) places of kappa in x; -1 for a gain that is described.
         lag: place of L in x, in s; positive: the torque is recorded late.
     """
 
-    R: Array
     gains: NDArray[np.intp]
     lag: int
 
@@ -53,10 +52,11 @@ class Drives:
         """Return sum_m kappa_m E_m(t + L) (N, n), N m or N, of equation (I); a torque that is not
         recorded is that already.
         """
-        tau, kappa = motion.drives(x[self.lag]), self.factors(x)
-        if kappa is None or not motion.recorded:
-            return tau
-        return np.asarray((np.linalg.solve(self.R.T, tau.T).T * kappa) @ self.R)
+        if not motion.recorded:
+            return motion.tau
+        first = round(motion.t_s[0] * motion.problem.signals.sample_rate_hz)
+        last = first + len(motion.t_s)
+        return motion.problem.drives(first, last, x[self.lag], self.factors(x))
 
     def measured(self, x: Array, motion: MotionBlock) -> Array:
         """Return the torque (N, n), N m or N, of the drives and the known one at the joints."""
@@ -71,27 +71,16 @@ class Drives:
         """Return the derivatives (n, p, rows): -F[w E_m(t + L)] by kappa_m, and by L
         -F[w d/dt sum_m kappa_m E_m(t + L)], equation (G).
         """
-        tau, found = self.at_joints(x, motion), np.zeros((len(self.R), len(x), len(motion.share.T)))
+        tau, R = self.at_joints(x, motion), motion.problem.signals.robot.R
+        found = np.zeros((len(R), len(x), len(motion.share.T)))
         if (kappa := self.factors(x)) is not None:
-            E = np.linalg.solve(self.R.T, tau.T) / kappa[:, None]
+            E = np.linalg.solve(R.T, tau.T) / kappa[:, None]
             for m in np.flatnonzero(self.gains >= 0):
-                acts = np.flatnonzero(self.R[m])
-                column = motion.weighted(self.R[m, acts, None] * E[m], acts)
+                acts = np.flatnonzero(R[m])
+                column = motion.weighted(R[m, acts, None] * E[m], acts)
                 found[acts, self.gains[m]] = -column
         found[:, self.lag] = -motion.weighted(motion.rate(tau).T)
         return found
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoadFriction:
-    """Joints (k,) with load friction, and the places (k,) of their mu in the b base
-    parameters `base` of `model`.
-    """
-
-    joints: NDArray[np.intp]
-    places: NDArray[np.intp]
-    model: InverseModel
-    base: BaseParameters
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,68 +94,59 @@ class Load:
 
     Attributes:
         P, known: the base parameters P x + known, (b,), as of `Arm`.
-        of: its joints and places.
+        joints, places: the joints (k,) with load friction, and the places of their mu in beta.
     """
 
     P: Array
     known: Array
-    of: LoadFriction
+    joints: list[int]
+    places: list[int]
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
         """Return F[w mu_j |tau_links| sign(dq_j)], (n, rows), equation (H)."""
         beta, found = self.P @ x + self.known, np.zeros_like(motion.share)
-        found[self.of.joints] = beta[self.of.places, None] * self._sizes(beta, motion)[0]
+        found[self.joints] = beta[self.places, None] * self._sizes(beta, motion)[0]
         return found
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
         """Return the derivatives (n, p, rows) by mu_j, and those by the links' parameters that load
         friction adds to their own.
         """
-        beta, links, W = self.P @ x + self.known, self.of.base.links, np.zeros_like(motion.W)
-        each = zip(self.of.joints, self.of.places, *self._sizes(beta, motion), strict=True)
+        beta, W = self.P @ x + self.known, np.zeros_like(motion.W)
+        links = motion.problem.base.links
+        each = zip(self.joints, self.places, *self._sizes(beta, motion), strict=True)
         for j, place, size, s in each:
             W[j, links] = beta[place] * s * motion.W[j, links]
             W[j, place] = size
-        return times(W, self.P)
+        return np.asarray(self.P.T @ W)
 
     def _sizes(self, beta: Array, motion: MotionBlock) -> tuple[Array, Array]:
         """F[w |tau_links| sign(dq)] and s at the rows, (k, rows) each."""
-        joints, of = self.of.joints, (self.of.model, self.of.base, beta)
-        links = torque_of_links(*of, motion.q, motion.dq, motion.ddq)[:, joints]
-        sign = np.sign(motion.dq[:, joints])
+        joints, q, dq, ddq = self.joints, motion.q, motion.dq, motion.ddq
+        links = torque_of_links(motion.problem, beta, q, dq, ddq)[:, joints]
+        sign = np.sign(dq[:, joints])
         # s is only a derivative: without the filter it does not move the solution.
         s = motion.kept(np.sign(links) * sign).T
         return motion.weighted((np.abs(links) * sign).T, joints), s
 
 
-def times(W: Array, P: Array) -> Array:
-    """Return W P (n, p, rows) of W (n, b, rows) and P (b, p)."""
-    return np.asarray(np.matmul(P.T, W))
+def load_of(problem: Problem, P: Array, known: Array) -> tuple[Load, ...]:
+    """Return the load friction of a robot; none if it has none."""
+    base = problem.base
+    places = [base.names.index(name) for name in load_parameters(base)]
+    joints = [int(problem.term_of(base.names[place]).rows[0]) for place in places]
+    return (Load(P=P, known=known, joints=joints, places=places),) if places else ()
 
 
-def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction | None:
-    """Find the load friction in the base parameters of a robot; None if there is none."""
-    found = [
-        (int(source.rows[0]), place)
-        for place, source in enumerate(model.sources[c] for c in base.columns)
-        if isinstance(source, JointTerm) and source.kind == "load"
-    ]
-    if not found:
-        return None
-    joints, places = np.array(found, dtype=np.intp).T
-    return LoadFriction(joints=joints, places=places, model=model, base=base)
-
-
-def torque_of_links(
-    model: InverseModel, base: BaseParameters, beta: Array, q: Array, dq: Array, ddq: Array
-) -> Array:
+def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Array) -> Array:
     """Compute tau_links of equation (H), the torque (N, n) of the links alone, N m or N.
 
     Parameters
     ----------
-    model, base : the robot and its b base parameters.
+    problem : has the robot and its b base parameters.
     beta : (b,) their values; those that are not of links have no part in it.
     q, dq, ddq : (N, n) motion of the joints, rad or m, per s and per s².
     """
-    links = direct_model(model, base.standard_parameters(np.where(base.links, beta, 0.0)))
+    of_links = np.where(problem.base.links, beta, 0.0)
+    links = direct_model(problem.model, problem.base.standard_parameters(of_links))
     return links.torque(q, dq, ddq)

@@ -25,7 +25,6 @@ from ..estimation import Estimate
 from .blocks import MotionBlock
 from .payload import PayloadColumns, payload_columns
 from .problem import Problem
-from .terms import times
 
 # of `own`, and of the terms of the model
 KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
@@ -71,7 +70,7 @@ class Arm:
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
         """W P."""
-        return times(motion.W, self.P)
+        return np.asarray(self.P.T @ motion.W)
 
     @property
     def own(self) -> set[str]:

@@ -69,10 +69,10 @@ class SampleWeights:
         # negative for `ROWS`
         self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
         self._last = (0, 0), np.zeros((0, 0))  # samples, and their weights
-        for at in row_blocks(problem):
-            samples = at.samples(N, settings.decimation)
+        for near, inside in row_blocks(problem):
+            samples = decimation.samples(near, N)
             off = 1 - self.between(settings.start + samples.start, settings.start + samples.stop)
-            parts.append(1 - decimation.filtered(off)[:, at.inside] / decimation.gain)
+            parts.append(1 - decimation.filtered(off)[:, inside] / decimation.gain)
         share = np.concatenate(parts, axis=1).T
         share = np.where(np.array(self.ramps) == ROWS, moving * share, share)
         self.of_rows = np.where(share > MIN_SHARE, share, 0.0)

@@ -25,7 +25,6 @@ from ..regression import (
     Motion,
     MotionBlock,
     Problem,
-    RowBlock,
     differentiate,
     row_blocks,
     rule_cutoff_hz,
@@ -169,9 +168,9 @@ class SimulatedRecording:
                 path, reason = self._simulated(model, gains)
         shown = path if reason is None else None
         if len(self.blocks) == 1:  # of a short recording made once
-            made = self._block(self.blocks[0], shown)
+            made = self._block(*self.blocks[0], shown)
             return lambda: iter((made,)), gains, reason
-        return lambda: (self._block(at, shown) for at in self.blocks), gains, reason
+        return lambda: (self._block(*at, shown) for at in self.blocks), gains, reason
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -189,9 +188,9 @@ class SimulatedRecording:
         """Return the robot with base parameters (b,)."""
         return direct_model(self.problem.model, self.problem.base.standard_parameters(beta))
 
-    def low_passed(self, of: FilteredMotion, at: RowBlock) -> Motion:
-        """Return a motion, low-passed by the rule, at the samples that a block of rows needs."""
-        span = at.samples(self.N, self.decimation.factor)
+    def low_passed(self, of: FilteredMotion, near: slice) -> Motion:
+        """Return a motion, low-passed by the rule, at the samples of these rows."""
+        span = self.decimation.samples(near, self.N)
         first, last = (self.first + self.stride * k for k in (span.start, span.stop - 1))
         return of.between(first, last + 1, self.cutoff_hz).part(slice(None, None, self.stride))
 
@@ -249,13 +248,13 @@ class SimulatedRecording:
             release_pages(path)
         return path, None
 
-    def _block(self, at: RowBlock, path: Array | None) -> MotionBlock:
+    def _block(self, near: slice, inside: slice, path: Array | None) -> MotionBlock:
         """A block of a simulated path, linear between steps, or of the predicted motion."""
         problem, fs = self.problem, self.problem.signals.sample_rate_hz
         if path is None:
-            x = self.low_passed(predicted_motion(problem), at)
+            x = self.low_passed(predicted_motion(problem), near)
         else:
-            span = at.samples(self.N, self.decimation.factor)
+            span = self.decimation.samples(near, self.N)
             k = np.arange(span.start, span.stop)
             steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
             q, dq = _on_lines(steps, path[:2])
@@ -266,7 +265,9 @@ class SimulatedRecording:
             x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
             if self.instants > CHUNK:
                 release_pages(path)
-        return MotionBlock(**vars(x), problem=problem, at=at, decimation=self.decimation)
+        return MotionBlock(
+            **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
+        )
 
 
 def _on_lines(at: Array, x: Array) -> Array:

@@ -43,6 +43,7 @@ from identification.model import (
     base_parameters,
     described_parameters,
     direct_model,
+    load_parameters,
     obstacles_of,
     torque_of_links,
     torque_without_sliding,
@@ -50,7 +51,6 @@ from identification.model import (
 from identification.regression import (
     Overrides,
     equation_alone,
-    load_friction,
     make_problem,
     rows_of_recording,
 )
@@ -729,7 +729,8 @@ def test_efforts_count_load_friction_against_the_motion():
     n = robot.n
     of_links = torque_of_links(direct, motion)
     smooth = torque_without_sliding(direct, motion, of_links)[0]
-    mu = described_parameters(model, base)[list(load_friction(model, base).places)]
+    at = [base.names.index(name) for name in load_parameters(base)]
+    mu = described_parameters(model, base)[at]
     scaled = limits.effort.directions / limits.allowed[:, None]
     expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
     used, _ = limits.shares_and_slopes(motion)
