@@ -28,7 +28,7 @@ from .diagnostics import (
     autoregression,
     chi_squared_quantile,
     f_tail,
-    f_tests,
+    f_test,
     first_stage,
     relative_error_percent,
     t_quantile,
@@ -37,7 +37,6 @@ from .diagnostics import (
 from .estimators import (
     MIN_COLUMN_NORM,
     Estimate,
-    Reduction,
     essential_parameters,
     instrumental_variables,
     one_thread,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..report import TorqueResidual
+from ..report import FTest, TorqueResidual
 from .system import inverse_factor
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
@@ -120,20 +120,21 @@ def chi_squared_quantile(tail: float, freedom: int) -> float:
     return _root(lambda x: _chi_squared_tail(x, freedom) - tail)
 
 
-def f_tests(
-    F: float, dropped: int, rows: float, b: int, correlation: float
-) -> tuple[float, float, float, float]:
-    """F and its p-value for `dropped` of b parameters, and both corrected for the
-    residual's correlation c at a lag of one row: by the share (1 - c)/(1 + c) of
-    independent rows, all for a negative c.
+def f_test(
+    names: tuple[str, ...], F: float, dropped: int, rows: float, b: int, correlation: float
+) -> FTest:
+    """The test of F for `dropped` of b parameters, also corrected for the residual's
+    correlation c at a lag of one row: by the share (1 - c)/(1 + c) of independent rows, all for a
+    negative c.
     """
     c = max(0.0, correlation)
     share = (1.0 - c) / (1.0 + c)
-    return (
-        F,
-        f_tail(F, dropped, rows - b),
-        F * share,
-        f_tail(F * share, dropped, max(1.0, rows * share - b)),
+    return FTest(
+        names=names,
+        F=F,
+        p_value=f_tail(F, dropped, rows - b),
+        F_effective=F * share,
+        p_effective=f_tail(F * share, dropped, max(1.0, rows * share - b)),
     )
 
 

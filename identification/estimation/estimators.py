@@ -7,18 +7,21 @@ is that of the authors' scripts and published deviations; it makes sigma smaller
 the EMPS, 1.3 % on the TX40).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar, cast
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ..arrays import Array
 from ..errors import NoFitError
-from .diagnostics import f_tests
+from ..report import FTest
+from .diagnostics import f_test
 from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_deficiency
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -99,23 +102,6 @@ class Estimate:
         return np.array([values.get(name, 0.0) for name in names])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reduction:
-    """A reduced model, and the F test of the parameters left out (Gautier2013).
-
-    `F` and `p_value` assume white residuals; `F_effective` and `p_effective` are corrected
-    for the residual's correlation. All are NaN where nothing was left out. `kept` are
-    indices in the full model.
-    """
-
-    estimate: Estimate
-    kept: NDArray[np.intp]
-    F: float
-    p_value: float
-    F_effective: float
-    p_effective: float
-
-
 def ordinary_least_squares(system: System) -> Estimate:
     """Solve the rows by least squares without weights.
 
@@ -136,15 +122,16 @@ def ordinary_least_squares(system: System) -> Estimate:
     return _estimated(system, np.ones(len(system.rows)))
 
 
-def weighted_least_squares(system: System) -> Estimate:
-    """Solve the rows by least squares, those of joint j divided by s_j, the residual deviation of
-    its own least squares.
+def weighted_least_squares(system: System, weights: Array | None = None) -> Estimate:
+    """Solve the rows by least squares, those of joint j divided by s_j, by default the residual
+    deviation of its own least squares.
 
         min |S (Y - W beta)|²,     S = 1/s_j in rows of joint j                          (B)
 
     Parameters
     ----------
     system : rows W (r, b) and Y (r,), Y in N m or N.
+    weights : (n,) 1/s_j, 1/(N m) or 1/N, if they are known.
 
     Returns
     -------
@@ -155,7 +142,7 @@ def weighted_least_squares(system: System) -> Estimate:
     NoFitError : there are no more rows than parameters, or W is rank deficient; parameters that
         are not excited or not distinguishable are named.
     """
-    return _estimated(system, joint_weights(system))
+    return _estimated(system, joint_weights(system) if weights is None else weights)
 
 
 def joint_weights(system: System) -> Array:
@@ -194,7 +181,7 @@ def _reciprocal(s: Array) -> Array:
 
 def essential_parameters(
     system: System, full: Estimate, *, correlation: float, ratio: float = 30.0
-) -> Reduction:
+) -> FTest:
     """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio ·
     min %sigma (Gautier2013).
 
@@ -210,11 +197,8 @@ def essential_parameters(
 
     Returns
     -------
-    The estimate of the parameters kept, their places, and the F test against `full`.
-
-    Raises
-    ------
-    NoFitError : as `weighted_least_squares`.
+    The names of the parameters kept, and the F test against `full`, whose figures are NaN where
+    none was dropped.
     """
     # Columns are dropped from the R factor: each pass costs b³, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
@@ -223,7 +207,8 @@ def essential_parameters(
         some = R[:, kept]
         return _solve(orthonormal(some), some, R[:, -1])
 
-    kept, tested = np.arange(b), (float("nan"),) * 4
+    kept, nan = np.arange(b), math.nan
+    tested = FTest(names=(), F=nan, p_value=nan, F_effective=nan, p_effective=nan)
     beta, bread, norm, _ = solved(kept)
     while len(kept) > 1:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -238,20 +223,12 @@ def essential_parameters(
                 / (b - len(fewer))
                 / (full.residual_norm**2 / (r - b))
             )
-            outcome = f_tests(F, b - len(fewer), r, b, correlation)
-            if outcome[3] < F_TEST_LEVEL:
+            outcome = f_test((), F, b - len(fewer), r, b, correlation)
+            if (outcome.p_effective or 0.0) < F_TEST_LEVEL:
                 break
             tested = outcome
         kept = fewer
-    F, p, F_effective, p_effective = tested
-    return Reduction(
-        estimate=_estimated(system.with_columns(kept), full.weights),
-        kept=kept,
-        F=F,
-        p_value=p,
-        F_effective=F_effective,
-        p_effective=p_effective,
-    )
+    return msgspec.structs.replace(tested, names=tuple(system.names[k] for k in kept))
 
 
 def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:

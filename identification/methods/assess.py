@@ -13,7 +13,7 @@ from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     autocorrelation,
-    f_tests,
+    f_test,
     release_memory,
     spans_of,
     torque_errors,
@@ -190,10 +190,7 @@ def own_test(model: Model, x: Array, ls: LeastSquares) -> FTest | None:
     rho = (rows.tau - model.predicted(x, full)) * full.weights * rows.counts
     extra, freedom = len(names) - len(shared), full.rows - len(names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
-    F, p, F_effective, p_effective = f_tests(
-        F, extra, full.rows, len(names), autocorrelation(rho) or 0.0
-    )
-    return FTest(names=own, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
+    return f_test(own, F, extra, full.rows, len(names), autocorrelation(rho) or 0.0)
 
 
 def _warnings(model: Model) -> tuple[str, ...]:

@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.robot import ripple_notes
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals, Reduction
+from ..estimation import Estimate, Intervals
 from ..model import BaseParameters
 from ..regression import Arm, Lag, Problem, Rows, Settings, base_places
 from ..report import DirectModelResidual, FTest, Method, Status, TorqueResidual
@@ -152,8 +153,8 @@ class LeastSquares:
     Attributes:
         of_full: intervals of `full`.
         estimate: `full`, or that of the essential parameters if only these were requested.
-        full, essential: the estimate of all base parameters, and the reduction
-            to the essential ones.
+        full: the estimate of all base parameters.
+        essential: names of the essential ones, and the F test of leaving out the others.
         tau_predicted: (rows, n) decimated torque that `estimate` predicts.
     """
 
@@ -161,7 +162,7 @@ class LeastSquares:
     intervals: Intervals
     full: Estimate
     of_full: Intervals
-    essential: Reduction
+    essential: FTest
     tau_predicted: Array
 
     def of_base(self) -> "LeastSquares":
@@ -169,31 +170,26 @@ class LeastSquares:
         one, all_ = (base_places(e.names) for e in (self.estimate, self.full))
         if len(all_) == len(self.full.names):
             return self
-        essential = self.essential.estimate
-        essential = essential.part(base_places(essential.names))
+        names = self.essential.names
+        names = tuple(names[i] for i in base_places(names))
         return replace(
             self,
             estimate=self.estimate.part(one),
             intervals=self.intervals.part(one),
             full=self.full.part(all_),
             of_full=self.of_full.part(all_),
-            essential=replace(self.essential, estimate=essential),
+            essential=msgspec.structs.replace(self.essential, names=names),
         )
 
     def without_rows(self) -> "LeastSquares":
         """The same without the Q of the estimates, each as large as W."""
-        essential = replace(self.essential, estimate=self.essential.estimate.without_rows())
-        return replace(
-            self,
-            estimate=self.estimate.without_rows(),
-            full=self.full.without_rows(),
-            essential=essential,
-        )
+        estimate, full = self.estimate.without_rows(), self.full.without_rows()
+        return replace(self, estimate=estimate, full=full)
 
 
-def essential_names(essential: Reduction, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
+def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    reduced, narrow = set(essential.estimate.names), found.half < np.abs(estimate.beta)
+    reduced, narrow = set(essential.names), found.half < np.abs(estimate.beta)
     names = (estimate.names[i] for i in base_places(estimate.names) if narrow[i])
     return tuple(name for name in names if name in reduced)
 
@@ -353,8 +349,8 @@ class Fit:
         return self.problem.base
 
     @property
-    def essential(self) -> Reduction:
-        """The essential parameters, by least squares."""
+    def essential(self) -> FTest:
+        """The essential parameters, by least squares, and the test of leaving out the others."""
         return self.least_squares.essential
 
     @property

@@ -77,13 +77,7 @@ def fit_file(fit: Fit) -> report.FitFile:
         payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
         law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,
         **consistent_keys(fit),
-        essential=report.FTest(
-            names=fit.essential_names,
-            **{
-                key: getattr(fit.essential, key)
-                for key in ("F", "p_value", "F_effective", "p_effective")
-            },
-        ),
+        essential=msgspec.structs.replace(fit.essential, names=fit.essential_names),
         description={
             name: signals.robot.files[name].decode("utf-8", errors="replace")
             for name in ("robot.toml", "robot.urdf")

@@ -159,10 +159,10 @@ def _essential_line(fit: Fit) -> str:
         len(fit.essential_names),
         len(fit.least_squares.full.names),
     )
-    by, kept = " (by least squares)" if fit.iv else "", len(reduction.estimate.names)
+    by, kept = " (by least squares)" if fit.iv else "", len(reduction.names)
     line = f"{count} of {of} parameters determined{by}"
     line += f", {kept - count} unclear: an interval wider than the value" if kept > count else ""
-    if not math.isfinite(reduction.F):
+    if reduction.F is None or not math.isfinite(reduction.F):
         return line
     return (
         f"{line}, {of - kept} without effect on the torque: F test p = {reduction.p_value:.2g} "

@@ -79,7 +79,8 @@ class Loop:
         self.fitted = np.arange(len(names))
         if essential:
             others = np.delete(self.fitted, base_places(names))
-            self.fitted = np.union1d(self.ls.essential.kept, others)
+            kept = [names.index(name) for name in self.ls.essential.names]
+            self.fitted = np.union1d(kept, others)
 
     def along(
         self, x: Array, asked: Asked | None, *, tests: bool, of_lag: bool

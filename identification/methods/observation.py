@@ -121,9 +121,7 @@ def position_noise_line(
     except NoFitError as error:
         return TrustLine(NAME, "cannot tell", f"{error.args[0]}: {ADVICE}")
     names = [
-        name
-        for name in ls.essential.estimate.names
-        if name in plain.names and name in ls.estimate.names
+        name for name in ls.essential.names if name in plain.names and name in ls.estimate.names
     ]
     indices = np.array([ls.estimate.names.index(name) for name in names])
     beta, half = plain.values_of(tuple(names)), ls.intervals.half[indices]

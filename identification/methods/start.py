@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import estimation
 from ..arrays import Array
 from ..errors import BadInputError, NoFitError
 from ..estimation import (
     Estimate,
     System,
     autocorrelation,
+    essential_parameters,
     instrumental_variables,
     intervals_of,
     r_factor,
@@ -193,20 +193,18 @@ def solution_of(found: Solution, *, essential: bool) -> LeastSquares:
     rho = (tau - predicted) * full.weights * rows.counts
     system = rows.of(np.arange(len(full.names)))
     of_full = intervals_of(system, full)
-    reduction = estimation.essential_parameters(
-        system, full, correlation=autocorrelation(rho) or 0.0
-    )
+    kept = essential_parameters(system, full, correlation=autocorrelation(rho) or 0.0)
     estimate = full
     if essential:
-        system = system.with_columns(reduction.kept)
-        estimate = model.combined(system, reduction.estimate)
+        system = system.with_columns(np.flatnonzero(np.isin(full.names, kept.names)))
+        estimate = model.combined(system, weighted_least_squares(system, full.weights))
         predicted = model.predicted(found.x, estimate)
     return LeastSquares(
         estimate=estimate,
         intervals=intervals_of(system, estimate),
         full=full,
         of_full=of_full,
-        essential=reduction,
+        essential=kept,
         tau_predicted=predicted,
     )
 

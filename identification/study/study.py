@@ -124,7 +124,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
             low=fit.intervals.low,
             high=fit.intervals.high,
             verdict=fit.trust.verdict,
-            essential=np.isin(np.arange(base.b), fit.essential.kept),
+            essential=np.isin(base.names, fit.essential.names),
             positive=why_not_positive(model.inertia(poses_of(signals.q))) is None,
         )
 

@@ -46,7 +46,7 @@ def true_values(name: str) -> dict[str, float]:
 
 def is_harmed(fit: Fit, name: str) -> bool:
     """Whether an essential parameter is off by over 3 half-widths and 2 % of its value."""
-    true, essential = true_values(name), {fit.base.names[k] for k in fit.essential.kept}
+    true, essential = true_values(name), set(fit.essential.names)
     found = zip(fit.estimate.names, fit.estimate.beta, fit.intervals.half, strict=True)
     off = (
         (abs(beta - true[key]), half, abs(true[key]))

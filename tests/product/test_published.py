@@ -26,7 +26,7 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
     assert len(found) == 60
     for name, earlier in EARLIER.items():
         assert abs(found[name][0] - earlier) <= max(3 * found[name][1], 0.06 * earlier), name
-    assert 26 <= len(fit.essential.kept) <= 28
+    assert 26 <= len(fit.essential.names) <= 28
     assert fit.essential.p_effective > 0.01
 
 

@@ -93,7 +93,7 @@ def test_the_f_test_of_the_reduction_is_the_formula():
     problem = System.whole(W, Y, np.zeros(12, dtype=int), tuple("abcde"))
     full = ordinary_least_squares(problem)
     reduced = essential_parameters(problem, full, correlation=0.2)
-    assert reduced.estimate.names == ("a", "c", "e")
+    assert reduced.names == ("a", "c", "e")
     rss = {}
     for kept in ((0, 1, 2, 3, 4), (0, 2, 4)):
         A = W[:, kept]
@@ -134,7 +134,7 @@ def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
     full = ordinary_least_squares(problem)
     np.testing.assert_allclose(full.sigma_percent, [5.0, 100 / 1.5])
     reduced = essential_parameters(problem, full, correlation=0.0, ratio=ratio)
-    assert reduced.estimate.names == kept
+    assert reduced.names == kept
     if len(kept) == 1:
         assert pytest.approx(1.5**2 * 38 / 39) == reduced.F
 

@@ -59,7 +59,7 @@ def half_widths_off(fit: Fit) -> float:
     half-widths of its interval.
     """
     apart = off(fit, description(REPLAY / "tx40" / "robot.toml"))
-    essential = np.isin(fit.estimate.names, fit.least_squares.essential.estimate.names)
+    essential = np.isin(fit.estimate.names, fit.essential.names)
     return float(apart[essential].max())
 
 

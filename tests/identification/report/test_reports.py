@@ -5,6 +5,7 @@ then what is essential.
 import re
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
@@ -23,8 +24,8 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 
 def with_essential(fit, names):
-    reduction = replace(fit.essential, estimate=replace(fit.essential.estimate, names=names))
-    least_squares = replace(fit.least_squares, essential=reduction)
+    essential = msgspec.structs.replace(fit.essential, names=names)
+    least_squares = replace(fit.least_squares, essential=essential)
     return replace(fit, least_squares=least_squares, warnings=("a wrong gain",))
 
 
@@ -66,9 +67,8 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
     by = np.where(np.isin(names, wide), 1.5 * np.abs(fit.beta), fit.intervals.half)
     intervals = replace(fit.intervals, low=fit.beta - by, high=fit.beta + by)
     fit = replace(with_essential(fit, kept), intervals=intervals)
-    fit = replace(
-        fit, least_squares=replace(fit.least_squares, essential=replace(fit.essential, F=1.0))
-    )
+    essential = msgspec.structs.replace(fit.essential, F=1.0)
+    fit = replace(fit, least_squares=replace(fit.least_squares, essential=essential))
     expected = {name for name in kept if name not in wide}
     document, file = fit_document(signals_of(SCARA), fit), fit_file(fit)
     assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected

@@ -201,7 +201,7 @@ def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
     told = essential_test(replace(evidence, essential=("Fv1", "Fc1", "Fc2")))
     assert (told.level, told.finding) == ("caution", "no inertia is determined")
     fit, _ = examined("wls", "scara")
-    assert set(fit.essential_names) <= set(fit.essential.estimate.names)
+    assert set(fit.essential_names) <= set(fit.essential.names)
     wide = replace(
         fit.intervals,
         low=fit.intervals.low - np.abs(fit.beta),
