@@ -2,8 +2,6 @@
 stamps do not show them.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..arrays import Array
@@ -20,33 +18,22 @@ ROUNDING = 1e-9  # of the largest position: smaller steps count as none
 _BLOCK_ROWS, _ROWS_AT_ONCE = 256, 100_000
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PositionSteps:
-    """Counts of a recording's position steps, each compared with the median of its four neighbours.
+def position_steps(q: Array) -> tuple[Array, Array]:
+    """Count the steps of positions q (N, n), whose rows are nominally evenly spaced in time, each
+    compared with the median of its four neighbours.
 
-    Attributes:
-        moving: steps far above noise and quanta; all joints together.
-        lost: missing rows, where a step is a multiple of its neighbours; repeated: rows without a
-            step; held: rows without a step, compensated by the next step.
-        coarse: (n, 3) steps of each joint above its noise; of those within a few quanta, the double
-            steps and the zero steps.
+    Returns
+    -------
+    Of all joints together: missing rows, where a step is a multiple of its neighbours; rows without
+    a step; rows without a step, compensated by the next step; and all steps far above noise and
+    quanta. By joint (n, 3): steps above its noise; of those within a few quanta, the double
+    steps and the zero steps.
     """
-
-    moving: int
-    lost: int
-    repeated: int
-    held: int
-    coarse: Array
-
-
-def position_steps(q: Array) -> PositionSteps:
-    """The counts of positions q (N, n) whose rows are nominally evenly spaced in time."""
     whole, coarse = np.zeros(4, dtype=int), np.zeros((q.shape[1], 3), dtype=int)
     for start in range(0, max(1, len(q) - 5), _ROWS_AT_ONCE):
         of_block, of_joints = _count(q[start : start + _ROWS_AT_ONCE + 5])
         whole, coarse = whole + of_block, coarse + of_joints
-    moving, lost, repeated, held = map(int, whole)
-    return PositionSteps(moving=moving, lost=lost, repeated=repeated, held=held, coarse=coarse)
+    return whole, coarse
 
 
 def _count(q: Array) -> tuple[Array, Array]:
@@ -96,7 +83,7 @@ def _count(q: Array) -> tuple[Array, Array]:
         np.abs(parts - 2) < MAX_ERROR,
         np.abs(parts) < MAX_ERROR,
     ]
-    counts = moving.sum(), net[net > 0].sum(), -net[net < 0].sum(), held.sum()
+    counts = net[net > 0].sum(), -net[net < 0].sum(), held.sum(), moving.sum()
     return np.array(counts).astype(int), np.stack([part.sum(axis=0) for part in by_joint], axis=1)
 
 

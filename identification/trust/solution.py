@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from .. import estimation
-from ..data import PositionSteps, position_steps
+from ..arrays import Array
+from ..data import position_steps
 from ..errors import NoFitError
 from ..model import JointTerm
 from ..regression import Problem, base_name, base_places, standing_joints
@@ -249,10 +250,10 @@ def rows_test(e: FitData) -> TrustLine | None:
     """The recording with most missing or repeated rows; else those with rows that nobody measured,
     or one whose encoders are slower than the log.
     """
-    every = [position_steps(problem.used_positions()) for problem in e.problems]
+    each = (position_steps(problem.used_positions()) for problem in e.problems)
+    counted, coarse = zip(*each, strict=True)
     places = [f"{name}: " if len(e.names) > 1 else "" for name in e.names]
-    counted = np.array([[x.lost, x.repeated, x.held, x.moving] for x in every], dtype=float)
-    shares = 100 * counted[:, :3] / np.maximum(counted[:, 3:], 1)
+    shares = np.array([100 * of[:3] / max(of[3], 1) for of in counted])
     least = np.maximum(MAX_MISSING_PERCENT, MAX_HELD_RATIO * shares[:, 2:])
     surplus = shares[:, :2] * (shares[:, :2] > least)
     k = int(surplus.sum(axis=1).argmax())
@@ -260,7 +261,7 @@ def rows_test(e: FitData) -> TrustLine | None:
     finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
     notes = (
         (place, one.signals.unmeasured or _slow_encoder(one, steps, float(held)))
-        for place, one, steps, held in zip(places, e.problems, every, shares[:, 2], strict=True)
+        for place, one, steps, held in zip(places, e.problems, coarse, shares[:, 2], strict=True)
     )
     return first_case(
         "rows",
@@ -276,11 +277,11 @@ def rows_test(e: FitData) -> TrustLine | None:
     )
 
 
-def _slow_encoder(problem: Problem, steps: PositionSteps, held: float) -> str:
+def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
     """The note on positions that stand for one row and jump in the next,
     which are not missing rows.
     """
-    percent = 100 * steps.coarse[:, 1:] / np.maximum(steps.coarse[:, :1], 1)
+    percent = 100 * coarse[:, 1:] / np.maximum(coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
     slow = zip(problem.signals.robot.joints, both, strict=True)
     if names := ", ".join(joint.name for joint, it in slow if it):
