@@ -2,7 +2,6 @@
 recordings are of one robot.
 """
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -280,14 +279,6 @@ class RecordingFile:
         if self.payload in stated:
             return replace(signals, payload=stated[self.payload])
         return replace(signals, payload=parse_payload(self.payload, signals.robot))
-
-    @property
-    def key(self) -> str:
-        """The key of the signals in a cache."""
-        return (
-            f"{self.path} {hashlib.sha256(repr(self.description).encode()).hexdigest()} "
-            f"{self.payload}"
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -130,13 +130,6 @@ class Signals:
                 release_pages(array)
 
     @property
-    def lag_group(self) -> tuple[str, str, float]:
-        """What is equal in recordings whose torques have one lag: effort object,
-        effort timing and rate.
-        """
-        return self.effort_object, self.effort_timing, self.sample_rate_hz
-
-    @property
     def of_drives(self) -> bool:
         """Whether efforts are objects of drives, which have internal loops."""
         return ": object " in self.provenance

@@ -12,7 +12,6 @@ from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..estimation import Estimate, System, combined, release_memory
-from ..model import load_parameters
 from ..regression import (
     NOTHING,
     Candidate,
@@ -100,11 +99,12 @@ class Model:
             found.append(equation_of(problem, self.unknowns, k))
         return tuple(found)
 
-    @property
+    @cached_property
     def load(self) -> NDArray[np.intp]:
         """Places of the parameters of load friction in x."""
-        names = load_parameters(self.problem.base)
-        return np.array([self.names.index(name) for name in names], dtype=np.intp)
+        names, of = self.problem.base.names, self.equations[0].load
+        places = [self.names.index(names[place]) for term in of for place in term.places]
+        return np.array(places, dtype=np.intp)
 
     @property
     def exogenous(self) -> bool:
@@ -134,12 +134,11 @@ class Model:
         """x with the values of an estimate; those of the free unknowns that it lacks are zero,
         gains stay.
         """
-        found, own = x.copy(), slice(0, len(self.names))
-        found[own] = estimate.values_of(self.names)
-        lacks = [
-            i for i in range(len(x))[self.unknowns.gains] if self.names[i] not in estimate.names
+        gains, names, found = self.unknowns.gains, self.names, x.copy()
+        found[: gains.start] = 0.0
+        found[: len(names)] = [
+            estimate.by_name.get(name, own) for name, own in zip(names, found, strict=False)
         ]
-        found[lacks] = x[lacks]
         return found
 
     def concluded(self, x: Array) -> tuple[Problem, ...]:

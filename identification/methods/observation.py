@@ -185,8 +185,7 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
     """With the weights of samples as they are."""
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
-    signals = replace(problem.signals, q=q)
-    noisy = replace(problem, signals=signals, motion=FilteredMotion(signals))
+    noisy = replace(problem, motion=FilteredMotion(problem.signals, q))
     return regression.with_weights_of(noisy, problem)
 
 

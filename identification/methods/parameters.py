@@ -128,13 +128,12 @@ def stored_settings(
             lag.effort_timing,
             stored.sample_rate_hz,
         )
-        names = zip(
-            ("effort object", "effort timing", "rate in Hz"), fitted, signals.lag_group, strict=True
-        )
+        here = signals.effort_object, signals.effort_timing, signals.sample_rate_hz
+        names = zip(("effort object", "effort timing", "rate in Hz"), fitted, here, strict=True)
         others = [
-            f"its {name} is {here}, that of the fit {there}"
-            for name, there, here in names
-            if here != there
+            f"its {name} is {own}, that of the fit {there}"
+            for name, there, own in names
+            if own != there
         ]
         lag_s = None if others else lag.value_s
         if others and given.torque_lag_s is None:

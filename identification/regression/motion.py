@@ -47,17 +47,17 @@ class Motion:
 
 
 class FilteredMotion:
-    """Motion of a recording at any cut-off; each cut-off is filtered once, unless
-    the recording is long.
+    """Motion of a recording, or other positions (N, n) with its torque, at any cut-off; each
+    cut-off is filtered once, unless the recording is long.
     """
 
-    def __init__(self, signals: Signals) -> None:
-        self._signals = signals
+    def __init__(self, signals: Signals, q: Array | None = None) -> None:
+        self._signals, self._q = signals, signals.q if q is None else q
         self._filtered: dict[float, Array] = {}
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
-        s, q, fs = self._signals, self._signals.q, self._signals.sample_rate_hz
+        s, q, fs = self._signals, self._q, self._signals.sample_rate_hz
         if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
             if cutoff_hz not in self._filtered:
                 self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, fs)
@@ -65,8 +65,8 @@ class FilteredMotion:
         motion = motion_between(
             q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop
         )
-        if q is s.q:
-            release_pages(s.q)
+        if q is self._q:
+            release_pages(q)
             release_pages(s.torque)
         return motion
 

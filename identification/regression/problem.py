@@ -1,7 +1,6 @@
 """The input of a fit: a recording, the settings, the model of the robot and its base parameters."""
 
 import math
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -157,19 +156,20 @@ class Problem:
         """The same with its samples, read and filtered once per process."""
         if len(self.signals.q) or self.source is None:
             return self
-        if isinstance(self.source, Signals):
-            return self._of(self.source)
-        key = f"{self.source.key} {self.signals.robot.identified_gain is None}"
-        if key not in _cache:
-            _cache[key] = self._of(self.source.load())
-            while (
-                len(_cache) > 1
-                and sum(p.signals.q.size for p in _cache.values()) > MAX_CACHED_NUMBERS
-            ):
-                _cache.popitem(last=False)
-        _cache.move_to_end(key)
-        found = _cache[key]
-        return replace(self, signals=found.signals, motion=found.motion)
+        key = self.source, self.signals.robot.identified_gain is None
+        signals, motion = _read.pop(key) if key in _read else self._read_again(self.source)
+        if isinstance(self.source, RecordingFile):
+            _read[key] = signals, motion
+        while len(_read) > 1 and sum(s.q.size for s, _ in _read.values()) > MAX_CACHED_NUMBERS:
+            del _read[next(iter(_read))]
+        return replace(self, signals=signals, motion=motion)
+
+    def _read_again(self, source: Signals | RecordingFile) -> tuple[Signals, FilteredMotion]:
+        signals = source if isinstance(source, Signals) else source.load()
+        # with its bandwidth
+        robot, motion_hz = self.signals.robot, self.signals.motion_hz
+        signals = replace(signals, robot=robot, motion_hz=motion_hz)
+        return signals, FilteredMotion(signals)
 
     def beginning(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it
@@ -189,13 +189,6 @@ class Problem:
         motion = FilteredMotion(signals)
         return replace(self, signals=signals, source=None, motion=motion, settings=settings)
 
-    def _of(self, signals: Signals) -> "Problem":
-        # with its bandwidth
-        robot = replace(signals.robot, controller=self.signals.robot.controller)
-        robot = replace(robot, identified_gain=self.signals.robot.identified_gain)
-        signals = replace(signals, robot=robot, motion_hz=self.signals.motion_hz)
-        return replace(self, signals=signals, motion=FilteredMotion(signals))
-
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
         """The same without friction terms that are regrouped with nothing;
         warnings have the reasons.
@@ -208,7 +201,8 @@ class Problem:
         return replace(self, settings=replace(self.settings, torque_lag_s=lag_s), gains=gains)
 
 
-_cache: OrderedDict[str, Problem] = OrderedDict()  # of this process, in order of use
+# in this process, in the order of use
+_read: dict[tuple[Signals | RecordingFile, bool], tuple[Signals, FilteredMotion]] = {}
 
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:

@@ -150,11 +150,14 @@ class Rows:
     def of(self, places: NDArray[np.intp]) -> System:
         """The system of some of the free unknowns; the others are held at x."""
         system, held = self.system, np.delete(np.arange(len(self.system.names)), places)
-        Y = system.Y - system.W[:, held] @ self.x[held] if len(held) else system.Y
-        return replace(system, Y=Y).with_columns(places)
+        if not len(held):
+            return system
+        return replace(system, Y=system.Y - system.W[:, held] @ self.x[held]).with_columns(places)
 
     def without(self, names: Collection[str]) -> "Rows":
         """The same without the columns of some parameters."""
+        if not names:
+            return self
         stay = np.array([name not in names for name in self.system.names])
         x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
         Z = self.Z[:, stay] if self.Z.size else self.Z

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..model import direct_model, load_parameters
+from ..model import direct_model
 from .blocks import MotionBlock
 from .problem import Problem
 
@@ -132,10 +132,12 @@ class Load:
 
 def load_of(problem: Problem, P: Array, known: Array) -> tuple[Load, ...]:
     """Return the load friction of a robot; none if it has none."""
-    base = problem.base
-    places = [base.names.index(name) for name in load_parameters(base)]
-    joints = [int(problem.term_of(base.names[place]).rows[0]) for place in places]
-    return (Load(P=P, known=known, joints=joints, places=places),) if places else ()
+    sources = [problem.model.sources[c] for c in problem.base.columns]
+    found = {
+        i: of for i, of in enumerate(sources) if isinstance(of, JointTerm) and of.kind == "load"
+    }
+    joints = [int(of.rows[0]) for of in found.values()]
+    return (Load(P=P, known=known, joints=joints, places=list(found)),) if found else ()
 
 
 def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Array) -> Array:

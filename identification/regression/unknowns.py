@@ -83,7 +83,7 @@ class Arm:
 
     def values(self, estimate: Estimate) -> Array:
         """(b,) base parameters by an estimate, in which unknowns that it lacks are zero."""
-        return np.asarray(self.P @ estimate.values_of(self.unknowns) + self.known)
+        return self.beta(np.array([estimate.by_name.get(name, 0.0) for name in self.unknowns]))
 
     def settled(self, estimate: Estimate) -> "Arm":
         """The same with all of the payload known, by an estimate."""
@@ -120,7 +120,7 @@ class Unknowns:
         names: (f,) of the free ones: base parameters, those of an own kind in sequence; payloads;
             gains of motors.
         arms: by recording.
-        motors: whose gains are free.
+        motors: whose gains are free; `gains`: their places.
         payloads: of the recordings, each once.
         held: what is stated.
         groups: places of the recordings with a common lag: those of the same effort object, timing
@@ -130,6 +130,7 @@ class Unknowns:
     names: tuple[str, ...]
     arms: tuple[Arm, ...]
     motors: tuple[int, ...]
+    gains: slice
     payloads: tuple[PayloadColumns, ...]
     held: tuple[Held, ...]
     groups: tuple[tuple[int, ...], ...]
@@ -147,7 +148,7 @@ class Unknowns:
     @property
     def arm(self) -> NDArray[np.intp]:
         """Places of the free unknowns but gains."""
-        return np.arange(len(self.names) - len(self.motors))
+        return np.arange(self.gains.start)
 
     def start(self, lags_s: Sequence[float]) -> Array:
         """x (p,) of nothing but described gains, what is stated, and known lags."""
@@ -171,11 +172,6 @@ class Unknowns:
     def own(self) -> tuple[str, ...]:
         """Names of the base parameters that are of one recording each."""
         return tuple(name for name in self.names if "@" in name)
-
-    @property
-    def gains(self) -> slice:
-        """Places of the gains."""
-        return slice(len(self.names) - len(self.motors), len(self.names))
 
     def simulated(self, x: Array, C: Array | None) -> list[tuple[Array, Array | None, Array]]:
         """By recording what is simulated for x: base parameters (b,), their covariance without the
@@ -258,6 +254,7 @@ def make_unknowns(
         names=free,
         arms=arms,
         motors=motors,
+        gains=slice(len(names), len(free)),
         payloads=payloads,
         held=tuple(held),
         groups=groups,
@@ -269,7 +266,8 @@ def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
     groups: dict[object, list[int]] = {}
     for k, problem in enumerate(problems):
         signals, known = problem.signals, problem.settings.known_lag
-        groups.setdefault((*signals.lag_group, known.sd_s == 0.0 and known.value_s), []).append(k)
+        same = signals.effort_object, signals.effort_timing, signals.sample_rate_hz
+        groups.setdefault((*same, known.sd_s == 0.0 and known.value_s), []).append(k)
     return tuple(map(tuple, groups.values()))
 
 

@@ -8,7 +8,6 @@ late, which stands for the loop's lags. q^ = r + that has no noise of the positi
 along it are exogenous by construction. What sticks is not predicted: there they are less efficient.
 """
 
-from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -43,9 +42,8 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
         return problem.motion
     made = _made.setdefault(problem.motion, {})
     if span not in made:
-        made[span] = FilteredMotion(
-            replace(signals, q=_predicted_positions(signals.q, signals.q_ref, problem, span))
-        )
+        predicted = _predicted_positions(signals.q, signals.q_ref, problem, span)
+        made[span] = FilteredMotion(signals, predicted)
     return made[span]
 
 
