@@ -260,12 +260,8 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
     """The model without the friction terms, other than load friction, whose columns are nearly a
     sum of others; and its rows.
     """
-    of, base = model.problem.model, model.problem.base
-    kinds = {
-        name: getattr(of.sources[c], "kind", None)
-        for name, c in zip(base.names, base.columns, strict=True)
-    }
-    shapes = [name for name, kind in kinds.items() if kind in SHAPES and kind != "load"]
+    kinds = zip(model.problem.base.names, model.problem.kinds, strict=True)
+    shapes = [name for name, kind in kinds if kind in SHAPES and kind != "load"]
     left_out = dict[str, str]()
     refuse_standing_joints(model, rows.share)
     places = np.arange(len(model.names))

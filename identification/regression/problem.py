@@ -92,6 +92,11 @@ class Problem:
         """
         return np.asarray(self.with_samples().signals.t_s[self.settings.instants])
 
+    @property
+    def kinds(self) -> list[str]:
+        """(b,) kinds of the base parameters that are of joints; empty for those of links."""
+        return [getattr(self.model.sources[c], "kind", "") for c in self.base.columns]
+
     def term_of(self, name: str) -> JointTerm:
         """The term of a joint that a base parameter stands for alone."""
         source = self.model.sources[self.base.columns[self.base.names.index(name)]]
@@ -107,11 +112,11 @@ class Problem:
         """Whether columns are computed at every sample: beside those of drives and of load
         friction, others are not exact enough.
         """
-        robot, sources = self.signals.robot, [self.model.sources[c] for c in self.base.columns]
+        robot = self.signals.robot
         return (
             robot.identified_gain is not None
             or any(motor.drive_gain_half_width for motor in robot.motors)
-            or any(getattr(source, "kind", "") == "load" for source in sources)
+            or "load" in self.kinds
         )
 
     @property

@@ -132,12 +132,9 @@ class Load:
 
 def load_of(problem: Problem, P: Array, known: Array) -> tuple[Load, ...]:
     """Return the load friction of a robot; none if it has none."""
-    sources = [problem.model.sources[c] for c in problem.base.columns]
-    found = {
-        i: of for i, of in enumerate(sources) if isinstance(of, JointTerm) and of.kind == "load"
-    }
-    joints = [int(of.rows[0]) for of in found.values()]
-    return (Load(P=P, known=known, joints=joints, places=list(found)),) if found else ()
+    places = [i for i, kind in enumerate(problem.kinds) if kind == "load"]
+    joints = [int(problem.term_of(problem.base.names[i]).rows[0]) for i in places]
+    return (Load(P=P, known=known, joints=joints, places=places),) if places else ()
 
 
 def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Array) -> Array:
