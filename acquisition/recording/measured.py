@@ -80,7 +80,7 @@ def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bool
     unit = np.maximum(np.maximum(top, -low), 1e-300)
     once, third, fourth = (
         np.median(
-            np.abs(np.diff(motor[:MOST_ROWS], k, axis=0, append=np.zeros((4, robot.n)))), axis=0
+            np.abs(np.diff(motor[:MOST_ROWS], k, axis=0, append=np.zeros((4, q.shape[1])))), axis=0
         )
         for k in (1, 3, 4)  # of a recording of few rows, too
     )
@@ -102,7 +102,7 @@ def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bool
     lost[:-1] |= lost[1:] & zero[:-1].any(axis=1)
     none = np.asarray(zero.all(axis=1))
     # Motors that cross zero independently do not do so at once.
-    if robot.n > 1 and len(q) * (zero & ~none[:, None]).mean(axis=0).prod() < CHANCE:
+    if q.shape[1] > 1 and len(q) * (zero & ~none[:, None]).mean(axis=0).prod() < CHANCE:
         for first, last in _runs(none):
             lost[first:last] |= _moves(q[max(first - 1, 0) : last + 1], typical)
     bends = by_rows(

@@ -114,7 +114,7 @@ def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
     """All row layouts that samples of a robot may have."""
     columns = [some for k in range(len(OPTIONAL) + 1) for some in combinations(OPTIONAL, k)]
     return [
-        sample_dtype(robot.n, reference=reference, optional=optional)
+        sample_dtype(len(robot.joints), reference=reference, optional=optional)
         for optional in reversed(columns)
         for reference in (False, True)
     ]

@@ -243,12 +243,13 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         signals = replace(signals, robot=robot)
     signals = with_bandwidth(signals)
     motion, model = FilteredMotion(signals), InverseModel(signals.robot)
+    base = base_parameters(model)
     settings = make_settings(signals, overrides, motion)
     return Problem(
         signals=signals,
         settings=settings,
         model=model,
-        base=base_parameters(model),
+        base=base,
         motion=motion,
         law=overrides.law,
     )

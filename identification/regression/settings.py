@@ -116,7 +116,13 @@ def make_settings(
     or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end
     of the recording. `motion` is that of the recording, if there is one.
     """
-    fs, stored = signals.sample_rate_hz, signals.robot.identification
+    fs, stored, bandwidth_hz = (
+        signals.sample_rate_hz,
+        signals.robot.identification,
+        signals.robot.bandwidth_hz,
+    )
+    given = overrides.low_speed_percent
+    low_speed = robot.low_speed_by_method(stored.low_speed if given is None else given)
     places = robot.check_recorded_positions(
         signals.robot, signals.t_s, signals.q, signals.recording
     )
@@ -127,7 +133,6 @@ def make_settings(
     warnings = [*signals.assumed, *places, *overloads]
     release_pages(signals.q)
     release_pages(signals.effort)
-    bandwidth_hz = signals.robot.bandwidth_hz
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
     if fs <= least_hz:
         expected = (
@@ -208,8 +213,6 @@ def make_settings(
     # others may have no torque
     start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))
     filtered = cutoff_hz is not None and cutoff_hz <= highest_hz * (1 + 1e-9)
-    given = overrides.low_speed_percent
-    low_speed = robot.low_speed_by_method(stored.low_speed if given is None else given)
     by_instruments = (
         signals.q_ref is not None if overrides.method is None else overrides.method == "iv"
     )

@@ -91,7 +91,7 @@ def simulate(
     """
     robot, beta, (x, asked) = prepared(rate_per_bandwidth), None, about
     kind: InstrumentKind = "reference"
-    known, why = equation.arm.beta(x), None
+    why = None
     if asked is not None:
         beta, covariance, payload = asked
         why = robot.gains(robot.model(beta))[1]
@@ -105,8 +105,10 @@ def simulate(
         if reason is None and covariance is not None and beta is asked[0]:
             reason = "no physically consistent robot is near: that of the estimate itself"
     rows = rows_of_recording(equation, x, further, along(), of_lag=of_lag)
-    # along the reference no robot has a torque
-    moved = (one.with_torque_of(known) if kind == "reference" else one for one in along())
+    moved = along()
+    if kind == "reference":  # along it no robot has a torque
+        known = equation.arm.beta(x)
+        moved = (one.with_torque_of(known) for one in moved)
     motion, error, percent, by_joint = _followed(robot, moved, rows.tau)
     found = Simulated(
         recording=robot.problem.signals.recording,
