@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
+from ..errors import NoFitError
 from ..estimation import Estimate, System, combined, release_memory
 from ..regression import (
     NOTHING,
@@ -146,7 +147,9 @@ class Model:
         kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
         return tuple(
             replace(
-                problem.with_results(float(x[one.drives.lag]), kappa),
+                problem,
+                settings=replace(problem.settings, torque_lag_s=float(x[one.drives.lag])),
+                gains=kappa,
                 source=one.problem.source if not len(problem.signals.q) else None,
             )
             for problem, one in zip(self.problems, self.equations, strict=True)
@@ -341,13 +344,17 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
 def refuse_standing_joints(model: Model, share: Array) -> None:
     """Refuse recordings in none of which a row of a joint counts, by the weights (T, n)."""
     signals = [problem.signals for problem in model.problems]
-    regression.refuse_standing_joints(
-        share,
-        tuple(joint.name for joint in signals[0].robot.joints),
-        ", ".join(one.recording for one in signals),
-        signals[0].robot.bandwidth_hz,
-        "; ".join(one.unmeasured for one in signals if one.unmeasured),
-    )
+    unmeasured = "; ".join(one.unmeasured for one in signals if one.unmeasured)
+    for j, joint in enumerate(signals[0].robot.joints):
+        if not share[:, j].any():
+            raise NoFitError(
+                f"joint {joint.name} never moves for longer than a period of the filters between "
+                "two stops, or is never faster than the noise of its speed"
+                f"{f'; {unmeasured}' if unmeasured else ''}",
+                place=", ".join(one.recording for one in signals),
+                expected=f"longer moves, a bandwidth_hz above {signals[0].robot.bandwidth_hz:.3g}, "
+                "or low_speed_percent of [identification]",
+            )
 
 
 def _known(known: KnownLag, replayed: KnownLag | None) -> KnownLag:

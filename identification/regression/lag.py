@@ -88,16 +88,7 @@ def combined_lag(prior: KnownLag, period_s: float, found: tuple[float, float, in
             > t_quantile(1 - CHANCE / 2, freedom * (both / sd) ** 4) * both
         )
         counted = data if far else prior.with_other(data)
-    value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
-    return Lag(
-        value_s=value_s,
-        sd_s=sd_s,
-        reach=reach,
-        source=source,
-        prior=prior,
-        period_s=period_s,
-        found=found,
-    )
+    return Lag(**vars(counted), reach=reach, prior=prior, period_s=period_s, found=found)
 
 
 def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
@@ -112,23 +103,17 @@ def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> li
     lags : (K,) of each group, with what is known; only that is used where the rows do not
         determine a lag.
     """
-    found: list[tuple[float, float, int] | None] = [None] * len(lags)
+    (system, Z), K = late, len(lags)
+    found: list[tuple[float, float, int] | None] = [None] * K
     with suppress(NoFitError):  # the rows do not determine them
-        found = list(_found(*late, now_s))
+        if system.Y.any():  # else the fit is exact
+            step = instrumental_variables(system, Z, weights_of(system, system.Y))
+            within = intervals_of(system, step)
+            values, sd = (now_s + step.beta[-K:]).tolist(), within.sigma[-K:].tolist()
+            found = [(*one, within.freedom) for one in zip(values, sd, strict=True)]
     return [
         combined_lag(lag.prior, lag.period_s, one) for lag, one in zip(lags, found, strict=True)
     ]
-
-
-def _found(system: System, Z: Array, now_s: Array) -> list[tuple[float, float, int]]:
-    """Lags, s, their deviations and degrees of freedom, by instruments Z."""
-    K = len(now_s)
-    if not system.Y.any():
-        raise NoFitError("the fit is exact")
-    step = instrumental_variables(system, Z, weights_of(system, system.Y))
-    within = intervals_of(system, step)
-    values, sd = (now_s + step.beta[-K:]).tolist(), within.sigma[-K:].tolist()
-    return [(*one, within.freedom) for one in zip(values, sd, strict=True)]
 
 
 class LagCollector:

@@ -33,10 +33,6 @@ class Motion:
 
     def __post_init__(self) -> None:
         for array in (self.q, self.dq, self.ddq, self.tau):
-            if array.shape != self.q.shape or len(array) != len(self.t_s):
-                raise ValueError(
-                    f"shapes do not agree: {array.shape}, {self.q.shape}, {self.t_s.shape}"
-                )
             array.flags.writeable = False
 
     def part(self, at: slice) -> "Motion":

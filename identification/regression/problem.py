@@ -201,10 +201,6 @@ class Problem:
         settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
         return replace(self, base=self.base.without(left_out), settings=settings)
 
-    def with_results(self, lag_s: float, gains: Array | None) -> "Problem":
-        """The same with the lag and the factors (n,) on drive gains that a fit found."""
-        return replace(self, settings=replace(self.settings, torque_lag_s=lag_s), gains=gains)
-
 
 # in this process, in the order of use
 _read: dict[tuple[Signals | RecordingFile, bool], tuple[Signals, FilteredMotion]] = {}

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import NoFitError
 from .bandwidth import LOOP_PER_MOTION
 from .filtering import nearby
 from .motion import BLOCK_SAMPLES, FilteredMotion
@@ -123,24 +122,6 @@ def weights_at(problem: Problem, t_s: Array) -> Array:
     """w (n, K) at equidistant samples of the recording, at `t_s` (K,)."""
     at = np.rint(t_s[[0, 1, -1]] * problem.signals.sample_rate_hz).astype(int)
     return sample_weights(problem).between(int(at[0]), int(at[2]) + 1)[:, :: int(at[1] - at[0])]
-
-
-def refuse_standing_joints(
-    share: Array, joints: tuple[str, ...], place: str, bandwidth_hz: float, unmeasured: str = ""
-) -> None:
-    """Refuse recordings, named by `place`, in which no row of a joint counts; `share` (rows,
-    n) weights of the rows; `unmeasured` says which rows weigh nothing for another reason.
-    """
-    for j, name in enumerate(joints):
-        if not share[:, j].any():
-            raise NoFitError(
-                f"joint {name} never moves for longer than a period of the filters between two "
-                "stops, or is never faster than "
-                f"the noise of its speed{f'; {unmeasured}' if unmeasured else ''}",
-                place=place,
-                expected=f"longer moves, a bandwidth_hz above {bandwidth_hz:.3g}, or "
-                "low_speed_percent of [identification]",
-            )
 
 
 def _moves(problem: Problem) -> NDArray[np.bool_]:

@@ -231,7 +231,7 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
         x[k] = 1.2 * x[k - 1] - 0.5 * x[k - 2] + e[k]
     rows = LagCollector(problem, share, x[:, None], speed)
     for z in motions:
-        rows.add(np.outer([2, 1, 3], x[z.at.first : z.at.last])[None], z)
+        rows.add(np.outer([2, 1, 3], x[z.near][z.inside])[None], z)
     white, Z = rows.rows(("lag",))
     np.testing.assert_allclose(Z, 2 * white.W, atol=1e-12)
     np.testing.assert_allclose(white.Y, 3 * white.W[:, 0], atol=1e-12)
