@@ -26,7 +26,7 @@ from acquisition.robot import (
 
 from ..arrays import Array
 from ..errors import BadInputError
-from .signals import OF_FILES, SignalEvent, Signals
+from .signals import OF_FILES, Signals
 from .work import Work
 
 ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
@@ -105,10 +105,6 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
             if name in columns:
                 columns[name] = to_joint(to_motor(columns[name]))
     provenance = recording.metadata.get("effort_provenance", "")
-    events = tuple(
-        SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
-        for event in recording.events
-    )
     signals = Signals(
         t_s=grid * 1e-9,
         q=columns.pop("position"),
@@ -119,7 +115,8 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         robot=robot or was,
         recording=path.name,
         sha256=recording.sha256,
-        events=events,
+        events=recording.events,
+        first_ns=first_ns,
         health=_health(recording, first_ns),
         effort_timing=recording.effort_timing,
         provenance=provenance,

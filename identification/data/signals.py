@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition.errors import Place
 from acquisition.files import release_pages
-from acquisition.recording import OPTIONAL, measured_rows
+from acquisition.recording import OPTIONAL, Event, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
 from ..arrays import Array
@@ -23,17 +23,6 @@ from ..errors import BadInputError
 NAME = "arrays"  # in place of a recording's name
 MAX_OFF_RATE = 0.05  # from the rate of the recording that arrays are of; less is a correction
 COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row for each sample
-
-
-@dataclass(frozen=True, kw_only=True)
-class SignalEvent:
-    """An event of the recording, `t_s` seconds from the first sample: a phase of the
-    session, a warning, a mark.
-    """
-
-    t_s: float
-    kind: str
-    text: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,6 +36,7 @@ class Signals:
         effort: (N, n) joint torques in N m, forces in N; in A or V if the drive gain is unknown.
         track: (start, stop) sample range of the tracking phase, or None.
         recording, sha256: file name of the recording, and its digest.
+        events: phases of the session, warnings, marks; `first_ns`: the stamp of the first sample.
         health: the recorder's counters by name: t_s (k,) from the first
             sample, and the counts (k,).
         effort_timing: `command` of an instant, held after it; `mean` over the control
@@ -78,7 +68,8 @@ class Signals:
     robot: Robot
     recording: str
     sha256: str = ""
-    events: tuple[SignalEvent, ...] = ()
+    events: tuple[Event, ...] = ()
+    first_ns: int = 0
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     effort_timing: EffortTiming = "unknown"
     provenance: str = ""
@@ -247,7 +238,7 @@ def signals_from_arrays(
         measured=measured if text else None,
         unmeasured=text,
         events=tuple(
-            SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=doubt)
+            Event(stamp_ns=round(1e9 * signals.t_s[-1]), kind="warning", text=doubt)
             for doubt in (*told, *(held.warnings if held is not None else ()), *doubts)
         ),
     )

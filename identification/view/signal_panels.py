@@ -24,13 +24,14 @@ def event_logs(signals: Signals) -> list[Log]:
     """
     end_s, lines = float(signals.t_s[-1]), []
     for event in signals.events[:MAX_LINES]:
-        at = min(max(event.t_s, 0.0), end_s)
-        where = "" if at == event.t_s else f" ({'before' if at == 0 else 'after'} the samples)"
+        t_s = 1e-9 * (event.stamp_ns - signals.first_ns)
+        at = min(max(t_s, 0.0), end_s)
+        where = "" if at == t_s else f" ({'before' if at == 0 else 'after'} the samples)"
         lines.append(
             (
                 at,
                 event.kind not in ROUTINE_EVENTS,
-                f"{event.t_s:.3f} s  {event.kind}: {event.text}{where}",
+                f"{t_s:.3f} s  {event.kind}: {event.text}{where}",
             )
         )
     return (

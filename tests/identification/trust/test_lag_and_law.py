@@ -238,7 +238,7 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
     fast = np.abs(speed[:, 0]) > 0.2 * np.abs(speed).max()
     fast = [fast[k : k + 7].all() and share[k, 0] > 0 for k in range(len(x))]
     # six rows of a block, too, have none before them that are known
-    first = np.concatenate([np.arange(at.last - at.first) for at in (z.at for z in motions)])
+    first = np.concatenate([np.arange(len(z.share.T)) for z in motions])
     used = [first[k] >= 6 and all(fast[k - 6 : k + 1]) for k in range(len(x))]
     assert white.rows[0] == pytest.approx(0.25 * np.sum(used))
     assert 0.3 * len(x) < np.sum(used) < 0.9 * len(x)

@@ -12,10 +12,10 @@ import pinocchio as pin
 import pytest
 from command_runs import refused, run
 from conftest import REPLAY, robot_named
-from fits_of_records import signals_of
 from pictured_fits import Written, fitted, fitted_iv, made_up, scara, urdf_robot, values
 from scipy.spatial.transform import Rotation
 
+from acquisition.recording import Event
 from identification.errors import BadInputError
 from identification.model import InverseModel
 from identification.regression import Overrides
@@ -159,8 +159,8 @@ def test_both_robots_stand_where_their_data_says(tmp_path):
     assert file.moving["/robot/simulated/joints/2"]["time"][0].total_seconds() == 0.0
 
 
-def event(**values):
-    return replace(signals_of(SESSION).events[0], **values)
+def event(t_s, **values):
+    return Event(stamp_ns=round(1e9 * t_s), **values)
 
 
 def test_events_and_counters_of_a_session_are_shown(tmp_path):
