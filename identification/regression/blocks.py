@@ -7,7 +7,8 @@ unknowns of the term `Drives`.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -103,9 +104,8 @@ class MotionBlock(Motion):
         problem, known = self.problem, self.problem.known(self.t_s)
         stride = self.decimation.factor // DRIVES_A_ROW if problem.settings.filtered else 1
         tau = predicted_torque(self, problem.model, problem.base, beta, stride)
-        found = replace(self, tau=tau if known is None else tau - known, recorded=False)
-        same = ("weights", "share", "W", "known")
-        vars(found).update({name: x for name, x in vars(self).items() if name in same})
+        found = copy(self)  # with its W
+        vars(found).update(tau=tau if known is None else tau - known, recorded=False)
         return found
 
 

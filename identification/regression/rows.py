@@ -24,7 +24,7 @@ from .blocks import MotionBlock, motion_blocks, predicted_torque
 from .lag import LagCollector
 from .problem import Problem
 from .states import fast_for_lag
-from .terms import Drives, Load, Term, load_of
+from .terms import Drives, Load, load_of
 from .unknowns import Arm, Unknowns, make_unknowns
 from .weights import sample_weights
 
@@ -62,7 +62,7 @@ class Equation:
         return motion_blocks(self.problem.with_samples())
 
     @property
-    def terms(self) -> tuple[Term, ...]:
+    def terms(self) -> tuple[Arm | Drives | Load, ...]:
         """All terms."""
         return self.arm, self.drives, *self.load
 

@@ -1,13 +1,13 @@
 """The model as a sum of terms, equation (C): known torque = sum of the torques of all terms + r.
 
-A term is asked two things along a motion, measured or simulated: the torque that it explains, and
-its columns, the derivatives of that torque by the unknowns x. The torques of `Drives` are negative,
-as they stand on the other side. J and Z are the same columns along two motions. The term `Arm` of
-links, rotors, friction and payload stands in `unknowns`.
+A term is asked two things along a motion, measured or simulated: `torque`, the torque (n, rows)
+that it explains, and `columns` (n, p, rows), the derivatives of that torque by the unknowns x (p,);
+all are weighted and decimated, in N m or N. The torques of `Drives` are negative, as they stand on
+the other side. J and Z are the same columns along two motions. The term `Arm` of links, rotors,
+friction and payload stands in `unknowns`.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,6 @@ from ..arrays import Array
 from ..model import direct_model
 from .blocks import MotionBlock
 from .problem import Problem
-
-
-class Term(Protocol):
-    """A part of the equation of motion; all arrays are weighted and decimated, in N m or N."""
-
-    def torque(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the torque (n, rows) by the unknowns x (p,)."""
-
-    def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the derivatives (n, p, rows) of the torque by the unknowns, about x (p,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -67,7 +67,6 @@ class SampleWeights:
         decimation, N = settings.decimator, settings.stop - settings.start
         # negative for `ROWS`
         self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
-        self._last = (0, 0), np.zeros((0, 0))  # samples, and their weights
         for near, inside in row_blocks(problem):
             samples = decimation.samples(near, N)
             off = 1 - self.between(settings.start + samples.start, settings.start + samples.stop)
@@ -77,21 +76,17 @@ class SampleWeights:
         self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
 
     def between(self, start: int, stop: int) -> Array:
-        """w (n, stop - start) of the samples `start` to `stop`; the last ones are kept."""
-        if self._last[0] == (start, stop):
-            return self._last[1]
+        """w (n, stop - start) of the samples `start` to `stop`."""
         far = 2 * max(0, *self._reach)
         low, high = max(0, start - far), min(len(self.moves), stop + far)
         near, inside = self.moves[low:high], slice(start - low, stop - low)
         of_rows = self._measured[low:high].astype(float)
-        w = np.stack(
+        return np.stack(
             [
                 (of_rows if reach < 0 else _ramped(near[:, j], reach))[inside]
                 for j, reach in enumerate(self._reach)
             ]
         )
-        self._last = (start, stop), w
-        return w
 
 
 # of each motion, by settings
