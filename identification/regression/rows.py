@@ -83,13 +83,14 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
     """Put together the equation of motion of recording k: its arm, its drives, and load friction
     if the robot has any.
     """
-    arm = unknowns.arms[k]
+    arm, places = unknowns.arms[k], {name: i for i, name in enumerate(unknowns.all)}
+    robot = problem.signals.robot
     return Equation(
         problem=problem,
         unknowns=unknowns,
         arm=arm,
         drives=Drives(
-            gains=unknowns.gain_places(problem.signals.robot),
+            gains=np.array([places.get(f"K:{motor.name}", -1) for motor in robot.motors]),
             lag=int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)]),
         ),
         load=load_of(problem, arm.P, arm.known),
@@ -142,7 +143,7 @@ class Rows:
         """Numbers of decimated samples of the recordings, in sequence."""
         return tuple(int(spans[-1]) for spans in self.system.spans)
 
-    @property
+    @cached_property
     def counts(self) -> NDArray[np.bool_]:
         """(T, n) whether a decimated sample counts."""
         return self.share > 0

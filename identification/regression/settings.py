@@ -143,12 +143,10 @@ def make_settings(
             place=signals.recording, key="sample_rate_hz", value=fs, expected=expected
         )
     highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * bandwidth_hz
-    cutoff_hz: float | None = highest_hz
-    for choice in (stored.cutoff_hz, overrides.cutoff_hz):
-        cutoff_hz = cutoff_hz if choice is None else choice
-    cutoff_hz = cutoff_hz or None
+    stated_hz = stored.cutoff_hz if overrides.cutoff_hz is None else overrides.cutoff_hz
+    cutoff_hz = (highest_hz if stated_hz is None else stated_hz) or None
     if cutoff_hz is not None and cutoff_hz >= fs / 2:
-        if overrides.cutoff_hz is not None or stored.cutoff_hz is not None:
+        if stated_hz is not None:
             raise BadInputError(
                 place=signals.recording,
                 key="cut-off",

@@ -17,8 +17,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.robot import Robot
-
 from ..arrays import Array
 from ..errors import BadInputError
 from ..estimation import Estimate
@@ -157,11 +155,6 @@ class Unknowns:
         x[len(self.names) : len(x) - len(lags_s)] = [one.value for one in self.held]
         x[self.lags] = lags_s
         return x
-
-    def gain_places(self, robot: Robot) -> NDArray[np.intp]:
-        """Places (n,) of the factors on the gains of all motors; -1 for a described one."""
-        places = {name: i for i, name in enumerate(self.all)}
-        return np.array([places.get(f"K:{motor.name}", -1) for motor in robot.motors])
 
     @property
     def plain(self) -> bool:
