@@ -72,8 +72,7 @@ class MotionBlock(Motion):
     @cached_property
     def known(self) -> Array:
         """Return F[w x] (n, rows) of the known torque x, zero for none."""
-        x = self.problem.known(self.t_s)
-        return np.zeros_like(self.share) if x is None else self.weighted(x.T)
+        return self.weighted(self.problem.known(self.t_s).T)
 
     def weighted(
         self, x: Array, joints: Sequence[int] | NDArray[np.intp] | slice = slice(None)
@@ -101,11 +100,11 @@ class MotionBlock(Motion):
         """Return the same motion with the torque of the drives that base parameters beta (b,)
         predict, equation (1), which has no noise and is never late.
         """
-        problem, known = self.problem, self.problem.known(self.t_s)
+        problem = self.problem
         stride = self.decimation.factor // DRIVES_A_ROW if problem.settings.filtered else 1
         tau = predicted_torque(self, problem.model, problem.base, beta, stride)
         found = copy(self)  # with its W
-        vars(found).update(tau=tau if known is None else tau - known, recorded=False)
+        vars(found).update(tau=tau - problem.known(self.t_s), recorded=False)
         return found
 
 

@@ -75,12 +75,12 @@ class Problem:
             release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
 
-    def known(self, t_s: Array) -> Array | None:
-        """The known torque (K, n) at samples of the recording at `t_s` (K,); None for none."""
-        known = self.signals.known_torque
+    def known(self, t_s: Array) -> Array:
+        """The known torque (K, n) at samples of the recording at `t_s` (K,); zero for none."""
+        known, fs = self.signals.known_torque, self.signals.sample_rate_hz
         if known is None:
-            return None
-        return np.asarray(known[np.rint(t_s * self.signals.sample_rate_hz).astype(np.intp)])
+            return np.zeros((len(t_s), len(self.signals.robot.joints)))
+        return np.asarray(known[np.rint(t_s * fs).astype(np.intp)])
 
     def used_positions(self) -> Array:
         """q (N, n) of the span used."""

@@ -41,7 +41,6 @@ class Equation:
         problem: recording, settings, and model of the robot.
         unknowns: x.
         arm, drives, load: its terms.
-        most: numbers of positions up to which the measured motion is kept.
     """
 
     problem: Problem
@@ -49,7 +48,6 @@ class Equation:
     arm: Arm
     drives: Drives
     load: tuple[Load, ...]
-    most: int
 
     @cached_property
     def _made(self) -> tuple[MotionBlock, ...]:
@@ -57,7 +55,7 @@ class Equation:
 
     def motions(self) -> Iterable[MotionBlock]:
         """The measured motion in blocks: of a short recording made once, with its regressor."""
-        if 0 < self.problem.signals.q.size <= self.most:
+        if 0 < self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT:
             return self._made
         return motion_blocks(self.problem.with_samples())
 
@@ -94,7 +92,6 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
             lag=int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)]),
         ),
         load=load_of(problem, arm.P, arm.known),
-        most=MAX_KEPT // len(unknowns.arms),
     )
 
 

@@ -50,8 +50,7 @@ class Drives:
 
     def measured(self, x: Array, motion: MotionBlock) -> Array:
         """Return the torque (N, n), N m or N, of the drives and the known one at the joints."""
-        tau, known = self.at_joints(x, motion), motion.problem.known(motion.t_s)
-        return tau if known is None else tau + known
+        return self.at_joints(x, motion) + motion.problem.known(motion.t_s)
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
         """Return -F[w sum_m kappa_m E_m(t + L)], (n, rows)."""

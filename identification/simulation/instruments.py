@@ -145,8 +145,8 @@ def _followed(
     problem, moves, kept = robot.problem, ~robot.held, list[list[Array]]()
     few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
     for motion in along:
-        known, q = problem.known(motion.t_s), robot.low_passed(problem.motion, motion.near).q
-        torque = motion.tau if known is None else motion.tau + known
+        q = robot.low_passed(problem.motion, motion.near).q
+        torque = motion.tau + problem.known(motion.t_s)
         every = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
         own = (motion.kept(x) if few else motion.own(x) for x in every)
         kept.append([*own, motion.filtered(torque.T).T])

@@ -92,7 +92,6 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
         for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
     ]
     drives, known = problem.drives(s.start, s.stop, s.known_lag.value_s), problem.known(motion.t_s)
-    known = np.zeros_like(drives) if known is None else known
     drives, known = (s.decimator.filtered(x.T) for x in (drives, known))
     return moved, np.array([np.c_[drives.T, of_joint] for of_joint in known])
 
