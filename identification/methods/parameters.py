@@ -18,14 +18,20 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import BadInputError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
-from ..model import BaseParameters, InverseModel, base_parameters, base_prior, direct_model
+from ..model import (
+    BaseParameters,
+    InverseModel,
+    add_payload,
+    base_parameters,
+    base_prior,
+    direct_model,
+)
 from ..regression import (
     Overrides,
     Problem,
     base_name,
     equation_alone,
     make_problem,
-    payload_of,
     torque_of_recording,
 )
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
@@ -256,15 +262,13 @@ def payload_beta(stored: FitFile, problem: Problem) -> Array:
     """(b,) base parameters of a recording's payload: as the fit found it, if it is stated
     alike there; else a ball's.
     """
-    payload = problem.signals.payload
-    found = {one.stated: one.base_parameters for one in stored.payloads or ()}.get(
-        payload.text if payload else ""
-    )
-    return (
-        np.array([found.get(name, 0.0) for name in problem.base.names])
-        if found
-        else payload_of(problem)
-    )
+    payload, model, base = problem.signals.payload, problem.model, problem.base
+    if payload is None:
+        return np.zeros(base.b)
+    found = {one.stated: one.base_parameters for one in stored.payloads or ()}.get(payload.text)
+    if found:
+        return np.array([found.get(name, 0.0) for name in base.names])
+    return np.asarray(base.K @ add_payload(model, np.zeros(model.p), payload))
 
 
 def signals_as_fitted(

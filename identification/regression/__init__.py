@@ -15,7 +15,6 @@ from .motion import (
     sampled_at,
     smooth,
 )
-from .payload import payload_of
 from .problem import MAX_CACHED_NUMBERS, Problem, make_problem, row_blocks
 from .rows import (
     Candidate,

@@ -206,14 +206,3 @@ def _independent(P: Array, places: Sequence[int]) -> list[int]:
             found.append(place)
             basis = np.linalg.qr(P[:, found])[0]
     return found
-
-
-def payload_of(problem: Problem) -> Array:
-    """(b,) base parameters of the payload of a recording as stated, a ball; zero without one."""
-    payload = problem.signals.payload
-    if payload is None:
-        return np.zeros(problem.base.b)
-    return np.asarray(
-        problem.base.K[:, link_columns(problem.model)[-1]]
-        @ payload_parameters(problem.model, payload)
-    )
