@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..errors import NoFitError
 from ..estimation import Estimate, System, combined, release_memory
 from ..regression import (
     NOTHING,
@@ -339,22 +338,6 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
         [found[k] for k in by_digest],
         tuple(by_digest.index(k) for k in range(len(found))),
     )
-
-
-def refuse_standing_joints(model: Model, share: Array) -> None:
-    """Refuse recordings in none of which a row of a joint counts, by the weights (T, n)."""
-    signals = [problem.signals for problem in model.problems]
-    unmeasured = "; ".join(one.unmeasured for one in signals if one.unmeasured)
-    for j, joint in enumerate(signals[0].robot.joints):
-        if not share[:, j].any():
-            raise NoFitError(
-                f"joint {joint.name} never moves for longer than a period of the filters between "
-                "two stops, or is never faster than the noise of its speed"
-                f"{f'; {unmeasured}' if unmeasured else ''}",
-                place=", ".join(one.recording for one in signals),
-                expected=f"longer moves, a bandwidth_hz above {signals[0].robot.bandwidth_hz:.3g}, "
-                "or low_speed_percent of [identification]",
-            )
 
 
 def _known(known: KnownLag, replayed: KnownLag | None) -> KnownLag:

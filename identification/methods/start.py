@@ -35,11 +35,11 @@ from ..estimation import (
     weights_of,
 )
 from ..model import SHAPES
-from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
+from ..regression import RAMPS, ROWS, Problem, Rows, refuse_standing_joints, sample_weights
 from ..report import Method
 from ..trust import relative_residual
 from .fit import LeastSquares
-from .model import Model, refuse_standing_joints
+from .model import Model
 from .observation import solver_of
 
 # share of the norm of an identifiable column that is independent of the others
@@ -263,7 +263,7 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
     kinds = zip(model.problem.base.names, model.problem.kinds, strict=True)
     shapes = [name for name, kind in kinds if kind in SHAPES and kind != "load"]
     left_out = dict[str, str]()
-    refuse_standing_joints(model, rows.share)
+    refuse_standing_joints(rows.share, [problem.signals for problem in model.problems])
     places = np.arange(len(model.names))
     while worst := most_collinear(model.problem, rows.system.with_columns(places), shapes):
         left_out |= worst

@@ -14,12 +14,15 @@ such a joint has no weights, but only the rows at whose instants it moves.
 Samples that nobody measured weigh nothing in the same way, also where those of standstill do.
 """
 
+from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..data import Signals
+from ..errors import NoFitError
 from .bandwidth import LOOP_PER_MOTION
 from .filtering import nearby
 from .motion import BLOCK_SAMPLES, FilteredMotion
@@ -117,6 +120,22 @@ def weights_at(problem: Problem, t_s: Array) -> Array:
     """w (n, K) at equidistant samples of the recording, at `t_s` (K,)."""
     at = np.rint(t_s[[0, 1, -1]] * problem.signals.sample_rate_hz).astype(int)
     return sample_weights(problem).between(int(at[0]), int(at[2]) + 1)[:, :: int(at[1] - at[0])]
+
+
+def refuse_standing_joints(share: Array, recordings: Sequence[Signals]) -> None:
+    """Refuse recordings in none of which a row of a joint counts, by the weights (rows, n)."""
+    robot = recordings[0].robot
+    unmeasured = "; ".join(one.unmeasured for one in recordings if one.unmeasured)
+    for j, joint in enumerate(robot.joints):
+        if not share[:, j].any():
+            raise NoFitError(
+                f"joint {joint.name} never moves for longer than a period of the filters between "
+                "two stops, or is never faster than "
+                f"the noise of its speed{f'; {unmeasured}' if unmeasured else ''}",
+                place=", ".join(one.recording for one in recordings),
+                expected=f"longer moves, a bandwidth_hz above {robot.bandwidth_hz:.3g}, or "
+                "low_speed_percent of [identification]",
+            )
 
 
 def _moves(problem: Problem) -> NDArray[np.bool_]:
