@@ -94,8 +94,7 @@ def in_parts(rows: Block) -> Iterator[Block]:
     """Parts of the rows that fit in memory."""
     for first in range(0, len(rows), _AT_ONCE):
         yield rows[first : first + _AT_ONCE]
-        if len(rows) > _AT_ONCE:
-            release_pages(rows)
+        release_pages(rows)
 
 
 def check_samples(samples: Block, after_ns: int, place: str) -> None:

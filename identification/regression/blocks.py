@@ -72,6 +72,8 @@ class MotionBlock(Motion):
     @cached_property
     def known(self) -> Array:
         """Return F[w x] (n, rows) of the known torque x, zero for none."""
+        if self.problem.signals.known_torque is None:
+            return np.zeros_like(self.share)
         return self.weighted(self.problem.known(self.t_s).T)
 
     def weighted(

@@ -729,8 +729,7 @@ def test_efforts_count_load_friction_against_the_motion():
     n = robot.n
     of_links = torque_of_links(direct, motion)
     smooth = torque_without_sliding(direct, motion, of_links)[0]
-    at = [base.names.index(name) for name in load_parameters(base)]
-    mu = described_parameters(model, base)[at]
+    mu = described_parameters(model, base)[np.isin(base.names, load_parameters(base))]
     scaled = limits.effort.directions / limits.allowed[:, None]
     expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
     used, _ = limits.shares_and_slopes(motion)

@@ -23,8 +23,8 @@ from identification.report import Section
 SCARA = REPLAY / "scara" / "session.mcap"
 
 
-def with_essential(fit, names):
-    essential = msgspec.structs.replace(fit.essential, names=names)
+def with_essential(fit, names, **figures):
+    essential = msgspec.structs.replace(fit.essential, names=names, **figures)
     least_squares = replace(fit.least_squares, essential=essential)
     return replace(fit, least_squares=least_squares, warnings=("a wrong gain",))
 
@@ -66,9 +66,7 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
     kept, wide = names if kept is None else kept, names if wide is None else wide
     by = np.where(np.isin(names, wide), 1.5 * np.abs(fit.beta), fit.intervals.half)
     intervals = replace(fit.intervals, low=fit.beta - by, high=fit.beta + by)
-    fit = replace(with_essential(fit, kept), intervals=intervals)
-    essential = msgspec.structs.replace(fit.essential, F=1.0)
-    fit = replace(fit, least_squares=replace(fit.least_squares, essential=essential))
+    fit = replace(with_essential(fit, kept, F=1.0), intervals=intervals)
     expected = {name for name in kept if name not in wide}
     document, file = fit_document(signals_of(SCARA), fit), fit_file(fit)
     assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected
