@@ -18,7 +18,7 @@ from ..estimation import (
     spans_of,
     torque_errors,
 )
-from ..regression import ROWS, KnownLag, Lag, Problem, Rows, base_name, sample_weights
+from ..regression import ROWS, Lag, Problem, Rows, base_name, lag_by_law, sample_weights
 from ..report import FTest, Method
 from ..simulation import Simulated, controller_of, saturated_percents
 from ..trust import (
@@ -58,13 +58,11 @@ def evidence_of(
     estimate, unknowns = solved.estimate, model.unknowns
     simulated = method == "iv" and not rows.recorded
     candidates = model.candidates(x, rows.speed, simulated=simulated)
-    replayed = [known for _, known in model.replays]
-    lags = counted_lags(lags, rows, estimate, replayed, model.problems, unknowns.groups)
+    lags = counted_lags(model, lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
     return FitData(
         problems=model.concluded(x),
         arms=unknowns.arms,
-        replays=tuple(line for line, _ in model.replays),
         observed=rows,
         method=method,
         fixed_point=True,
@@ -79,23 +77,19 @@ def evidence_of(
 
 
 def counted_lags(
-    lags: Sequence[Lag],
-    rows: Rows,
-    estimate: Estimate,
-    replayed: Sequence[KnownLag | None],
-    problems: Sequence[Problem],
-    groups: Sequence[Sequence[int]],
+    model: Model, lags: Sequence[Lag], rows: Rows, estimate: Estimate
 ) -> tuple[Lag, ...]:
     """The lags with their recordings, and the moves of an estimate by one deviation of each."""
     moves, found = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), []
-    for lag, group, move in zip(lags, groups, moves.T, strict=True):
-        known = next((x for k in group if (x := replayed[k]) is not None), None)
+    for lag, group, move in zip(lags, model.unknowns.groups, moves.T, strict=True):
+        problems = [model.problems[k] for k in group]
+        known = next((x for one in problems if (x := lag_by_law(one)) is not None), None)
         delay = (
             (known.value_s - lag.found[0], lag.reach * lag.found[1])
             if known is not None and lag.found is not None
             else None
         )
-        names = tuple(problems[k].signals.recording for k in group)
+        names = tuple(one.signals.recording for one in problems)
         found.append(replace(lag, delay_s=delay, moved=lag.sd_s * np.abs(move), recordings=names))
     return tuple(found)
 

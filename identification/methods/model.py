@@ -13,10 +13,8 @@ from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..estimation import Estimate, System, combined, release_memory
 from ..regression import (
-    NOTHING,
     Candidate,
     Equation,
-    KnownLag,
     Lag,
     Overrides,
     Problem,
@@ -25,6 +23,7 @@ from ..regression import (
     Unknowns,
     combined_lag,
     equation_of,
+    lag_without_fit,
     rows_of_recording,
     stacked_rows,
     torque_of_recording,
@@ -39,10 +38,8 @@ from ..simulation import (
 )
 from ..trust import Candidates
 from .observation import (
-    Observed,
-    Replayed,
     Say,
-    observation_of,
+    observe,
     observe_all,
     settings_at,
     with_common_rate,
@@ -62,7 +59,6 @@ class Model:
     Attributes:
         recordings: in the order of the digests; `overrides`: their settings.
         problems: the recordings with their settings.
-        replays: the described control law of each against its recorded effort.
         order: places of the recordings in the order given.
         unknowns: x.
         left_out: friction terms left out, each with the reason.
@@ -71,7 +67,6 @@ class Model:
     recordings: Recordings
     overrides: Overrides
     problems: tuple[Problem, ...]
-    replays: tuple[Replayed, ...]
     order: tuple[int, ...]
     unknowns: Unknowns
     left_out: dict[str, str] = field(default_factory=dict)
@@ -118,7 +113,7 @@ class Model:
         """
         found = []
         for group in self.unknowns.groups:
-            each = [_known(self.problems[k].settings.known_lag, self.replays[k][1]) for k in group]
+            each = [lag_without_fit(self.problems[k]) for k in group]
             mean_s = float(np.mean([known.value_s for known in each]))
             known = replace(min(each, key=lambda known: known.sd_s), value_s=mean_s)
             found.append(
@@ -289,26 +284,23 @@ class Model:
         return replace(self, problems=tuple(replace(one, settings=own) for one, own in pairs))
 
     def _of(self, problems: Sequence[Problem]) -> "Model":
-        observed = list(zip(problems, self.replays, strict=True))
-        return model_of(self.recordings, self.overrides, observed, self.order)
+        return model_of(self.recordings, self.overrides, problems, self.order)
 
 
 def model_of(
     recordings: Recordings,
     overrides: Overrides,
-    observed: Sequence[Observed],
+    problems: Sequence[Problem],
     order: tuple[int, ...],
 ) -> Model:
     """The model of recordings."""
-    problems, replays = zip(*observed, strict=True)
     names, wanted = [m.name for m in problems[0].signals.robot.motors], overrides.gains or ()
     motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
     of_gains = ("Fv", "Fc") if overrides.gains else ()
     return Model(
         recordings=recordings,
         overrides=overrides,
-        problems=problems,
-        replays=replays,
+        problems=tuple(problems),
         order=order,
         unknowns=regression.make_unknowns(problems, motors, of_gains),
     )
@@ -322,15 +314,13 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
     if len(given.sources) == 1:
-        (source,) = given.sources
-        signals = source if isinstance(source, Signals) else source.load()
-        one = observation_of(regression.make_problem(signals, overrides))
-        return model_of(Recordings(sources=(signals,)), overrides, (one,), (0,))
+        alone = Recordings(sources=given.sources)  # nothing is left to workers
+        return model_of(alone, overrides, [observe(given.sources[0], overrides, np.inf)], (0,))
     say(f"reading {len(given.sources)} recordings")
     found = observe_all(given, [overrides] * len(given.sources))
-    check_one_robot([problem.signals for problem, _ in found])
+    check_one_robot([problem.signals for problem in found])
     found = with_common_rate(given, found, overrides)
-    each = [problem.signals for problem, _ in found]
+    each = [problem.signals for problem in found]
     by_digest = sorted(range(len(found)), key=lambda k: (each[k].sha256, each[k].recording))
     return model_of(
         replace(given, sources=tuple(given.sources[k] for k in by_digest)),
@@ -338,10 +328,3 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
         [found[k] for k in by_digest],
         tuple(by_digest.index(k) for k in range(len(found))),
     )
-
-
-def _known(known: KnownLag, replayed: KnownLag | None) -> KnownLag:
-    """The lag of a torque as known without an estimate, with the replay of its control law."""
-    if known.stated or replayed is None:
-        return known
-    return replayed if known.source == NOTHING else known.with_other(replayed)

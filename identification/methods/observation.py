@@ -22,21 +22,16 @@ from ..regression import (
     MAX_CACHED_NUMBERS,
     Equation,
     FilteredMotion,
-    KnownLag,
     Overrides,
     Problem,
     Settings,
     law_of,
 )
 from ..report import Method
-from ..trust import TrustLine, law_line
+from ..trust import TrustLine
 from .fit import LeastSquares
 
 Say = Callable[[str], None]
-# the line of its control law, and the lag of the torque by it
-Replayed = tuple[TrustLine, KnownLag | None]
-# a recording, without samples where it is one of several long ones
-Observed = tuple[Problem, Replayed]
 
 NAME, FINDING = "position noise", "least squares biased by position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
@@ -47,31 +42,28 @@ ADVICE = "use --method iv (needs a recorded reference)"
 
 
 @one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Observed:
-    """`observation_of` as a task; without samples if there are more than `most` numbers."""
+def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Problem:
+    """Read a recording with its control law; without samples if there are more than `most`
+    numbers.
+    """
     signals = source.load() if isinstance(source, RecordingFile) else source
-    problem, replayed = observation_of(regression.make_problem(signals, overrides))
-    return problem.without_samples() if signals.q.size > most else problem, replayed
-
-
-def observation_of(problem: Problem) -> Observed:
-    """A recording and its control law."""
+    problem = regression.make_problem(signals, overrides)
     problem = problem if problem.law is not None else replace(problem, law=law_of(problem))
-    return problem, law_line(problem)
+    return problem.without_samples() if signals.q.size > most else problem
 
 
-def observe_all(given: Recordings, overrides: Sequence[Overrides]) -> list[Observed]:
+def observe_all(given: Recordings, overrides: Sequence[Overrides]) -> list[Problem]:
     """`observe` of each of `given`, with its overrides."""
     most = [MAX_CACHED_NUMBERS / len(given.sources)] * len(given.sources)
     return list(given.work.run(observe, list(zip(given.sources, overrides, most, strict=True))))
 
 
 def with_common_rate(
-    given: Recordings, found: list[Observed], overrides: Overrides
-) -> list[Observed]:
+    given: Recordings, found: list[Problem], overrides: Overrides
+) -> list[Problem]:
     """The same with common cut-off and rate of rows; only those that change are read again."""
-    settings = [problem.settings for problem, _ in found]
-    rates = [problem.signals.sample_rate_hz for problem, _ in found]
+    settings = [problem.settings for problem in found]
+    rates = [problem.signals.sample_rate_hz for problem in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
     again = []

@@ -30,9 +30,11 @@ from ..estimation import (
 )
 from .blocks import MotionBlock
 from .problem import Problem
-from .settings import KnownLag
+from .settings import NOTHING, KnownLag
 from .states import LAG_ORDER, fast_for_lag, fast_for_lag_by
 
+MAX_LAW_PERCENT = 5.0  # of the effort's variation that a law does not give
+DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
 CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
 
 
@@ -67,6 +69,32 @@ class Lag:
     def half_width_s(self) -> float:
         """Half its 95 % interval."""
         return self.reach * self.sd_s
+
+
+def lag_by_law(problem: Problem) -> KnownLag | None:
+    """Return the lag of the torque without an estimate, where the described control law gives the
+    effort; drives have loops that a description does not.
+
+    A command acts from its tick to the next one, on average half a period later; the drive's own
+    delay is not included.
+    """
+    law = problem.law
+    if law is None or law.described is None or problem.signals.of_drives:
+        return None
+    similar = law.residual_percent <= MAX_LAW_PERCENT
+    if not similar.any():
+        return None
+    value_s = float(law.lag_s[similar].mean()) - 0.5 * law.period_s
+    sd_s = float(np.hypot(law.lag_sd_s[similar].max(), DRIVE_DELAY_S))
+    return KnownLag(value_s=value_s, sd_s=sd_s, source="the described control law")
+
+
+def lag_without_fit(problem: Problem) -> KnownLag:
+    """Return the lag of a torque as known without an estimate, by user, recording and law."""
+    known = problem.settings.known_lag
+    if known.stated or (by_law := lag_by_law(problem)) is None:
+        return known
+    return by_law if known.source == NOTHING else known.with_other(by_law)
 
 
 def combined_lag(prior: KnownLag, period_s: float, found: tuple[float, float, int] | None) -> Lag:

@@ -1,7 +1,6 @@
 """Tests of an estimate against the recording, and one verdict."""
 
 from .candidates import Candidates
-from .control_law import law_line
 from .fit_data import FitData, covariance_of_all, relative_residual
 from .held_out import held_out_parts, predictions_by_others
 from .lag import moves_of

@@ -10,13 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..regression import KnownLag, Law, Problem
+from ..regression import MAX_LAW_PERCENT, Law, Problem
 from .fit_data import FitData
 from .lines import LEVELS, TrustLine, figures_of, first_case
 
 NAME = "control law"
-DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
-MAX_GAIN_ERROR, MAX_ERROR_PERCENT = 0.01, 5.0  # beyond: caution
+MAX_GAIN_ERROR = 0.01  # beyond: caution
 MAX_MIRRORED_PERCENT = 2.0  # residual of negative gains; below, the effort has the wrong sign
 COMMON = 0.02  # spread of the gains' factors, for one scale of the effort
 LETTERS = ("Kp", "Kd", "Ki")
@@ -27,7 +26,7 @@ def control_law_test(evidence: FitData) -> TrustLine:
     of the worst recording.
     """
     worst, name = min(
-        zip(evidence.replays, evidence.names, strict=True),
+        zip(map(law_line, evidence.problems), evidence.names, strict=True),
         key=lambda one: (
             LEVELS.index(one[0].level),
             -abs((1.0 if (x := one[0].value) is None else x) - 1.0),
@@ -39,12 +38,8 @@ def control_law_test(evidence: FitData) -> TrustLine:
     return replace(worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}")
 
 
-def law_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
-    """The line of a recording, and the lag of its torque by the described law, without an estimate.
-
-    A command acts from its tick to the next one, on average half a period later; the drive's own
-    delay is not included.
-    """
+def law_line(problem: Problem) -> TrustLine:
+    """Return the line of a recording."""
     law, signals, controller = problem.law, problem.signals, problem.signals.robot.controller
     reason = "the recording is too short"
     if signals.q_ref is None:
@@ -56,20 +51,8 @@ def law_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
     elif law is not None and (line := _line(law, [motor.name for motor in signals.robot.motors])):
         fed = "; gravity that is fed forward is fitted and subtracted"
         text = line.text + fed * controller.gravity_feedforward
-        return replace(line, text=text), _lag(law, problem)
-    return TrustLine(NAME, "not made", f"not made: {reason}"), None
-
-
-def _lag(law: Law, problem: Problem) -> KnownLag | None:
-    """The lag of the torque where the described law gives the effort; drives have loops that
-    a description does not.
-    """
-    similar = law.residual_percent <= MAX_ERROR_PERCENT
-    if law.described is None or problem.signals.of_drives or not similar.any():
-        return None
-    value_s = float(law.lag_s[similar].mean()) - 0.5 * law.period_s
-    sd_s = float(np.hypot(law.lag_sd_s[similar].max(), DRIVE_DELAY_S))
-    return KnownLag(value_s=value_s, sd_s=sd_s, source="the described control law")
+        return replace(line, text=text)
+    return TrustLine(NAME, "not made", f"not made: {reason}")
 
 
 def _line(law: Law, motors: list[str]) -> TrustLine | None:
@@ -90,7 +73,7 @@ def _line(law: Law, motors: list[str]) -> TrustLine | None:
     figures = figures_of(names, factor.flat, within.flat, np.ones(factor.size))
     off = np.nan_to_num(np.abs(factor - 1) * (np.abs(factor - 1) > 2 * within))
     mirrored = (factor < 0).all(axis=0) & (error <= MAX_MIRRORED_PERCENT)
-    beyond = np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_ERROR_PERCENT)
+    beyond = np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_LAW_PERCENT)
     j = int(np.argmax(np.maximum(beyond, 1e9 * mirrored)))
     value = float(factor[int(np.argmax(off[:, j])), j])
     text = f"motor {motors[j]}: {_gains(law, j)}; {error[j]:.2g} % left; {delays}"

@@ -17,6 +17,7 @@ from acquisition.robot import RADIANS_AS_DEGREES
 from ..arrays import Array
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
+from .control_law import law_line
 from .fit_data import FitData, relative_residual
 from .lines import LEVELS, TrustLine, first_case
 
@@ -125,7 +126,7 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
     robot are not confirmed.
     """
     confirmed = evidence.fixed_point and evidence.unconfirmed is None
-    if confirmed and all(line.level not in LEVELS[:2] for line in evidence.replays):
+    if confirmed and all(law_line(one).level not in LEVELS[:2] for one in evidence.problems):
         return None
     limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
     found, level = list(dict.fromkeys(limits)), LEVELS[1 if evidence.fixed_point else 0]

@@ -26,7 +26,6 @@ class FitData:
     Attributes:
         problems: the recordings, in the order of the rows, without samples where several are long;
             `arms`: their parameters.
-        replays: by recording, the described control law against the recorded effort.
         observed: the rows of W and Y of all recordings about the estimate.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
@@ -50,7 +49,6 @@ class FitData:
 
     problems: tuple[Problem, ...]
     arms: tuple[Arm, ...]
-    replays: tuple[TrustLine, ...]
     observed: Rows
     method: Method
     fixed_point: bool

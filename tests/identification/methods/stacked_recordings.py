@@ -3,13 +3,9 @@
 from identification.data import Recordings
 from identification.methods import Model
 from identification.methods.model import model_of
-from identification.methods.observation import observation_of
 from identification.regression import Overrides, Problem
 
 
 def system_of(*problems: Problem) -> Model:
-    observations = [observation_of(problem) for problem in problems]
     sources = tuple(problem.signals for problem in problems)
-    return model_of(
-        Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems)))
-    )
+    return model_of(Recordings(sources=sources), Overrides(), problems, tuple(range(len(problems))))

@@ -54,7 +54,7 @@ def exact(observed, case):
     by the described gains.
     """
     found = []
-    for problem, replayed in zip(observed.problems, observed.replays, strict=True):
+    for problem in observed.problems:
         robot, signals = problem.signals.robot, problem.signals
         beta, payload = described_parameters(problem.model, problem.base), signals.payload
         if payload is not None:
@@ -64,8 +64,7 @@ def exact(observed, case):
         torque = predicted_torque(motion, problem.model, problem.base, beta)
         effort = (np.linalg.solve(robot.R.T, torque.T).T * robot.gain / case.gains) @ robot.R
         signals = replace(signals, effort=effort)
-        problem = replace(problem, signals=signals, motion=FilteredMotion(signals))
-        found.append((problem, replayed))
+        found.append(replace(problem, signals=signals, motion=FilteredMotion(signals)))
     return model_of(observed.recordings, observed.overrides, found, observed.order)
 
 
