@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .. import regression
 from ..arrays import Array
-from ..data import RecordingFile, Recordings, Signals, check_one_robot
+from ..data import RecordingFile, Recordings, Signals, Work, check_one_robot
 from ..estimation import Estimate, System, combined, release_memory
 from ..regression import (
     Candidate,
@@ -29,8 +29,6 @@ from ..regression import (
     torque_of_recording,
 )
 from ..simulation import (
-    COARSE,
-    FINE,
     Simulated,
     SimulatedRecording,
     rows_along_reference,
@@ -57,16 +55,16 @@ class Model:
     order given; read-only.
 
     Attributes:
-        recordings: in the order of the digests; `overrides`: their settings.
-        problems: the recordings with their settings.
+        problems: the recordings with their settings, from `overrides`.
+        work: where their tasks run.
         order: places of the recordings in the order given.
         unknowns: x.
         left_out: friction terms left out, each with the reason.
     """
 
-    recordings: Recordings
-    overrides: Overrides
     problems: tuple[Problem, ...]
+    overrides: Overrides
+    work: Work
     order: tuple[int, ...]
     unknowns: Unknowns
     left_out: dict[str, str] = field(default_factory=dict)
@@ -84,15 +82,12 @@ class Model:
     @cached_property
     def equations(self) -> tuple[Equation, ...]:
         """Of each recording, for tasks: without samples if a task can read them itself."""
-        found = []
-        for k, (source, problem) in enumerate(
-            zip(self.recordings.sources, self.problems, strict=True)
-        ):
-            if isinstance(source, RecordingFile) and self.recordings.work.workers != 1:
-                problem = problem.without_samples()
-            problem = problem if len(problem.signals.q) else replace(problem, source=source)
-            found.append(equation_of(problem, self.unknowns, k))
-        return tuple(found)
+        here = self.work.workers == 1
+        each = (
+            one if here or not isinstance(one.source, RecordingFile) else one.without_samples()
+            for one in self.problems
+        )
+        return tuple(equation_of(one, self.unknowns, k) for k, one in enumerate(each))
 
     @cached_property
     def load(self) -> NDArray[np.intp]:
@@ -129,30 +124,27 @@ class Model:
         """x with the values of an estimate; those of the free unknowns that it lacks are zero,
         gains stay.
         """
-        gains, names, found = self.unknowns.gains, self.names, x.copy()
-        found[: gains.start] = 0.0
-        found[: len(names)] = [
-            estimate.by_name.get(name, own) for name, own in zip(names, found, strict=False)
-        ]
+        found = x.copy()
+        found[: len(self.names) - len(self.unknowns.motors)] = 0.0
+        found[[self.names.index(name) for name in estimate.names]] = estimate.beta
         return found
 
     def concluded(self, x: Array) -> tuple[Problem, ...]:
-        """The problems with the lags and gains of x, and where to read them."""
+        """The problems with the lags and gains of x."""
         kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
         return tuple(
             replace(
                 problem,
                 settings=replace(problem.settings, torque_lag_s=float(x[one.drives.lag])),
                 gains=kappa,
-                source=one.problem.source if not len(problem.signals.q) else None,
             )
             for problem, one in zip(self.problems, self.equations, strict=True)
         )
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
-        """The results of a task for each recording, on the workers of the fit."""
+        """The results of a task for each recording: of several on the workers of the fit."""
         tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
-        return list(self.recordings.work.run(task, tasks))
+        return list(self.work.run(task, tasks)) if len(tasks) > 1 else [task(*tasks[0])]
 
     def candidates(
         self, x: Array, speed: Array, *, simulated: bool = False
@@ -189,10 +181,12 @@ class Model:
     ) -> tuple[Array, Array, Array]:
         """Decimated torque, as measured by x and as predicted, and speed, (rows, n) each.
 
-        Of an estimate; of several, each in equal spans of a recording, or in one recording.
+        Predicted by x, or an estimate; by several, each in equal spans of a recording, or in one
+        recording.
         """
+        values = [self.x_of(one, x) for one in estimates]
         each = [
-            (x, *map(arm.values, estimates[k : k + 1] if by_recording else estimates))
+            (x, *map(arm.beta, values[k : k + 1] if by_recording else values))
             for k, arm in enumerate(self.unknowns.arms)
         ]
         found = self.run(torque_of_recording, each)
@@ -205,8 +199,7 @@ class Model:
 
     def along_reference(self, robots: Robots, x: Array) -> Rows:
         """[Z J r] of all recordings about x, along the motion that the reference predicts."""
-        tasks = list(zip(robots, self.equations, [x] * len(robots), strict=True))
-        return stacked_rows(list(self.recordings.work.run(rows_along_reference, tasks)))
+        return stacked_rows(self.run(rows_along_reference, [(one, x) for one in robots]))
 
     def robots(self, x: Array, *, gain_update: bool = True) -> Robots:
         """What prepares each recording for simulations; the loops have the gains of x, and are set
@@ -222,7 +215,7 @@ class Model:
             for one in self.equations
         ]
         # Once in this process; each task of a worker prepares its own.
-        return [cache(one) for one in each] if self.recordings.work.workers == 1 else each
+        return [cache(one) for one in each] if self.work.workers == 1 else each
 
     def along(
         self,
@@ -234,16 +227,15 @@ class Model:
         of_lag: bool = False,
     ) -> tuple[tuple[Simulated, ...], Rows]:
         """[C Z J r] of all recordings about x, and by recording along whose motion: that of the
-        robot simulated with what is asked; if nothing is asked, that which the reference predicts,
-        with `COARSE` samples per period of the bandwidth.
+        robot simulated with what is asked; if nothing is asked, that which the reference predicts.
         """
         own = self.unknowns.simulated(*asked) if asked else [None] * len(robots)
         more: Sequence[Candidate | None] = further or [None] * len(robots)
         tasks = [
-            (robot, FINE if asked else COARSE, one, (x, beta), term, of_lag)
-            for robot, one, beta, term in zip(robots, self.equations, own, more, strict=True)
+            (robot, (x, beta), term, of_lag)
+            for robot, beta, term in zip(robots, own, more, strict=True)
         ]
-        z, each = zip(*self.recordings.work.run(simulate, tasks), strict=True)
+        z, each = zip(*self.run(simulate, tasks), strict=True)
         release_memory(each[0].Z)
         return z, stacked_rows(each)
 
@@ -254,7 +246,8 @@ class Model:
         if not left_out:
             return self
         problems = [problem.without_terms(left_out) for problem in self.problems]
-        return replace(self._of(problems), left_out=self.left_out | left_out)
+        found = model_of(problems, self.overrides, self.work, self.order)
+        return replace(found, left_out=self.left_out | left_out)
 
     def with_ramps(self, ramp_rows: float) -> "Model":
         """The same recordings with other ramps of the weights of samples."""
@@ -283,14 +276,11 @@ class Model:
         pairs = zip(self.problems, settings, strict=True)
         return replace(self, problems=tuple(replace(one, settings=own) for one, own in pairs))
 
-    def _of(self, problems: Sequence[Problem]) -> "Model":
-        return model_of(self.recordings, self.overrides, problems, self.order)
-
 
 def model_of(
-    recordings: Recordings,
-    overrides: Overrides,
     problems: Sequence[Problem],
+    overrides: Overrides,
+    work: Work,
     order: tuple[int, ...],
 ) -> Model:
     """The model of recordings."""
@@ -298,9 +288,9 @@ def model_of(
     motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
     of_gains = ("Fv", "Fc") if overrides.gains else ()
     return Model(
-        recordings=recordings,
-        overrides=overrides,
         problems=tuple(problems),
+        overrides=overrides,
+        work=work,
         order=order,
         unknowns=regression.make_unknowns(problems, motors, of_gains),
     )
@@ -314,8 +304,8 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
     if len(given.sources) == 1:
-        alone = Recordings(sources=given.sources)  # nothing is left to workers
-        return model_of(alone, overrides, [observe(given.sources[0], overrides, np.inf)], (0,))
+        alone = [observe(given.sources[0], overrides, np.inf)]
+        return model_of(alone, overrides, Work(), (0,))
     say(f"reading {len(given.sources)} recordings")
     found = observe_all(given, [overrides] * len(given.sources))
     check_one_robot([problem.signals for problem in found])
@@ -323,8 +313,8 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
     each = [problem.signals for problem in found]
     by_digest = sorted(range(len(found)), key=lambda k: (each[k].sha256, each[k].recording))
     return model_of(
-        replace(given, sources=tuple(given.sources[k] for k in by_digest)),
-        overrides,
         [found[k] for k in by_digest],
+        overrides,
+        given.work,
         tuple(by_digest.index(k) for k in range(len(found))),
     )

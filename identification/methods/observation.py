@@ -48,7 +48,8 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
     """
     signals = source.load() if isinstance(source, RecordingFile) else source
     problem = regression.make_problem(signals, overrides)
-    problem = problem if problem.law is not None else replace(problem, law=law_of(problem))
+    law = problem.law if problem.law is not None else law_of(problem)
+    problem = replace(problem, law=law, source=source)
     return problem.without_samples() if signals.q.size > most else problem
 
 

@@ -15,7 +15,7 @@ from ..estimation import one_thread
 from ..model import nearest_consistent
 from ..regression import Candidate, Equation, Motion, MotionBlock, Rows, rows_of_recording
 from ..report import DirectModelResidual
-from .simulated_recording import COARSE, SimulatedRecording
+from .simulated_recording import COARSE, FINE, SimulatedRecording
 
 MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
@@ -58,9 +58,8 @@ class Simulated:
 
 @one_thread
 def simulate(
-    prepared: Callable[[float], SimulatedRecording],
-    rate_per_bandwidth: float,
     equation: Equation,
+    prepared: Callable[[float], SimulatedRecording],
     about: tuple[Array, Asked | None],
     further: Candidate | None = None,
     of_lag: bool = False,
@@ -79,9 +78,9 @@ def simulate(
 
     Parameters
     ----------
-    prepared : makes the recording in which robots are simulated, for a rate.
-    rate_per_bandwidth : samples and simulated steps per period of the bandwidth, at least.
     equation : the equation of motion of the recording.
+    prepared : makes the recording in which robots are simulated, for a number of samples and steps
+        per period of the bandwidth.
     about : x (p,), about which the rows are, and what is asked; None for nothing.
     further, of_lag : as of `rows_of_recording`.
 
@@ -89,7 +88,8 @@ def simulate(
     -------
     The simulated motion with how it follows the recording, and the rows.
     """
-    robot, beta, (x, asked) = prepared(rate_per_bandwidth), None, about
+    beta, (x, asked) = None, about
+    robot = prepared(COARSE if asked is None else FINE)
     kind: InstrumentKind = "reference"
     why = None
     if asked is not None:
@@ -126,7 +126,7 @@ def simulate(
 
 @one_thread
 def rows_along_reference(
-    prepared: Callable[[float], SimulatedRecording], equation: Equation, x: Array
+    equation: Equation, prepared: Callable[[float], SimulatedRecording], x: Array
 ) -> Rows:
     """Compute the rows of a recording about the unknowns x (p,), with instruments along the motion
     that its reference predicts; no robot is simulated.

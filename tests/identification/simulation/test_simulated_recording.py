@@ -31,14 +31,14 @@ from identification.regression import (
     rows_of_recording,
     rule_cutoff_hz,
 )
-from identification.simulation import FINE, SimulatedRecording
+from identification.simulation import SimulatedRecording
 
 
 def simulated(problem, prior, x, covariance, **options):
-    of = partial(SimulatedRecording, problem, prior, **options), FINE
+    prepared = partial(SimulatedRecording, problem, prior, **options)
     equation, start = equation_alone(problem)
     about = np.r_[x, start[len(x) :]]
-    return simulation.simulate(*of, equation, (about, (x, covariance, np.zeros(len(x)))))
+    return simulation.simulate(equation, prepared, (about, (x, covariance, np.zeros(len(x)))))
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])
