@@ -258,8 +258,8 @@ class Trials:
             if isinstance(source, JointTerm) and source.kind == term
         }
         self.done, self.left_out = dict[TermSet, Trial](), dict[tuple[int, FrictionTerm], str]()
-        self.weights = self._fit(at_all_joints(robot, ())).estimate.weights
-        last = self._fit(at_all_joints(robot, CANDIDATES)).rows
+        self.weights = self._fit(at_all_joints(robot, ()))[1].estimate.weights
+        last = self._fit(at_all_joints(robot, CANDIDATES))[2]
         self.unpredicted = {
             name: f"{name} cannot be predicted by the others: {', '.join(lost[:8])} undetermined"
             for name, (_, lost) in zip(self.names, self._predictions(last), strict=True)
@@ -280,9 +280,9 @@ class Trials:
         """
         if terms in self.done:
             return self.done[terms]
-        settled = self._fit(terms)
-        estimate, rows = settled.estimate, settled.rows
-        predicted = partial(settled.model.predicted, settled.x)
+        model, settled, rows = self._fit(terms)
+        estimate = settled.estimate
+        predicted = partial(model.predicted, settled.x)
         found = estimation.intervals_of(rows.system, estimate)
         moving, betas = (
             estimation.are_moving(rows.speed),
@@ -332,12 +332,15 @@ class Trials:
             frozenset(term for i, term in added if i == j) for j in range(len(self.weights))
         )
 
-    def _fit(self, terms: TermSet) -> methods.Solution:
+    def _fit(self, terms: TermSet) -> tuple[methods.Model, methods.Pass, Rows]:
         others = {name: "" for name, (j, term) in self.added.items() if term not in terms[j]}
-        settled = methods.least_squares(self.whole.without(others), self._rows.without(others))
-        left_out = settled.model.left_out.items()
+        model, settled = methods.least_squares(
+            self.whole.without(others), self._rows.without(others)
+        )
+        left_out = model.left_out.items()
+        assert settled.rows is not None
         self.left_out |= {self.added[name]: text for name, text in left_out if text}
-        return settled
+        return model, settled, settled.rows
 
     def _predictions(self, settled: Rows) -> list[tuple[Array, list[str]]]:
         """By part the parameters (b,) by the others, and the names of those that

@@ -42,4 +42,4 @@ from .parameters import (
     with_stored_gains,
 )
 from .recording_report import Validated, main_figures, recording_document, validation_document
-from .start import Solution, least_squares, with_best_ramps
+from .start import least_squares, with_best_ramps

@@ -19,8 +19,8 @@ from ..estimation import (
     torque_errors,
 )
 from ..regression import ROWS, Lag, Problem, Rows, base_name, lag_by_law, sample_weights
-from ..report import FTest, Method
-from ..simulation import Simulated, controller_of, saturated_percents
+from ..report import FTest, Method, Status
+from ..simulation import Simulated, saturated_percents
 from ..trust import (
     MIN_FIRST_STAGE_F,
     FitData,
@@ -35,7 +35,7 @@ from .gains import held_and_counted, results_of
 from .iteration import Loop
 from .model import Model
 from .recording_report import gain_warnings, recording_warnings
-from .status import direct_errors, largest, status_of, tests_of
+from .status import direct_errors, largest
 
 SURROGATE = (
     "surrogate reference: none recorded, the measured position is used instead; the instruments "
@@ -214,30 +214,32 @@ def _short_moves(problem: Problem) -> list[str]:
     ]
 
 
-def assess_iv(loop: Loop, best: Pass, passes: Sequence[Pass]) -> Fit:
-    """The fit of the pass that is returned; the robot simulated with its estimate
-    validates the direct model.
+def assess_iv(
+    loop: Loop,
+    best: Pass,
+    passes: Sequence[Pass],
+    ended: tuple[Status, str | None],
+    tests: tuple[float, float],
+) -> Fit:
+    """The fit of the pass that is returned, how the passes `ended`, and the `tests` of its
+    instruments; the robot simulated with its estimate validates the direct model.
     """
     model, ls, estimate, z, rows = loop.model, loop.ls, best.estimate, best.confirmed_by, best.rows
     assert rows is not None
     x = model.x_of(estimate, best.x)
-    tau, predicted, _ = model.torques(x, estimate)
+    tau, predicted, _ = model.torques(x)
     solved = replace(ls, estimate=estimate, tau_predicted=predicted)
     evidence = evidence_of(model, "iv", solved, replace(rows, tau=tau, late=None), x, best.lags)
-    strength, F = tests_of(evidence.observed.system, estimate)
-    status, reason = status_of(model, passes, best, F)
+    (status, reason), (strength, F), controllers = ended, tests, loop.controllers
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half
         contrast = np.nan_to_num(np.where(np.isin(estimate.names, ls.full.names), off, 0.0))
     saturated = [saturated_percents(one.problem.with_samples()) for one in model.equations]
-    controllers = [controller_of(problem)[1] for problem in model.problems]
     iv = InstrumentEvidence(
         start=loop.iteration.start,
-        reference="recorded"
-        if all(problem.signals.q_ref is not None for problem in model.problems)
-        else "surrogate",
+        reference="recorded" if model.exogenous else "surrogate",
         controller=max(controllers, key=("described", "found", "surrogate").index),
         passes=tuple(passes),
         returned=best.number,

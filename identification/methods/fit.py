@@ -1,7 +1,7 @@
 """Results of an identification: the estimate, its settings, and its tests."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import msgspec
@@ -31,21 +31,22 @@ def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """One pass of the instrumental variable method; only the last one keeps arrays as large as W.
+    """One pass of the instrumental variable method, or least squares, from which passes start; only
+    the last one keeps arrays as large as W.
 
     Attributes:
-        x: (p,) values, with the lags found.
-        z: by recording, the simulated robot; `rows`: with its instruments, about x.
+        x: (p,) values before it, with the lags found.
+        rows: about x, with the instruments; `z`: by recording, the robot simulated for them.
         estimate: of the free unknowns; `covariance`: (f, f) corrected for correlation.
         lags: found, with what is known; `lags_settled`: whether they are those of the rows.
         asked: values (p,) simulated, and their covariance (f, f), None for a regular start; of
-            `other` values than x.
+            `other` values than x. None along the reference.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations; in
             percent of those larger than two deviations; the parameter of the former.
         residual_percent: change of the residual norm by the pass, over the same rows.
         residual_settled, parameters_settled: whether the residual, and every parameter, changed
             less than the tolerance.
-        number: counted from 1.
+        number: counted from 1; least squares is 0.
         by_reference: why no simulated robot confirms others, so that its instruments, of kind
             `reference`, stand alone: one solution; None where they do not.
         failure: why the next pass gave no estimate; None if it did, or there was none.
@@ -54,21 +55,21 @@ class Pass:
     """
 
     x: Array
-    z: tuple[Simulated, ...]
     rows: Rows | None
     estimate: Estimate
-    covariance: Array
-    lags: tuple[Lag, ...]
-    lags_settled: bool
-    asked: tuple[Array, Array | None]
-    other: bool
-    change_sigma: float
-    change_percent: float
-    changed: str
-    residual_percent: float
-    residual_settled: bool
     parameters_settled: bool
-    number: int = 1
+    lags: tuple[Lag, ...]
+    z: tuple[Simulated, ...] = ()
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    lags_settled: bool = False
+    asked: tuple[Array, Array | None] | None = None
+    other: bool = False
+    change_sigma: float = 0.0
+    change_percent: float = 0.0
+    changed: str = ""
+    residual_percent: float = 0.0
+    residual_settled: bool = False
+    number: int = 0
     by_reference: str | None = None
     failure: str | None = None
     confirmed_by: tuple[Simulated, ...] = ()

@@ -20,13 +20,13 @@ from .iteration import Iteration
 from .model import Model, read_model
 from .observation import Say, position_noise_line
 from .start import (
-    Solution,
     at_gains,
     least_squares,
     solution_of,
     step_of,
     with_best_ramps,
 )
+from .status import status_of, tests_of
 
 
 @one_thread
@@ -71,18 +71,19 @@ def identify(
     """
     # (1), (2), (H), (I): tau = IDM(q, dq, ddq) beta; the terms, and the unknowns x
     model, by, reason = _read(signals, overrides, method, iteration, say)
-    found = least_squares(*with_best_ramps(model, instruments=by == "iv"), by)  # (B)
-    if by == "iv" and _can_be_simulated(found):
+    model, found = least_squares(*with_best_ramps(model, instruments=by == "iv"), by)  # (B)
+    if by == "iv" and _can_be_simulated(model, found):
         try:
-            loop = iv.Loop(at_gains(found), iteration or Iteration(), essential=essential)
-            del found  # its rows are as many as those of a pass
+            start, how = at_gains(model, found), iteration or Iteration()
+            loop = iv.Loop(model, start, how, essential=essential)
+            del found, start  # its rows are as many as those of a pass
             fit = _by_instruments(loop, say)
         except NoFitError as error:
             if method is None and not overrides.gains:
                 error.args = (f"{error.args[0]}; least squares: --method wls",)
             raise
     else:
-        fit = _by_measured_motion(found, by, essential=essential)
+        fit = _by_measured_motion(model, found, by, essential=essential)
     return replace(fit, method_reason=reason)
 
 
@@ -130,12 +131,12 @@ def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
     return "wls", f"no reference{where}"
 
 
-def _can_be_simulated(found: Solution) -> bool:
+def _can_be_simulated(model: Model, found: Pass) -> bool:
     """Whether a robot can be simulated: always with described gains; with those of a solution only
     if they are positive, and references recorded.
     """
-    model = found.model
-    positive = found.settled and bool((found.x[model.unknowns.gains] > 0).all())
+    gains = model.x_of(found.estimate, found.x)[model.unknowns.gains]
+    positive = found.parameters_settled and bool((gains > 0).all())
     return not model.unknowns.motors or (positive and model.exogenous)
 
 
@@ -165,31 +166,31 @@ def identify_iv(
     )
 
 
-def _by_measured_motion(found: Solution, method: Method, *, essential: bool) -> Fit:
+def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Fit:
     """IDIM-LS: W and Y from the measured torque and the filtered position; drive gains with the
     torque that x predicts as instruments.
     """
-    model = found.model
-    rows = model.rows(found.x, model.candidates(found.x, found.rows.speed))
-    found = replace(found, rows=rows, estimate=step_of(model, rows, method))  # of these very rows
-    found = replace(found, x=model.x_of(found.estimate, found.x))
-    ls = solution_of(at_gains(found), essential=essential)
-    solved, gains = ls, model.unknowns.motors
+    assert found.rows is not None
+    x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
+    rows = model.rows(x, model.candidates(x, found.rows.speed))
+    # of these very rows
+    found = replace(found, x=x, rows=rows, estimate=step_of(model, rows, method))
+    x = model.x_of(found.estimate, x)
+    solved = ls = solution_of(model, at_gains(model, found), essential=essential)
     if gains:
-        predicted = model.predicted(found.x, found.estimate)
-        solved = replace(ls, estimate=found.estimate, tau_predicted=predicted)
-    evidence = evidence_of(model, method, solved, rows, found.x, model.lags)
+        solved = replace(ls, estimate=found.estimate, tau_predicted=model.torques(x)[1])
+    evidence = evidence_of(model, method, solved, rows, x, model.lags)
     if gains:
         why = "with these" if model.exogenous else "without a recorded reference"
         text = f"drive gains by the measured motion: no robot is simulated {why}"
-        evidence = replace(evidence, fixed_point=found.settled, unconfirmed=text)
+        evidence = replace(evidence, fixed_point=found.parameters_settled, unconfirmed=text)
     else:
         # Once, of the first recording: it looks at the beginning of a long one anyway.
         first = model.equations[0].problem.with_samples()
         alone = model.unknowns.plain and not len(model.load)
         noise = position_noise_line(first, method, solved, alone=alone)
         evidence = replace(evidence, position_noise=noise)
-    return fit_of(model, evidence, found.x, ls)
+    return fit_of(model, evidence, x, ls)
 
 
 def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
@@ -200,19 +201,21 @@ def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
     same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq,
     decimated as W, finds the lag L of the torque by the same instruments, and solves for beta_k+1.
     """
-    model, x, passes = loop.model, loop.x, list[Pass]()
-    lags, asked = model.lags, iv.start_values(loop)
-    while not passes or not (passes[-1].is_last or len(passes) == loop.most):
-        say(f"pass {len(passes) + 1}: simulating the robot")
+    model, x, passes, asked = loop.model, loop.x, [loop.start], iv.start_values(loop)
+    while not passes[-1].is_last and len(passes) <= loop.most:
+        say(f"pass {len(passes)}: simulating the robot")
         passes = [one.without_rows() for one in passes]
         try:
-            passes += [loop.next_pass(x, lags, asked, passes[-1] if passes else None)]
+            passes += [loop.next_pass(passes, x, asked)]
         except iv.NoEstimateError as error:
             passes = iv.failed(passes, error, [one.signals.recording for one in model.problems])
             break
-        x, lags = iv.next_values(model, passes), passes[-1].lags
+        x = iv.next_values(model, passes)
         asked = x, passes[-1].covariance
     best = iv.conclude(loop, passes)
-    if (alone := iv.by_reference(loop, passes, best)) is not None:
-        passes, best = [*passes, alone], alone
-    return assess_iv(loop, best, [one.without_rows() for one in passes])
+    tests = tests_of(best)
+    ended = status_of(model, passes[-1], best, tests[1])
+    if (alone := iv.by_reference(loop, ended, len(passes))) is not None:
+        passes, best, tests = [*passes, alone], alone, tests_of(alone)
+        ended = status_of(model, alone, alone, tests[1])
+    return assess_iv(loop, best, [one.without_rows() for one in passes[1:]], ended, tests)

@@ -5,7 +5,7 @@ which pass is returned.
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -19,12 +19,13 @@ from ..estimation import (
 )
 from ..model import BaseParameters, InverseModel
 from ..regression import Lag, Rows, base_places, lags_in
-from ..simulation import Simulated
+from ..report import Status
+from ..simulation import ControllerKind, Simulated, controller_of
 from ..trust import covariance_of_all
 from .fit import Pass, join_reasons
 from .model import Asked, Model
-from .start import Solution, solution_of
-from .status import why_by_reference
+from .start import solution_of
+from .status import MIN_F, tests_of
 
 # samples; the column of the lag is of first order, not exact for many
 MAX_LAST_LAG = 0.25
@@ -58,8 +59,8 @@ class Loop:
     """The passes of a fit, prepared: they start at a solution by least squares.
 
     Attributes:
-        model: recordings and unknowns; `x`: (p,) of least squares.
-        ls: least squares, whose weights are used.
+        model: recordings and unknowns.
+        start: least squares; `ls`: its results, whose weights are used; `x`: (p,) its values.
         iteration: settings of the passes.
         robots: prepared for simulations.
         speed: (rows, n) measured, of all recordings.
@@ -67,20 +68,27 @@ class Loop:
         most, tolerance_percent: of the passes.
     """
 
-    def __init__(self, found: Solution, iteration: Iteration, *, essential: bool) -> None:
-        """From `found`; `essential`: only such parameters are estimated."""
-        self.model, self.x, self.speed = found.model, found.x, found.rows.speed
-        self.ls, self.iteration = solution_of(found, essential=essential).without_rows(), iteration
-        stored, names = self.model.problem.signals.robot.identification, self.model.names
+    def __init__(self, model: Model, start: Pass, iteration: Iteration, *, essential: bool) -> None:
+        """From least squares; `essential`: only such parameters are estimated."""
+        assert start.rows is not None
+        self.model, self.speed, self.iteration = model, start.rows.speed, iteration
+        self.ls = solution_of(model, start, essential=essential).without_rows()
+        self.start, self.x = start.without_rows(), model.x_of(start.estimate, start.x)
+        stored, names = model.problem.signals.robot.identification, model.names
         self.most = iteration.max_iterations or stored.max_iterations
         self.tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
-        prior = inertia_prior(self.model, self.x)
-        self.robots = self.model.robots(prior, gain_update=iteration.gain_update)
+        prior = inertia_prior(model, self.x)
+        self.robots = model.robots(prior, gain_update=iteration.gain_update)
         self.fitted = np.arange(len(names))
         if essential:
             others = np.delete(self.fitted, base_places(names))
             kept = [names.index(name) for name in self.ls.essential.names]
             self.fitted = np.union1d(kept, others)
+
+    @cached_property
+    def controllers(self) -> list[ControllerKind]:
+        """By recording, where its control law comes from."""
+        return [controller_of(problem)[1] for problem in self.model.problems]
 
     def along(
         self, x: Array, asked: Asked | None, *, tests: bool, of_lag: bool
@@ -106,24 +114,17 @@ class Loop:
         return self.model.combined(system, estimate)
 
     @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
-    def next_pass(
-        self,
-        x: Array,
-        lags: Sequence[Lag],
-        asked: Asked | None,
-        before: Pass | None,
-    ) -> Pass:
+    def next_pass(self, before: Sequence[Pass], x: Array, asked: Asked | None) -> Pass:
         """Make one pass: simulate, find the lag, estimate, and compare with the values before.
 
             Z = F[w IDM(q_s, dq_s, ddq_s)],     x_k+1 = x_k + (Z'J)⁻¹ Z'r(x_k)           (D), (C)
 
         Parameters
         ----------
+        before : the passes before, from least squares on.
         x : (p,) values x_k, about which the rows are.
-        lags : of each group of recordings, as found so far.
         asked : values (p,) to simulate and their covariance (f, f), None for exactly these values;
             None in place of both: the motion that the reference predicts.
-        before : the pass before; None in the first.
 
         Returns
         -------
@@ -134,13 +135,14 @@ class Loop:
         ------
         NoEstimateError : these instruments give no estimate.
         """
-        names, other = self.model.names, asked is not None and asked[0] is not x
+        number, other = len(before), asked is not None and asked[0] is not x
         of_lag = self.model.exogenous and not other
+        stated = all(lag.prior.stated for lag in before[-1].lags)
         # The first pass is not the last one where a lag is looked for, and needs no tests.
-        tests = not of_lag or before is not None or all(lag.prior.stated for lag in lags)
+        tests = not of_lag or number > 1 or stated
         # q_s, dq_s, ddq_s, with (E), and (6)
         z, rows = self.along(x, asked, tests=tests, of_lag=of_lag)
-        rows, lags, settled = with_lags_found(rows, lags, first=before is None)  # (G)
+        rows, lags, settled = with_lags_found(rows, before[-1].lags, first=number == 1)  # (G)
         try:
             estimate = self.step(rows)  # (C), (D)
         except NoFitError as error:
@@ -149,23 +151,23 @@ class Loop:
         found = intervals_of(rows.system, estimate)  # C = D R D
         # Compared with the values asked for, not with the consistent ones simulated instead.
         # Parameters near zero never settle in percent: half a deviation is enough.
-        tolerance, (x, system) = 0.01 * self.tolerance_percent, (rows.x, rows.system)
-        change = np.abs(estimate.beta - [x[names.index(name)] for name in estimate.names])
+        tolerance, system = 0.01 * self.tolerance_percent, rows.system
+        change = np.abs(estimate.beta - x[self.fitted])
         w = estimate.weights[system.joint_of_row]
-        norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(names)])))
+        norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(system.names)])))
         norm_change, size = abs(estimate.residual_norm - norm_before), np.abs(estimate.beta)
         with np.errstate(divide="ignore"):
             in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
             in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
         return Pass(
-            x=x,
+            x=rows.x,
             z=z,
             rows=rows,
             estimate=estimate,
-            covariance=covariance_of_all(names, estimate, found, self.ls.full),
+            covariance=covariance_of_all(self.model.names, estimate, found, self.ls.full),
             lags=lags,
             lags_settled=settled,
-            asked=asked or (x, None),
+            asked=asked,
             other=other,
             change_sigma=float(in_sigma.max()),
             change_percent=float(in_percent.max()),
@@ -175,7 +177,7 @@ class Loop:
             parameters_settled=bool(
                 (change <= np.maximum(tolerance * size, estimate.sigma / 2)).all()
             ),
-            number=1 if before is None else before.number + 1,
+            number=number,
         )
 
 
@@ -200,7 +202,7 @@ def next_values(model: Model, passes: Sequence[Pass]) -> Array:
     """
     last = passes[-1]
     x = model.x_of(last.estimate, last.x)
-    return 0.5 * (x + last.x) if len(passes) >= MAX_FULL_STEPS else x
+    return 0.5 * (x + last.x) if last.number >= MAX_FULL_STEPS else x
 
 
 def with_lags_found(
@@ -241,15 +243,11 @@ class NoEstimateError(Exception):
 def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
     """The passes; the last one has the reason why the next gave no estimate.
 
-    Raises `NoFitError` if there is none.
+    Raises `NoFitError` if there is none but least squares.
     """
-    text = "; ".join(
-        [
-            f"pass {len(passes) + 1}: {error.__cause__}",
-            *(str(reason) for reason in error.args if reason),
-        ]
-    )
-    if not passes:
+    reasons = [str(reason) for reason in error.args if reason]
+    text = "; ".join([f"pass {len(passes)}: {error.__cause__}", *reasons])
+    if len(passes) == 1:
         raise NoFitError(f"no instruments: {text}", place=", ".join(recordings)) from error
     return [*passes[:-1], replace(passes[-1], failure=text)]
 
@@ -261,7 +259,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     Parameters
     ----------
     loop : recordings, prepared robots, weights.
-    passes : in order; all but the last without rows.
+    passes : in order, from least squares on; all but the last without rows.
 
     Returns
     -------
@@ -273,7 +271,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     NoFitError : as `Loop.step`, where rows are computed again.
     """
     last, model = passes[-1], loop.model
-    if last.is_last and last.failure is None:
+    if last.is_last:
         return replace(last, confirmed_by=last.z)
 
     def confirmed(estimate: Estimate, covariance: Array) -> tuple[Simulated, ...]:
@@ -281,9 +279,9 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
         return model.along(loop.robots, x, (x, covariance))[0]
 
     after = confirmed(last.estimate, last.covariance)
-    tracked = [_tracking(one.z) for one in passes[1:]] + [_tracking(after)]
-    best = passes[int(np.argmin(tracked)) if min(tracked) < np.inf else -1]
-    if best is last and last.rows is not None and last.rows.C.size and last.failure is None:
+    tracked = [_tracking(one.z) for one in passes[2:]] + [_tracking(after)]
+    best = passes[int(np.argmin(tracked)) + 1 if min(tracked) < np.inf else -1]
+    if best is last and last.rows is not None and last.rows.C.size:
         return replace(last, confirmed_by=after)
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
     z, rows = loop.along(x, best.asked, tests=True, of_lag=False)
@@ -293,22 +291,23 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     return replace(best, x=x, z=z, rows=rows, estimate=estimate, lags=last.lags, confirmed_by=after)
 
 
-def by_reference(loop: Loop, passes: Sequence[Pass], best: Pass) -> Pass | None:
-    """Make a pass along the motion that the reference predicts, without a simulated robot.
+def by_reference(loop: Loop, ended: tuple[Status, str | None], number: int) -> Pass | None:
+    """Make the pass of a `number` along the motion that the reference predicts, without a simulated
+    robot.
 
     Returns None unless all references are recorded, no control law is described, the simulated
-    robot confirms no other pass, and these instruments suffice alone (`why_by_reference`).
+    robot confirms no other pass, as these `ended`, and these instruments suffice alone.
     """
-    if (why := why_by_reference(loop.model, passes, best)) is None:
+    status, why = ended
+    if status == "converged" or not loop.model.exogenous or "described" in loop.controllers:
         return None
-    x, lags, last = loop.x, loop.model.lags, passes[-1]
+    why = f"by a simulated robot, whose control law is not described, {status}: {why}"
+    passes = [loop.start]
     with suppress(NoEstimateError):
         for _ in range(2):  # residuals of least squares have the lag in them
-            last = loop.next_pass(x, lags, None, passes[-1])
-            x, lags = next_values(loop.model, [last]), last.lags
-        last = replace(last, by_reference=why, confirmed_by=last.z)
-        if why_by_reference(loop.model, [last], last) is None:
-            return last
+            passes.append(loop.next_pass(passes, next_values(loop.model, passes), None))
+        last = replace(passes[-1], number=number, by_reference=why, confirmed_by=passes[-1].z)
+        return last if tests_of(last)[1] >= MIN_F else None
     return None
 
 

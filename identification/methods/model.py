@@ -101,7 +101,7 @@ class Model:
         """Whether all references are recorded: else instruments have the noise of positions."""
         return all(problem.signals.q_ref is not None for problem in self.problems)
 
-    @property
+    @cached_property
     def lags(self) -> tuple[Lag, ...]:
         """The lag of each group of recordings as known without a fit: the mean of theirs, with the
         smallest deviation.

@@ -16,7 +16,7 @@ from instruments along the reference, which need no simulation.
 
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, refuse_standing_joints, sample_weights
 from ..report import Method
 from ..trust import relative_residual
-from .fit import LeastSquares
+from .fit import LeastSquares, Pass
 from .model import Model
 from .observation import solver_of
 
@@ -52,24 +52,7 @@ MIN_KNOWN_SHARE = 1e-6  # of the norm of Y, outside the span of W and L
 LONG, SHORT, *OTHERS = RAMPS
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Solution:
-    """A solution by least squares.
-
-    Attributes:
-        model: without the terms that are left out.
-        x: (p,) unknowns; `rows`: about the values before the last step.
-        estimate: the last step's; `settled`: whether steps came to an end.
-    """
-
-    model: Model
-    x: Array
-    rows: Rows
-    estimate: Estimate
-    settled: bool
-
-
-def least_squares(model: Model, rows: Rows, method: Method = "wls") -> Solution:
+def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Model, Pass]:
     """Solve by least squares, equation (B), from rows about nothing but described gains.
 
     Parameters
@@ -80,7 +63,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> Solution:
 
     Returns
     -------
-    The solution with the model that is left.
+    The model that is left, and the last step, whose rows are about the values before it.
 
     Raises
     ------
@@ -100,7 +83,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> Solution:
             model, x = leave_out_load(model, x, method)
         rows = model.rows(x)
     try:
-        return settle(model, x, rows, method)
+        return model, settle(model, x, rows, method)
     except NoFitError as error:
         if not model.unknowns.motors:
             raise
@@ -112,15 +95,15 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> Solution:
         ) from error
 
 
-def at_gains(found: Solution) -> Solution:
+def at_gains(model: Model, found: Pass) -> Pass:
     """Solve for all other unknowns with the drive gains of a solution; without gains return it."""
-    model = found.model
     if not model.unknowns.motors:
         return found
-    rows = model.rows(found.x)
+    x = model.x_of(found.estimate, found.x)
+    rows = model.rows(x)
     system = rows.of(model.unknowns.arm)
     estimate = model.combined(system, weighted_least_squares(system))
-    return replace(found, x=model.x_of(estimate, found.x), rows=rows, estimate=estimate)
+    return replace(found, x=x, rows=rows, estimate=estimate)
 
 
 def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
@@ -140,7 +123,7 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
     return model.combined(rows.system, found)
 
 
-def settle(model: Model, x: Array, rows: Rows, method: Method) -> Solution:
+def settle(model: Model, x: Array, rows: Rows, method: Method) -> Pass:
     """Take steps of equation (C) until none is above a thousandth of a deviation.
 
         x <- x + c (Z'J)⁻¹ Z'r(x),     c = 1, 1/2, 1/4, 1/8
@@ -149,8 +132,8 @@ def settle(model: Model, x: Array, rows: Rows, method: Method) -> Solution:
     the weights of the step before, because those of least squares rise as the residual falls.
     Without load friction and gains one step is enough.
 
-    `x` (p,) are the values to start from, `rows` those about them. Returns the solution, with the
-    rows before its last step. Raises `NoFitError` as `step_of`.
+    `x` (p,) are the values to start from, `rows` those about them. Returns the last step. Raises
+    `NoFitError` as `step_of`.
     """
     estimate, settled = step_of(model, rows, method), True
     for _ in range(MAX_STEPS if len(model.load) or model.unknowns.motors else 0):
@@ -171,8 +154,7 @@ def settle(model: Model, x: Array, rows: Rows, method: Method) -> Solution:
         x, rows, estimate = x + share * step, tried, found
     else:
         settled = not model.unknowns.motors
-    x = model.x_of(estimate, x)
-    return Solution(model=model, x=x, rows=rows, estimate=estimate, settled=settled)
+    return Pass(x=x, rows=rows, estimate=estimate, parameters_settled=settled, lags=model.lags)
 
 
 def _torque(rows: Rows, step: Array, weights: Array) -> float:
@@ -181,16 +163,17 @@ def _torque(rows: Rows, step: Array, weights: Array) -> float:
     return float(np.linalg.norm(W @ step[: W.shape[1]]))
 
 
-def solution_of(found: Solution, *, essential: bool) -> LeastSquares:
+def solution_of(model: Model, found: Pass, *, essential: bool) -> LeastSquares:
     """Reduce a solution to its essential parameters, and compute its intervals and torque.
 
     They are computed from the rows before the last step, which is small or, of linear terms, the
     only one. `essential`: the estimate is that of the essential parameters alone.
     """
-    model, rows = found.model, found.rows
-    full = found.estimate
-    tau, predicted, _ = model.torques(found.x, full)
-    rho = (tau - predicted) * full.weights * rows.counts
+    rows, full = found.rows, found.estimate
+    assert rows is not None
+    x = model.x_of(full, found.x)
+    predicted = model.torques(x)[1]
+    rho = (rows.tau - predicted) * full.weights * rows.counts
     system = rows.of(np.arange(len(full.names)))
     of_full = intervals_of(system, full)
     kept = essential_parameters(system, full, correlation=autocorrelation(rho) or 0.0)
@@ -198,7 +181,7 @@ def solution_of(found: Solution, *, essential: bool) -> LeastSquares:
     if essential:
         system = system.with_columns(np.flatnonzero(np.isin(full.names, kept.names)))
         estimate = model.combined(system, weighted_least_squares(system, full.weights))
-        predicted = model.predicted(found.x, estimate)
+        predicted = model.predicted(x, estimate)
     return LeastSquares(
         estimate=estimate,
         intervals=intervals_of(system, estimate),

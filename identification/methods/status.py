@@ -6,19 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..estimation import Estimate, System, first_stage
+from ..estimation import first_stage
 from ..model import direct_model, poses_of, why_not_positive
 from ..report import DirectModelResidual, Status
-from ..simulation import Simulated, controller_of
+from ..simulation import Simulated
 from .fit import Pass, join_reasons
 from .model import Model
 
 # a larger error of the simulated position does not confirm the estimate
 MAX_TRACKING_PERCENT = 20.0
+MIN_F = 1.0  # of the first stage: with less, instruments explain nothing of W
 
 
 def status_of(
-    model: Model, passes: Sequence[Pass], best: Pass, first_stage_F: float
+    model: Model, last: Pass, best: Pass, first_stage_F: float
 ) -> tuple[Status, str | None]:
     """`converged` needs settled passes, simulated instruments that explain W, and a simulation
     that tracks the recording; or instruments along the motion that the reference predicts which
@@ -27,11 +28,10 @@ def status_of(
     Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot
     would hide a joint of small travel.
     """
-    last = passes[-1]
     unconfirmed = None if best.by_reference else _unconfirmed(model, best)
     if last.failure is not None:
         return "diverged", last.failure
-    if not first_stage_F >= 1.0:
+    if not first_stage_F >= MIN_F:
         return (
             "diverged",
             "the simulated motion does not resemble the measured one: first-stage "
@@ -51,25 +51,7 @@ def status_of(
     if not last.residual_settled:
         moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
     still = " and ".join(moving) or "only the start is known"
-    return "max_iterations", f"after {len(passes)} passes {still}"
-
-
-def why_by_reference(model: Model, passes: Sequence[Pass], best: Pass) -> str | None:
-    """Why instruments have to be along the motion that the reference predicts; None where those of
-    the pass are enough, the control law is described, or the reference is not recorded.
-    """
-    if any(
-        problem.signals.q_ref is None or controller_of(problem)[1] == "described"
-        for problem in model.problems
-    ):
-        return None
-    assert best.rows is not None
-    status, why = status_of(model, passes, best, tests_of(best.rows.system, best.estimate)[1])
-    return (
-        None
-        if status == "converged"
-        else f"by a simulated robot, whose control law is not described, {status}: {why}"
-    )
+    return "max_iterations", f"after {last.number} passes {still}"
 
 
 def _unconfirmed(model: Model, best: Pass) -> str | None:
@@ -97,8 +79,10 @@ def _unconfirmed(model: Model, best: Pass) -> str | None:
     return None
 
 
-def tests_of(system: System, estimate: Estimate) -> tuple[float, float]:
-    """Tests of the instruments of an estimate."""
+def tests_of(one: Pass) -> tuple[float, float]:
+    """Return strength and first-stage F of the instruments of a pass."""
+    assert one.rows is not None
+    system, estimate = one.rows.system, one.estimate
     indices = np.array([system.names.index(name) for name in estimate.names])
     W, _ = system.with_columns(indices).weighted(estimate.weights)
     return first_stage(estimate.Q, W, estimate.rows)

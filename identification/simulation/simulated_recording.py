@@ -42,12 +42,11 @@ from .recording_checks import (
 
 FINE = 100.0  # samples and steps per period of the bandwidth, at least
 COARSE = 25.0  # the same where only the motion that the reference predicts is asked for
+ControllerKind = Literal["described", "found", "surrogate"]
 CHUNK = 50_000  # instants of the controller that are simulated at a time
 
 
-def controller_of(
-    problem: Problem,
-) -> tuple[ControlLaw | None, Literal["described", "found", "surrogate"]]:
+def controller_of(problem: Problem) -> tuple[ControlLaw | None, ControllerKind]:
     """Return the control loop, and whether it is described or found in the recording; None for
     neither: a PD of the stated bandwidth is used instead.
 

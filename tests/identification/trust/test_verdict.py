@@ -32,7 +32,7 @@ def verdict(tracking, errors, first_stage_F=500.0):
     # whether M is positive is asked of each recording
     none = SimpleNamespace(equations=())
     return status_of(
-        none, (settled,), dataclasses.replace(settled, confirmed_by=(robot,)), first_stage_F
+        none, settled, dataclasses.replace(settled, confirmed_by=(robot,)), first_stage_F
     )
 
 
