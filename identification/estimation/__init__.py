@@ -6,6 +6,7 @@ from .confidence import (
     Scores,
     by_rows_alone,
     combined,
+    covariance_of_all,
     deviations_of_sums,
     differs,
     estimate_deviations,

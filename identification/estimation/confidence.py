@@ -207,6 +207,19 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
     )
 
 
+def covariance_of_all(
+    names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate
+) -> Array:
+    """C = D R D (b, b) of all base parameters; those that are not in the estimate are zero with
+    the deviations of `full`.
+    """
+    variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
+    covariance = np.diag([variances.get(name, 0.0) for name in names])
+    indices = np.array([names.index(name) for name in estimate.names])
+    covariance[np.ix_(indices, indices)] = intervals.covariance
+    return covariance
+
+
 def deviations_of_sums(system: System, z: Array, rho: Array, Q: Array) -> Array:
     """Standard deviations (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
 

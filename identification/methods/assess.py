@@ -5,6 +5,7 @@ the status of the passes.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import get_args
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ..estimation import (
 )
 from ..regression import ROWS, Lag, Problem, Rows, base_name, lag_by_law, sample_weights
 from ..report import FTest, Method, Status
-from ..simulation import Simulated, saturated_percents
+from ..simulation import ControllerKind, Simulated, saturated_percents
 from ..trust import (
     MIN_FIRST_STAGE_F,
     FitData,
@@ -230,7 +231,7 @@ def assess_iv(
     tau, predicted, _ = model.torques(x)
     solved = replace(ls, estimate=estimate, tau_predicted=predicted)
     evidence = evidence_of(model, "iv", solved, replace(rows, tau=tau, late=None), x, best.lags)
-    (status, reason), (strength, F), controllers = ended, tests, loop.controllers
+    (status, reason), (strength, F) = ended, tests
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -240,7 +241,7 @@ def assess_iv(
     iv = InstrumentEvidence(
         start=loop.iteration.start,
         reference="recorded" if model.exogenous else "surrogate",
-        controller=max(controllers, key=("described", "found", "surrogate").index),
+        controller=max((one.controller for one in z), key=get_args(ControllerKind).index),
         passes=tuple(passes),
         returned=best.number,
         reason=reason,
@@ -248,7 +249,7 @@ def assess_iv(
         first_stage_F=F,
         contrast=float(contrast.max()),
         contrast_at=estimate.names[int(contrast.argmax())],
-        rows_used_percent=float(100 * evidence.observed.counts.mean()),
+        rows_used_percent=float(100 * (rows.share > 0).mean()),
         saturated_percent=largest([max(one.values(), default=None) for one in saturated]),
         direct=direct_errors(z),
     )
@@ -260,24 +261,21 @@ def assess_iv(
         by_reference=reason if status == "converged" else None,
     )
     fit = fit_of(model, evidence, x, ls, z)
-    warnings = (*fit.warnings, *_iv_warnings(model, z, controllers, saturated, F))
+    warnings = (*fit.warnings, *_iv_warnings(model, z, saturated, F))
     return replace(fit, status=status, iv=iv, warnings=warnings)
 
 
 def _iv_warnings(
     model: Model,
     z: Sequence[Simulated],
-    controllers: Sequence[str],
     saturated: Sequence[dict[str, float]],
     first_stage_F: float,
 ) -> tuple[str, ...]:
     robots = [problem.signals.robot for problem in model.problems]
-    each = list(zip(robots, controllers, z, strict=True))
-    without = [robot for robot, controller, _ in each if controller == "surrogate"]
+    each = list(zip(robots, z, strict=True))
+    without = [robot for robot, one in each if one.controller == "surrogate"]
     unknown = [
-        robot
-        for robot, controller, one in each
-        if controller != "surrogate" and not one.prior_known
+        robot for robot, one in each if one.controller != "surrogate" and not one.prior_known
     ]
     limits = (
         ", ".join(f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT)

@@ -12,10 +12,15 @@ from acquisition.robot import Robot, load_robot
 
 from ..arrays import Array
 from ..errors import BadInputError
-from ..estimation import consistent_parameters, one_thread, parameter_certainty, torque_errors
+from ..estimation import (
+    consistent_parameters,
+    covariance_of_all,
+    one_thread,
+    parameter_certainty,
+    torque_errors,
+)
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import equation_alone, recorded_power, torque_of_recording
-from ..trust import covariance_of_all
 from .fit import ConsistentSet, Fit
 
 # of the variance by the prior alone: above, the value is more from the prior than the recording

@@ -76,6 +76,8 @@ class Pass:
 
     def without_rows(self) -> "Pass":
         """The same without arrays as large as W."""
+        if self.rows is None:
+            return self
         z, estimate = tuple(one.without_motion() for one in self.z), self.estimate.without_rows()
         return replace(self, z=z, rows=None, estimate=estimate, confirmed_by=())
 

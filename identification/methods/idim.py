@@ -215,7 +215,8 @@ def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
     best = iv.conclude(loop, passes)
     tests = tests_of(best)
     ended = status_of(model, passes[-1], best, tests[1])
-    if (alone := iv.by_reference(loop, ended, len(passes))) is not None:
-        passes, best, tests = [*passes, alone], alone, tests_of(alone)
-        ended = status_of(model, alone, alone, tests[1])
+    if (alone := iv.by_reference(loop, best, ended)) is not None:
+        best = replace(alone, number=len(passes))
+        passes, tests = [*passes, best], tests_of(best)
+        ended = status_of(model, best, best, tests[1])
     return assess_iv(loop, best, [one.without_rows() for one in passes[1:]], ended, tests)

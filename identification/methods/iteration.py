@@ -5,7 +5,7 @@ which pass is returned.
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..arrays import Array
 from ..errors import BadInputError, NoFitError
 from ..estimation import (
     Estimate,
+    covariance_of_all,
     instrumental_variables,
     intervals_of,
     weighted_least_squares,
@@ -20,8 +21,7 @@ from ..estimation import (
 from ..model import BaseParameters, InverseModel
 from ..regression import Lag, Rows, base_places, lags_in
 from ..report import Status
-from ..simulation import ControllerKind, Simulated, controller_of
-from ..trust import covariance_of_all
+from ..simulation import Simulated
 from .fit import Pass, join_reasons
 from .model import Asked, Model
 from .start import solution_of
@@ -85,11 +85,6 @@ class Loop:
             kept = [names.index(name) for name in self.ls.essential.names]
             self.fitted = np.union1d(kept, others)
 
-    @cached_property
-    def controllers(self) -> list[ControllerKind]:
-        """By recording, where its control law comes from."""
-        return [controller_of(problem)[1] for problem in self.model.problems]
-
     def along(
         self, x: Array, asked: Asked | None, *, tests: bool, of_lag: bool
     ) -> tuple[tuple[Simulated, ...], Rows]:
@@ -137,9 +132,8 @@ class Loop:
         """
         number, other = len(before), asked is not None and asked[0] is not x
         of_lag = self.model.exogenous and not other
-        stated = all(lag.prior.stated for lag in before[-1].lags)
         # The first pass is not the last one where a lag is looked for, and needs no tests.
-        tests = not of_lag or number > 1 or stated
+        tests = not of_lag or number > 1 or all(lag.prior.stated for lag in before[-1].lags)
         # q_s, dq_s, ddq_s, with (E), and (6)
         z, rows = self.along(x, asked, tests=tests, of_lag=of_lag)
         rows, lags, settled = with_lags_found(rows, before[-1].lags, first=number == 1)  # (G)
@@ -291,22 +285,22 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     return replace(best, x=x, z=z, rows=rows, estimate=estimate, lags=last.lags, confirmed_by=after)
 
 
-def by_reference(loop: Loop, ended: tuple[Status, str | None], number: int) -> Pass | None:
-    """Make the pass of a `number` along the motion that the reference predicts, without a simulated
-    robot.
+def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pass | None:
+    """Make a pass along the motion that the reference predicts, without a simulated robot, in place
+    of the `best` of those that `ended`.
 
     Returns None unless all references are recorded, no control law is described, the simulated
-    robot confirms no other pass, as these `ended`, and these instruments suffice alone.
+    robot confirms no other pass, and these instruments suffice alone.
     """
-    status, why = ended
-    if status == "converged" or not loop.model.exogenous or "described" in loop.controllers:
+    (status, why), described = ended, any(one.controller == "described" for one in best.z)
+    if status == "converged" or described or not loop.model.exogenous:
         return None
     why = f"by a simulated robot, whose control law is not described, {status}: {why}"
     passes = [loop.start]
     with suppress(NoEstimateError):
         for _ in range(2):  # residuals of least squares have the lag in them
             passes.append(loop.next_pass(passes, next_values(loop.model, passes), None))
-        last = replace(passes[-1], number=number, by_reference=why, confirmed_by=passes[-1].z)
+        last = replace(passes[-1], by_reference=why, confirmed_by=passes[-1].z)
         return last if tests_of(last)[1] >= MIN_F else None
     return None
 

@@ -21,7 +21,6 @@ from ..regression import (
     Rows,
     Settings,
     Unknowns,
-    combined_lag,
     equation_of,
     lag_without_fit,
     rows_of_recording,
@@ -58,7 +57,7 @@ class Model:
         problems: the recordings with their settings, from `overrides`.
         work: where their tasks run.
         order: places of the recordings in the order given.
-        unknowns: x.
+        unknowns: x; `lags`: of each group of recordings as known without a fit.
         left_out: friction terms left out, each with the reason.
     """
 
@@ -67,6 +66,7 @@ class Model:
     work: Work
     order: tuple[int, ...]
     unknowns: Unknowns
+    lags: tuple[Lag, ...]
     left_out: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -100,21 +100,6 @@ class Model:
     def exogenous(self) -> bool:
         """Whether all references are recorded: else instruments have the noise of positions."""
         return all(problem.signals.q_ref is not None for problem in self.problems)
-
-    @cached_property
-    def lags(self) -> tuple[Lag, ...]:
-        """The lag of each group of recordings as known without a fit: the mean of theirs, with the
-        smallest deviation.
-        """
-        found = []
-        for group in self.unknowns.groups:
-            each = [lag_without_fit(self.problems[k]) for k in group]
-            mean_s = float(np.mean([known.value_s for known in each]))
-            known = replace(min(each, key=lambda known: known.sd_s), value_s=mean_s)
-            found.append(
-                combined_lag(known, 1 / self.problems[group[0]].signals.sample_rate_hz, None)
-            )
-        return tuple(found)
 
     def start(self) -> Array:
         """x (p,) of nothing but described gains and known lags."""
@@ -287,12 +272,14 @@ def model_of(
     names, wanted = [m.name for m in problems[0].signals.robot.motors], overrides.gains or ()
     motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
     of_gains = ("Fv", "Fc") if overrides.gains else ()
+    unknowns = regression.make_unknowns(problems, motors, of_gains)
     return Model(
         problems=tuple(problems),
         overrides=overrides,
         work=work,
         order=order,
-        unknowns=regression.make_unknowns(problems, motors, of_gains),
+        unknowns=unknowns,
+        lags=tuple(lag_without_fit([problems[k] for k in group]) for group in unknowns.groups),
     )
 
 

@@ -247,12 +247,11 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
     shapes = [name for name, kind in kinds if kind in SHAPES and kind != "load"]
     left_out = dict[str, str]()
     refuse_standing_joints(rows.share, [problem.signals for problem in model.problems])
-    places = np.arange(len(model.names))
-    while worst := most_collinear(model.problem, rows.system.with_columns(places), shapes):
+    while worst := most_collinear(model.problem, rows.system, shapes):
         left_out |= worst
         shapes = [name for name in shapes if name not in left_out]
-        places = np.flatnonzero([name not in left_out for name in model.names])
-    return model.without(left_out), rows.without(left_out)
+        rows = rows.without(worst)
+    return model.without(left_out), rows
 
 
 def most_collinear(problem: Problem, system: System, indices: Collection[str]) -> dict[str, str]:

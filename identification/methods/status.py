@@ -56,10 +56,10 @@ def status_of(
 
 def _unconfirmed(model: Model, best: Pass) -> str | None:
     """Why the simulation with the final estimate does not confirm it; None if it does."""
-    reasons = list[tuple[str, str | None]]()
+    reasons, x = list[tuple[str, str | None]](), model.x_of(best.estimate, best.x)
     for one in model.equations:
         problem = one.problem
-        chi = problem.base.standard_parameters(one.arm.values(best.estimate))
+        chi = problem.base.standard_parameters(one.arm.beta(x))
         M = direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))
         reasons.append((problem.signals.recording, why_not_positive(M)))
     if (reason := join_reasons(reasons)) is not None:

@@ -12,7 +12,7 @@ recorded torque is noise in whitened rows.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -89,12 +89,19 @@ def lag_by_law(problem: Problem) -> KnownLag | None:
     return KnownLag(value_s=value_s, sd_s=sd_s, source="the described control law")
 
 
-def lag_without_fit(problem: Problem) -> KnownLag:
-    """Return the lag of a torque as known without an estimate, by user, recording and law."""
-    known = problem.settings.known_lag
-    if known.stated or (by_law := lag_by_law(problem)) is None:
-        return known
-    return by_law if known.source == NOTHING else known.with_other(by_law)
+def lag_without_fit(group: Sequence[Problem]) -> Lag:
+    """Return the lag of a group of recordings as known without an estimate, by user, recording and
+    law: the mean of theirs, with the smallest deviation.
+    """
+    each = list[KnownLag]()
+    for problem in group:
+        known = problem.settings.known_lag
+        if not known.stated and (by_law := lag_by_law(problem)) is not None:
+            known = by_law if known.source == NOTHING else known.with_other(by_law)
+        each.append(known)
+    mean_s = float(np.mean([known.value_s for known in each]))
+    known = replace(min(each, key=lambda known: known.sd_s), value_s=mean_s)
+    return combined_lag(known, 1 / group[0].signals.sample_rate_hz, None)
 
 
 def combined_lag(prior: KnownLag, period_s: float, found: tuple[float, float, int] | None) -> Lag:

@@ -6,4 +6,4 @@ from .closed_loop import ClosedLoop, RigidBodyPlant, described_robot, drive_loop
 from .control_law import Control, ControlLaw, Encoder, Reference, recorded_loop, surrogate_loop
 from .instruments import InstrumentKind, Simulated, rows_along_reference, simulate
 from .recording_checks import saturated_percents, unstated_limits
-from .simulated_recording import ControllerKind, SimulatedRecording, controller_of
+from .simulated_recording import ControllerKind, SimulatedRecording

@@ -15,7 +15,7 @@ from ..estimation import one_thread
 from ..model import nearest_consistent
 from ..regression import Candidate, Equation, Motion, MotionBlock, Rows, rows_of_recording
 from ..report import DirectModelResidual
-from .simulated_recording import COARSE, FINE, SimulatedRecording
+from .simulated_recording import COARSE, FINE, ControllerKind, SimulatedRecording
 
 MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
@@ -33,7 +33,7 @@ class Simulated:
             `consistent`: the same, where the inertia matrix of those asked is not positive;
             `reference`: not simulated, the motion is that which the reference predicts.
         reason: why it is not the robot asked; None if it is.
-        gains: (n,) factors on the controller's gains.
+        controller: where its control law comes from; `gains`: (n,) factors on its gains.
         prior_known: whether the inertias that these were set for are known.
         motion: the motion, None once dropped; of a long recording at the instants of the rows.
         error: (N, n) its position less the measured one.
@@ -44,6 +44,7 @@ class Simulated:
     recording: str
     kind: InstrumentKind
     reason: str | None
+    controller: ControllerKind
     gains: Array
     prior_known: bool
     motion: Motion | None
@@ -114,6 +115,7 @@ def simulate(
         recording=robot.problem.signals.recording,
         kind=kind,
         reason=reason,
+        controller=robot.controller,
         gains=gains,
         prior_known=robot.prior_known,
         motion=motion,

@@ -73,7 +73,8 @@ class SimulatedRecording:
         problem: of the recording, with its samples.
         blocks: of the rows; `decimation` leads from the samples to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
-        loop: the control loop, a PD of the stated bandwidth where none is `known`.
+        loop: the control loop, a PD of the stated bandwidth where none is `known`; `controller`:
+            where it comes from.
         poses: (P, n) positions at which the inertia matrix is checked.
         start: the motion at the first instant.
         fastest: (c,) largest speeds of the reference along the directions of Coulomb friction.
@@ -113,7 +114,7 @@ class SimulatedRecording:
         self.N = -(-(settings.stop - settings.start) // self.stride)
         self.first = settings.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop, _ = controller_of(problem)
+        loop, self.controller = controller_of(problem)
         self.poses = poses_of(signals.q[settings.start : settings.stop])
         M = self.model(prior).inertia(self.poses)
         self.prior, self.known = inertias(M), loop is not None

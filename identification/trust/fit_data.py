@@ -162,19 +162,6 @@ class FitData:
         )
 
 
-def covariance_of_all(
-    names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate
-) -> Array:
-    """C = D R D (b, b) of all base parameters; those that are not in the estimate are zero with
-    the deviations of `full`.
-    """
-    variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
-    covariance = np.diag([variances.get(name, 0.0) for name in names])
-    indices = np.array([names.index(name) for name in estimate.names])
-    covariance[np.ix_(indices, indices)] = intervals.covariance
-    return covariance
-
-
 def relative_residual(W: Array, Y: Array) -> float:
     """Residual of the least squares of Y (r,) by columns W (r, b), relative to Y."""
     W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)

@@ -21,7 +21,7 @@ from ..errors import NoFitError
 from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
 from ..regression import base_name, base_places, friction_states, recorded_power, row_states
 from ..report import Level
-from .fit_data import FitData, covariance_of_all, relative_residual
+from .fit_data import FitData, relative_residual
 from .lines import LEVELS, TrustLine, first_case
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
@@ -214,7 +214,9 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
         return TrustLine("consistent", "not made", text)
     every, beta = evidence.observed.system.names, estimate.values_of(names)
-    covariance = covariance_of_all(every, estimate, evidence.intervals, evidence.least_squares)
+    covariance = estimation.covariance_of_all(
+        every, estimate, evidence.intervals, evidence.least_squares
+    )
     # of own parameters those of one recording
     own = np.ix_(*2 * [[every.index(name) for name in names]])
     pairs = zip(evidence.problems, evidence.arms, strict=True)
