@@ -207,8 +207,12 @@ def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
         passes = [one.without_rows() for one in passes]
         try:
             passes += [loop.next_pass(passes, x, asked)]
-        except iv.NoEstimateError as error:
-            passes = iv.failed(passes, error, [one.signals.recording for one in model.problems])
+        except NoFitError as error:
+            text = f"pass {len(passes)}: {error}"
+            if len(passes) == 1:
+                place = ", ".join(one.signals.recording for one in model.problems)
+                raise NoFitError(f"no instruments: {text}", place=place) from error
+            passes[-1] = replace(passes[-1], failure=text)
             break
         x = iv.next_values(model, passes)
         asked = x, passes[-1].covariance

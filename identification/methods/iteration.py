@@ -128,7 +128,7 @@ class Loop:
 
         Raises
         ------
-        NoEstimateError : these instruments give no estimate.
+        NoFitError : these instruments give no estimate, and why they are not of the robot asked.
         """
         number, other = len(before), asked is not None and asked[0] is not x
         of_lag = self.model.exogenous and not other
@@ -140,8 +140,8 @@ class Loop:
         try:
             estimate = self.step(rows)  # (C), (D)
         except NoFitError as error:
-            reasons = [(one.recording, one.reason) for one in z]
-            raise NoEstimateError(join_reasons(reasons)) from error
+            reason = join_reasons([(one.recording, one.reason) for one in z])
+            raise NoFitError("; ".join(filter(None, [str(error), reason]))) from error
         found = intervals_of(rows.system, estimate)  # C = D R D
         # Compared with the values asked for, not with the consistent ones simulated instead.
         # Parameters near zero never settle in percent: half a deviation is enough.
@@ -228,24 +228,6 @@ def with_lags_found(
     return rows.about(np.r_[rows.x[:f], values]), lags, settled
 
 
-class NoEstimateError(Exception):
-    """Instruments gave no estimate: the cause, and why they are not of the
-    simulated robot, if so.
-    """
-
-
-def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
-    """The passes; the last one has the reason why the next gave no estimate.
-
-    Raises `NoFitError` if there is none but least squares.
-    """
-    reasons = [str(reason) for reason in error.args if reason]
-    text = "; ".join([f"pass {len(passes)}: {error.__cause__}", *reasons])
-    if len(passes) == 1:
-        raise NoFitError(f"no instruments: {text}", place=", ".join(recordings)) from error
-    return [*passes[:-1], replace(passes[-1], failure=text)]
-
-
 def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     """Choose the pass that is returned: the last one if it settled, else the one whose estimate,
     simulated in the next pass, tracks best at its worst joint.
@@ -297,7 +279,7 @@ def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pa
         return None
     why = f"by a simulated robot, whose control law is not described, {status}: {why}"
     passes = [loop.start]
-    with suppress(NoEstimateError):
+    with suppress(NoFitError):
         for _ in range(2):  # residuals of least squares have the lag in them
             passes.append(loop.next_pass(passes, next_values(loop.model, passes), None))
         last = replace(passes[-1], by_reference=why, confirmed_by=passes[-1].z)

@@ -27,12 +27,7 @@ from ..regression import (
     stacked_rows,
     torque_of_recording,
 )
-from ..simulation import (
-    Simulated,
-    SimulatedRecording,
-    rows_along_reference,
-    simulate,
-)
+from ..simulation import Simulated, SimulatedRecording, simulate
 from ..trust import Candidates
 from .observation import (
     Say,
@@ -181,10 +176,6 @@ class Model:
     def predicted(self, x: Array, *estimates: Estimate, by_recording: bool = False) -> Array:
         """The predicted of `torques`."""
         return self.torques(x, *estimates, by_recording=by_recording)[1]
-
-    def along_reference(self, robots: Robots, x: Array) -> Rows:
-        """[Z J r] of all recordings about x, along the motion that the reference predicts."""
-        return stacked_rows(self.run(rows_along_reference, [(one, x) for one in robots]))
 
     def robots(self, x: Array, *, gain_update: bool = True) -> Robots:
         """What prepares each recording for simulations; the loops have the gains of x, and are set

@@ -298,22 +298,22 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
     predicts, not of least squares. Returns the model with these ramps, and its rows about the
     start.
     """
-    x, ramps = model.start(), [LONG, SHORT]
+    x = model.start()
     longest = [sample_weights(one.problem.with_samples()) for one in model.equations]
     stand = any(((w.of_rows > 0) & (w.of_rows < 1)).any() for w in longest)
     if model.overrides.ramp_rows is not None or not stand:
         return model, model.rows(x)
-    if any(min(weights.ramps) < LONG for weights in longest):
-        ramps.append(ROWS)
+    short = any(min(weights.ramps) < LONG for weights in longest)
     robots = model.robots(x) if instruments else ()
 
     def at(ramp: float) -> tuple[Model, Rows]:
         one = model.with_ramps(ramp)
         with suppress(BadInputError):  # what cannot be simulated is told after least squares
-            return one, one.along_reference(robots, x) if instruments else one.rows(x)
+            return one, one.along(robots, x, None)[1] if instruments else one.rows(x)
         return one, one.rows(x)
 
-    tried, half = {ramp: at(ramp) for ramp in ramps}, dict[float, dict[str, float]]()
+    tried = {ramp: at(ramp) for ramp in (LONG, SHORT, *[ROWS] * short)}
+    half = dict[float, dict[str, float]]()
     # a joint that the reference holds has no instruments along it
     for along in (instruments, False):
         if len(half) < len(tried):

@@ -126,17 +126,6 @@ def simulate(
     return found, rows
 
 
-@one_thread
-def rows_along_reference(
-    equation: Equation, prepared: Callable[[float], SimulatedRecording], x: Array
-) -> Rows:
-    """Compute the rows of a recording about the unknowns x (p,), with instruments along the motion
-    that its reference predicts; no robot is simulated.
-    """
-    along, *_ = prepared(COARSE).motion(None)
-    return rows_of_recording(equation, x, along=along())
-
-
 def _followed(
     robot: SimulatedRecording, along: Iterator[MotionBlock], measured: Array
 ) -> tuple[Motion, Array, float, tuple[DirectModelResidual, ...]]:
