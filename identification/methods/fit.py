@@ -38,9 +38,10 @@ class Pass:
         x: (p,) values before it, with the lags found.
         rows: about x, with the instruments; `z`: by recording, the robot simulated for them.
         estimate: of the free unknowns; `covariance`: (f, f) corrected for correlation.
-        lags: found, with what is known; `lags_settled`: whether they are those of the rows.
-        asked: values (p,) simulated, and their covariance (f, f), None for a regular start; of
-            `other` values than x. None along the reference.
+        lags: found, with what is known.
+        asked: values (p,) simulated, and their covariance (f, f), None for a regular start; None
+            along the reference.
+        about: whether the rows are about these lags, and the values simulated.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations; in
             percent of those larger than two deviations; the parameter of the former.
         residual_percent: change of the residual norm by the pass, over the same rows.
@@ -61,9 +62,8 @@ class Pass:
     lags: tuple[Lag, ...]
     z: tuple[Simulated, ...] = ()
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    lags_settled: bool = False
     asked: tuple[Array, Array | None] | None = None
-    other: bool = False
+    about: bool = False
     change_sigma: float = 0.0
     change_percent: float = 0.0
     changed: str = ""
@@ -110,7 +110,7 @@ class Pass:
     @property
     def is_last(self) -> bool:
         """Whether it and its lags settled, at the robot that was simulated."""
-        return self.settled and self.lags_settled and not self.other
+        return self.settled and self.about
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

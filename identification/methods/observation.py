@@ -67,16 +67,16 @@ def with_common_rate(
     rates = [problem.signals.sample_rate_hz for problem in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
-    again = []
-    for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
-        decimation = max(1, round(fs / row_hz))
-        if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation):
-            again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
-    if again:
-        some = replace(given, sources=tuple(given.sources[k] for k, _ in again))
-        for (k, _), one in zip(again, observe_all(some, [o for _, o in again]), strict=True):
-            found[k] = one
-    return found
+    common = [max(1, round(fs / row_hz)) for fs in rates]
+    again = [
+        k for k, s in enumerate(settings) if (s.cutoff_hz, s.decimation) != (cutoff_hz, common[k])
+    ]
+    if not again:
+        return found
+    some = replace(given, sources=tuple(given.sources[k] for k in again))
+    of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
+    changed = dict(zip(again, observe_all(some, of), strict=True))
+    return [changed.get(k, one) for k, one in enumerate(found)]
 
 
 @one_thread

@@ -177,14 +177,14 @@ def solution_of(model: Model, found: Pass, *, essential: bool) -> LeastSquares:
     system = rows.of(np.arange(len(full.names)))
     of_full = intervals_of(system, full)
     kept = essential_parameters(system, full, correlation=autocorrelation(rho) or 0.0)
-    estimate = full
+    estimate, intervals = full, of_full
     if essential:
         system = system.with_columns(np.flatnonzero(np.isin(full.names, kept.names)))
         estimate = model.combined(system, weighted_least_squares(system, full.weights))
-        predicted = model.predicted(x, estimate)
+        intervals, predicted = intervals_of(system, estimate), model.predicted(x, estimate)
     return LeastSquares(
         estimate=estimate,
-        intervals=intervals_of(system, estimate),
+        intervals=intervals,
         full=full,
         of_full=of_full,
         essential=kept,
@@ -247,7 +247,7 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
     shapes = [name for name, kind in kinds if kind in SHAPES and kind != "load"]
     left_out = dict[str, str]()
     refuse_standing_joints(rows.share, [problem.signals for problem in model.problems])
-    while worst := most_collinear(model.problem, rows.system, shapes):
+    while shapes and (worst := most_collinear(model.problem, rows.system, shapes)):
         left_out |= worst
         shapes = [name for name in shapes if name not in left_out]
         rows = rows.without(worst)
@@ -255,10 +255,21 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
 
 
 def most_collinear(problem: Problem, system: System, indices: Collection[str]) -> dict[str, str]:
-    """The most collinear of these parameters and a message; {} if none exceeds the limit."""
-    shares = independent_norm(system, indices)
-    lowest = min(shares, key=lambda name: shares[name], default=None)
-    if lowest is None or shares[lowest] >= MIN_INDEPENDENT_NORM:
+    """The most collinear of these parameters and a message; {} if none exceeds the limit.
+
+    That is the one with the smallest share of its column's norm that is independent of the other
+    columns, in the rows used.
+    """
+    norms = np.linalg.norm(system.W, axis=0)
+    seen = norms > 1e-12 * norms.max()
+    _, singular, Vt = np.linalg.svd(r_factor(system.W[:, seen] / norms[seen]))
+    # Row i of the inverse is normal to all other columns; 1 over its length is
+    # the share of column i.
+    left = np.zeros(len(norms))
+    left[seen] = 1 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
+    shares = {name: float(left[system.names.index(name)]) for name in indices}
+    lowest = min(shares, key=shares.__getitem__)
+    if shares[lowest] >= MIN_INDEPENDENT_NORM:
         return {}
     kind = problem.term_of(lowest).kind
     finding = (
@@ -266,25 +277,6 @@ def most_collinear(problem: Problem, system: System, indices: Collection[str]) -
         "distinguished from the others"
     )
     return {lowest: f"{finding} ({100 * shares[lowest]:.1f} % of its column is independent)"}
-
-
-def independent_norm(system: System, names: Collection[str]) -> dict[str, float]:
-    """By parameter the share of its column's norm that is independent of the other
-    columns, in the rows used.
-    """
-    if not names:
-        return {}
-    norms = np.linalg.norm(system.W, axis=0)
-    seen = norms > 1e-12 * norms.max()
-    _, singular, Vt = np.linalg.svd(r_factor(system.W[:, seen] / norms[seen]))
-    # Row i of the inverse is normal to all other columns; 1 over its length is
-    # the share of column i.
-    left = 1.0 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
-    shares = dict.fromkeys(names, 0.0)
-    of_seen = (name for name, s in zip(system.names, seen, strict=True) if s)
-    return shares | {
-        name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares
-    }
 
 
 def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
