@@ -57,8 +57,7 @@ def evidence_of(
     candidates.
     """
     estimate, unknowns = solved.estimate, model.unknowns
-    simulated = method == "iv" and not rows.recorded
-    candidates = model.candidates(x, rows.speed, simulated=simulated)
+    candidates = model.candidates(x, rows.speed, simulated=not rows.recorded)
     lags = counted_lags(model, lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
     return FitData(

@@ -78,7 +78,8 @@ class Pass:
         """The same without arrays as large as W."""
         if self.rows is None:
             return self
-        z, estimate = tuple(one.without_motion() for one in self.z), self.estimate.without_rows()
+        z = tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z)
+        estimate = self.estimate.without_rows()
         return replace(self, z=z, rows=None, estimate=estimate, confirmed_by=())
 
     @property

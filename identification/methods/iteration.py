@@ -85,17 +85,6 @@ class Loop:
             kept = [names.index(name) for name in self.ls.essential.names]
             self.fitted = np.union1d(kept, others)
 
-    def along(
-        self, x: Array, asked: Asked | None, *, tests: bool, of_lag: bool
-    ) -> tuple[tuple[Simulated, ...], Rows]:
-        """Simulate the robot with what is asked, and compute rows about x, as `Model.along`.
-
-        `tests`: with the columns of terms that are not in the model; `of_lag`: with rows of the
-        lag, equation (G).
-        """
-        further = self.model.candidates(x, self.speed, simulated=True) if tests else ()
-        return self.model.along(self.robots, x, asked, further, of_lag=of_lag)
-
     def step(self, rows: Rows) -> Estimate:
         """Estimate the free unknowns from rows about x, with instruments along a simulated motion.
 
@@ -135,7 +124,8 @@ class Loop:
         # The first pass is not the last one where a lag is looked for, and needs no tests.
         tests = not of_lag or number > 1 or all(lag.prior.stated for lag in before[-1].lags)
         # q_s, dq_s, ddq_s, with (E), and (6)
-        z, rows = self.along(x, asked, tests=tests, of_lag=of_lag)
+        speed = self.speed if tests else None
+        z, rows = self.model.along(self.robots, x, asked, speed, of_lag=of_lag)
         rows, lags, settled = with_lags_found(rows, before[-1].lags, first=number == 1)  # (G)
         try:
             estimate = self.step(rows)  # (C), (D)
@@ -259,7 +249,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     if best is last and last.rows is not None and last.rows.C.size:
         return replace(last, confirmed_by=after)
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
-    z, rows = loop.along(x, best.asked, tests=True, of_lag=False)
+    z, rows = model.along(loop.robots, x, best.asked, loop.speed)
     estimate = loop.step(rows)
     if best is not last:
         after = confirmed(estimate, best.covariance)

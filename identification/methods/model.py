@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, Work, check_one_robot
-from ..estimation import Estimate, System, combined, release_memory
+from ..estimation import Estimate, System, combined
 from ..regression import (
     Candidate,
     Equation,
@@ -198,21 +198,24 @@ class Model:
         robots: Robots,
         x: Array,
         asked: Asked | None,
-        further: Sequence[Candidate] = (),
+        speed: Array | None = None,
         *,
         of_lag: bool = False,
     ) -> tuple[tuple[Simulated, ...], Rows]:
         """[C Z J r] of all recordings about x, and by recording along whose motion: that of the
         robot simulated with what is asked; if nothing is asked, that which the reference predicts.
+
+        With `speed` (rows, n), the measured one of all, there are the columns of terms that are
+        not in the model; `of_lag`: with rows of the lag, equation (G).
         """
-        own = self.unknowns.simulated(*asked) if asked else [None] * len(robots)
-        more: Sequence[Candidate | None] = further or [None] * len(robots)
+        none = [None] * len(robots)
+        own = self.unknowns.simulated(*asked) if asked else none
+        further = none if speed is None else self.candidates(x, speed, simulated=True)
         tasks = [
             (robot, (x, beta), term, of_lag)
-            for robot, beta, term in zip(robots, own, more, strict=True)
+            for robot, beta, term in zip(robots, own, further, strict=True)
         ]
         z, each = zip(*self.run(simulate, tasks), strict=True)
-        release_memory(each[0].Z)
         return z, stacked_rows(each)
 
     def without(self, left_out: dict[str, str]) -> "Model":

@@ -4,7 +4,7 @@ made in a task, and how that robot follows the recording.
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -51,10 +51,6 @@ class Simulated:
     error: Array
     percent: float | None
     by_joint: tuple[DirectModelResidual, ...]
-
-    def without_motion(self) -> "Simulated":
-        """Return the same without arrays of a recording's length."""
-        return replace(self, motion=None, error=self.error[:0])
 
 
 @one_thread
