@@ -30,7 +30,7 @@ def verdict(tracking, errors, first_stage_F=500.0):
     robot = SimpleNamespace(kind="simulated", percent=tracking, by_joint=direct)
     settled = dataclasses.replace(settled, z=(robot,))
     # whether M is positive is asked of each recording
-    none = SimpleNamespace(equations=())
+    none = SimpleNamespace(equations=(), x_of=lambda estimate, x: x)
     return status_of(
         none, settled, dataclasses.replace(settled, confirmed_by=(robot,)), first_stage_F
     )
