@@ -13,22 +13,22 @@ half a period of its integrand.
 """
 
 import math
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace as replace_keys
 from numpy.typing import NDArray
 
-from acquisition.robot import Controller
+from acquisition.robot import Controller, Robot
 
 from ..arrays import Array
 from ..errors import NoFitError
 from ..estimation import System, intervals_of, ordinary_least_squares
-from .motor_paths import MAX_RESIDUAL_PERCENT, LawSolution, MotorPaths, motor_paths, scaled_solution
-from .settings import KnownLag
+from .motor_paths import MAX_RESIDUAL_PERCENT, Found, MotorPaths, motor_paths, scaled_solution
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -121,80 +121,63 @@ def law_of(problem: "Problem") -> Law | None:
     some motor than all that it is no part of, while none that contains it is.
     """
     signals, controller = problem.signals, problem.signals.robot.controller
-    described = "pd" if controller.structure == "cascade_p_p" else controller.structure
-    if signals.q_ref is None or described == "computed_torque":
+    if signals.q_ref is None or controller.structure == "computed_torque":
         return None
-    with suppress(NoFitError):  # too few samples to filter
-        motors, rate_hz = motor_paths(problem)
-        if min(len(motor.u) for motor in motors) >= MIN_ROWS:
-            return _told(problem, motors, rate_hz, described)
-    return None
-
-
-def _told(
-    problem: "Problem", motors: list[MotorPaths], rate_hz: float, described: str | None
-) -> Law:
-    signals, controller, known = (
-        problem.signals,
-        problem.signals.robot.controller,
-        problem.settings.known_lag,
-    )
     period_s = 1 / (controller.sample_rate_hz or signals.sample_rate_hz)
     # Of a controller that is not described the period is anything up to that of the samples.
     unknown_s = 0.0 if controller.sample_rate_hz else 0.25 * period_s
-    known = replace(
-        known, value_s=(known.value_s + 0.5 * period_s) * rate_hz, sd_s=known.sd_s * rate_hz
-    )
+    known = problem.settings.known_lag
+    known = replace(known, value_s=known.value_s + 0.5 * period_s)
+    with suppress(NoFitError):  # too few samples to filter
+        motors = motor_paths(problem, known, period_s - 2 * unknown_s)
+        if min(len(motor.u) for motor in motors) >= MIN_ROWS:
+            return _told(signals.robot, motors, period_s, unknown_s)
+    return None
 
-    def solved(letters: str, estimates: Iterable[str]) -> dict[str, list[LawSolution]]:
-        found = dict[str, list[LawSolution]]()
-        near: list[LawSolution | None] = [None] * len(motors)
-        for one in estimates:
-            clock = (SPEED_DELAYS[one] * period_s * rate_hz, (period_s - 2 * unknown_s) * rate_hz)
-            found[one] = [
-                motor.solve(letters, known, clock, solution)
-                for motor, solution in zip(motors, near, strict=True)
-            ]
-            near = [*found[one]]
-        return found
 
-    # Without the reference's speed a delay of the measured one is one of the reference and a lag.
-    tried = {
-        name: solved(letters, SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",))
-        for name, letters in LAWS.items()
-    }
-    percent = {
-        name: np.min([_percents(one) for one in of.values()], axis=0) for name, of in tried.items()
-    }
+def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: float) -> Law:
+    controller, stated = robot.controller, described_gains(robot.controller)
+
+    @cache
+    def solved(letters: str, estimate: str) -> list[Found]:
+        late_s, k = SPEED_DELAYS[estimate] * period_s, list(SPEED_DELAYS).index(estimate)
+        near = solved(letters, list(SPEED_DELAYS)[k - 1]) if k else [None] * len(motors)
+        return [one.solve(letters, late_s, found) for one, found in zip(motors, near, strict=True)]
+
+    percent = dict[str, Array]()
+    for name, letters in LAWS.items():
+        # without the reference's speed a delay of the measured one is one of it and a lag
+        estimates = SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",)
+        percent[name] = np.min([_percents(solved(letters, one)) for one in estimates], axis=0)
     valid = {name: percent[name] <= MAX_RESIDUAL_PERCENT for name in LAWS}
-    for name in STRUCTURES:
-        valid[name] = valid[name] & np.array(
-            [(one.x[: len(LAWS[name])] > 0).all() for one in tried[name]["exact"]]
-        )
+    for name, letters in STRUCTURES.items():
+        valid[name] &= [(x[: len(letters)] > 0).all() for _, x in solved(letters, "exact")]
     clear = {name: valid[name] & _is_clear(name, percent) for name in LAWS}
     best = max(
         LAWS, key=lambda name: (clear[name].sum(), valid[name].sum(), -float(percent[name].max()))
     )
-    name = described or (best if best in STRUCTURES else "pd")
+    name = controller.structure or (best if best in STRUCTURES else "pd")
+    name = "pd" if name == "cascade_p_p" else name
+    ways = {one: solved(STRUCTURES[name], one) for one in SPEED_DELAYS}
+    estimate = _estimate(ways, motors[0], controller.velocity_estimate)
+    late_s, known = SPEED_DELAYS[estimate] * period_s, repeat(None) if stated is None else stated.T
+    each = (
+        _values(motor, x, gains, name, late_s)
+        for motor, (_, x), gains in zip(motors, ways[estimate], known, strict=False)
+    )
+    gains, half, times = (np.array(x).T for x in zip(*each, strict=True))
+    half[0] = np.hypot(half[0], unknown_s * gains[2])
     reason = None
     if not valid[name].all():
-        reason = f"no linear law fits motor {signals.robot.motors[int(valid[name].argmin())].name}"
+        reason = f"no linear law fits motor {robot.motors[int(valid[name].argmin())].name}"
     elif best != name:
         reason = f"{best} fits better"
     elif not clear[name].any():
         reason = "several laws fit alike"
-    ways = tried[name] if len(tried[name]) > 1 else solved(STRUCTURES[name], SPEED_DELAYS)
-    estimate = _estimate(ways, known, controller.velocity_estimate)
-    stated = described_gains(controller)
-    values = [_values(one, known, name, rate_hz) for one in ways[estimate]]
-    gains, half, times = (np.array(x).T for x in zip(*values, strict=True))
-    half[0] = np.hypot(half[0], unknown_s * gains[2])
-    if stated is not None:
-        lags = [
-            _lag_of(one, x, name, rate_hz) for one, x in zip(ways[estimate], stated.T, strict=True)
-        ]
-        times[2:] = np.array(lags).T
-    law = Law(
+    elif not (gains[: 2 + ("i" in STRUCTURES[name])] > 0).all():
+        # by the speed that is taken, and determined at all
+        reason = f"gains of {name} are undetermined, or not positive"
+    return Law(
         structure=name,
         reason=reason,
         rival=best if best != name and clear[best].any() else None,
@@ -210,16 +193,9 @@ def _told(
         clear=clear[name],
         described=stated,
     )
-    # By the speed that is taken, and determined at all.
-    positive = law.reason is not None or (gains[law.used] > 0).all()
-    return (
-        law
-        if positive
-        else replace(law, reason=f"gains of {name} are undetermined, or not positive")
-    )
 
 
-def _estimate(tried: dict[str, list[LawSolution]], known: KnownLag, described: str | None) -> str:
+def _estimate(tried: dict[str, list[Found]], motor: MotorPaths, described: str | None) -> str:
     """The controller's estimate of the speed: the described one unless another fits better, else of
     those that fit alike the one with the smallest delay and lag.
     """
@@ -229,15 +205,18 @@ def _estimate(tried: dict[str, list[LawSolution]], known: KnownLag, described: s
     alike = alike or [min(left, key=lambda one: float(left[one].sum()))]
     if described in alike:
         return described
-    within = math.hypot(known.sd_s, 0.25)  # samples
+    known, within_s = motor.known, math.hypot(motor.known.sd_s, 0.25 / motor.rate_hz)
     return min(
         alike,
-        key=lambda one: sum(x.d**2 + ((x.L - known.value_s) / within) ** 2 for x in tried[one]),
+        key=lambda one: sum(
+            (motor.rate_hz * d) ** 2 + ((L - known.value_s) / within_s) ** 2
+            for *_, d, L in (x for _, x in tried[one])
+        ),
     )
 
 
-def _percents(found: list[LawSolution]) -> Array:
-    return np.array([one.percent for one in found])
+def _percents(found: list[Found]) -> Array:
+    return np.array([percent for percent, _ in found])
 
 
 def described_gains(controller: Controller) -> Array | None:
@@ -280,49 +259,50 @@ def _floored(percent: Array) -> Array:
 
 
 def _values(
-    one: LawSolution, known: KnownLag, name: str, rate_hz: float
+    motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s: float
 ) -> tuple[Array, Array, Array]:
     """Of a motor Kp, Kd, Ki (3,), their half-widths, and delay, its half-width, lag, its deviation,
-    s; NaN if undetermined.
+    s; NaN if undetermined. If gains are `stated` (3,), the lag is that with these.
     """
-    letters, rows = STRUCTURES[name], np.zeros(len(one.rho), dtype=np.intp)
-    names = tuple(map(str, range(one.J.shape[1])))
-    unit = np.array([1.0, 1 / rate_hz, 1.0 if "q" in letters else rate_hz])
+    letters, sd_s = STRUCTURES[name], motor.known.sd_s
+    _, rho, J = motor.solved(letters, late_s, *x[-2:].tolist())
+    rows, names = np.zeros(len(rho), dtype=np.intp), tuple(map(str, range(J.shape[1])))
+    gains, half, times = np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan)
     with suppress(NoFitError):
-        whole = System.whole(one.J, one.rho, rows, names)
+        whole = System.whole(J, rho, rows, names)
         free = ordinary_least_squares(whole)
-        sd_L = 1 / math.hypot(1 / intervals_of(whole, free).sigma[-1], 1 / max(known.sd_s, 1e-9))
-        sd_L = math.hypot(sd_L, LEAST_LAG_SD)
+        sd_L = 1 / math.hypot(1 / intervals_of(whole, free).sigma[-1], 1 / max(sd_s, 1e-12))
+        sd_L = math.hypot(sd_L, LEAST_LAG_SD / motor.rate_hz)
         whole = whole.with_columns(np.arange(len(names) - 1))
         held = ordinary_least_squares(whole)
         within = intervals_of(whole, held)
         # An unknown lag widens all; an unknown period of the sum of rectangles widens Kp.
-        half = within.reach * np.hypot(within.sigma, held.bread @ (held.Q.T @ one.J[:, -1]) * sd_L)
+        every = within.reach * np.hypot(within.sigma, held.bread @ (held.Q.T @ J[:, -1]) * sd_L)
         at = [
             letters.find(one)
             for one in ("e", "f" if "f" in letters else "v", "q" if "q" in letters else "i")
         ]
-        gains, widths = (np.where(np.array(at) < 0, 0.0, x[at]) * unit for x in (one.x, half))
-        times = np.array([one.d, half[-1], one.L, sd_L]) / rate_hz
-        return gains, widths, times
-    return np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan)
+        gains, half = (np.where(np.array(at) < 0, 0.0, of[at]) for of in (x, every))
+        times = np.array([x[-2], every[-1], x[-1], sd_L])
+    if stated is not None:
+        times[2:] = _lag_of(letters, x, rho, J, stated)
+    return gains, half, times
 
 
-def _lag_of(one: LawSolution, gains: Array, name: str, rate_hz: float) -> tuple[float, float]:
+def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple[float, float]:
     """The lag of the effort and its deviation, s, if the gains (3,) are those of the law,
     up to a common factor.
     """
-    letters, (Kp, Kd, Ki) = STRUCTURES[name], gains
-    error = Ki * Kp / Kd if "q" in letters else Ki
-    stated = {"e": Kp, "f": Kd * rate_hz, "v": Kd * rate_hz, "i": error / rate_hz, "q": Ki}
-    x, k = np.array([stated[letter] for letter in letters]), len(letters)
-    A = np.c_[one.J[:, :k] @ x, one.J[:, k:]]
-    y = one.rho + one.J[:, :k] @ (one.x[:k] - x)
+    Kp, Kd, Ki = gains
+    of = {"e": Kp, "f": Kd, "v": Kd, "i": Ki * Kp / Kd if "q" in letters else Ki, "q": Ki}
+    stated, k = np.array([of[letter] for letter in letters]), len(letters)
+    A = np.c_[J[:, :k] @ stated, J[:, k:]]
+    y = rho + J[:, :k] @ (x[:k] - stated)
     scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     moves = scaled_solution(A, y)
-    sd = float(
+    sd = (
         (y - A @ moves).std()
         * np.sqrt(np.linalg.pinv((A / scale).T @ (A / scale))[-1, -1])
         / scale[-1]
     )
-    return (one.L + float(moves[-1])) / rate_hz, sd / rate_hz
+    return float(x[-1] + moves[-1]), float(sd)

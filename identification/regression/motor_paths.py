@@ -3,8 +3,8 @@ and its least squares.
 """
 
 import math
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,19 +29,11 @@ HOPELESS_PERCENT = 20.0  # after the first steps
 MAX_RESIDUAL_PERCENT = 2.0  # of the effort's variation
 _REMEMBERED = 32  # lags and delays of a path
 
+# x, dx, ddx and the integral of x (4, rows), by their delay in s
+Path = Callable[[float], Array]
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LawSolution:
-    """The law of a motor by some columns: values x of these, of the offset and others; d, L in
-    s; the Jacobian [x d L].
-    """
-
-    x: Array
-    d: float
-    L: float
-    J: Array
-    rho: Array
-    percent: float
+# what is left of an effort, percent, and x: values of the columns and of those beside them, d, L
+Found = tuple[float, Array]
 
 
 class MotorPaths:
@@ -51,117 +43,103 @@ class MotorPaths:
 
     def __init__(
         self,
-        paths: tuple[Array, Array],
-        u: Array,
-        rest: Array,
-        at: NDArray[np.intp],
-        most: float,
-    ) -> None:
-        """`paths`: spline coefficients of r and q, each with two derivatives and the integral, at
-        places `at`; `rest`: columns beside them; `most`: delay. Times are in samples of the paths.
-        """
-
-        def moved(L: float, d: float, c: Array) -> Array:
-            whole, part = divmod(-L - d, 1.0)
-            return on_spline(at + int(whole), np.asarray(part), c).T
-
-        # Structures and steps share most of their lags and delays.
-        self._r, self._q = (lru_cache(_REMEMBERED)(partial(moved, c=c)) for c in paths)
-        self.u, self._rest, self._most = u, rest, most
-        self._size = max(float(np.linalg.norm(u - u.mean())) if len(u) else 0.0, 1e-300)
-
-    def solve(
-        self,
-        letters: str,
+        paths: Sequence[Path],
+        beside: Array,
+        rate_hz: float,
         known: KnownLag,
-        clock: tuple[float, float],
-        near: LawSolution | None = None,
-    ) -> LawSolution:
-        """Least squares by the columns `letters`; `clock`: delay of the speed, period of the
-        controller; `near`: the solution of another delay of the speed.
+        period_s: float,
+    ) -> None:
+        """`paths`: r and q, each with two derivatives and the integral, (4, rows) by their delay;
+        `beside`: further columns, and the effort; `rate_hz`: of the paths; `period_s`: of the
+        controller's sum.
         """
-        if near is not None and near.percent < MAX_RESIDUAL_PERCENT:
-            return self._refine(letters, (near.d, near.L), known, clock)
-        found = list[LawSolution]()
+        (self._r, self._q), self._half_s = paths, 0.5 * period_s
+        self._beside, self.u, self.rate_hz, self.known = (
+            beside[:, :-1],
+            beside[:, -1],
+            rate_hz,
+            known,
+        )
+
+    def solve(self, letters: str, late_s: float, near: Found | None = None) -> Found:
+        """Least squares by the columns `letters`, the speed being `late_s` behind; `near`: the
+        solution of another delay of the speed.
+        """
+        if near is not None and near[0] < MAX_RESIDUAL_PERCENT:
+            return self._refined(letters, late_s, *near[1][-2:].tolist())
+        found = list[Found]()
         for by in ("i", "e") if "i" in letters else ("e",):
-            d = self._first_delay(letters, by, known, clock)
-            found.append(self._refine(letters, (d, known.value_s), known, clock))
-            if found[-1].percent < MAX_RESIDUAL_PERCENT:
+            d = self._first_delay(letters, late_s, by)
+            found.append(self._refined(letters, late_s, d, self.known.value_s))
+            if found[-1][0] < MAX_RESIDUAL_PERCENT:
                 break
-        return min(found, key=lambda one: one.percent)
+        return min(found, key=lambda one: one[0])
+
+    def solved(self, letters: str, late_s: float, d: float, L: float) -> tuple[Array, Array, Array]:
+        """The values of least squares at d and L, the residual (rows,), and the columns of these
+        values, of d and of L.
+        """
+        c, by_d, by_L = self._columns(letters, late_s, d, L)
+        x = scaled_solution(c, self.u)
+        own = x[: len(letters)]
+        return x, self.u - c @ x, np.column_stack([c, by_d @ own, by_L @ own])
 
     def _columns(
-        self, letters: str, at: tuple[float, float], clock: tuple[float, float]
-    ) -> tuple[Array, ...]:
-        """Columns (rows, k) at d and L, and their derivatives by d and by L."""
-        d, L = at
-        r, dr, ddr, ir = self._r(L, d)
-        q, dq, _, iq = self._q(L, 0.0)
-        v, dv = self._q(L, clock[0])[1:3]
-        e, de, none, half = r - q, dr - dq, 0.0 * r, 0.5 * clock[1]
+        self, letters: str, late_s: float, d: float, L: float
+    ) -> tuple[Array, Array, Array]:
+        """Columns (rows, k) at d and L with those beside them, and derivatives by d and by L."""
+        r, dr, ddr, ir = self._r(L + d)
+        q, dq, _, iq = self._q(L)
+        _, v, dv, _ = self._q(L + late_s)
+        e, de, none, half_s = r - q, dr - dq, 0.0 * r, self._half_s
         found = {
             "e": lambda: (e, -dr, -de),
             "f": lambda: (dr - v, -ddr, dv - ddr),
             "v": lambda: (-v, none, dv),
             "w": lambda: (dr, -ddr, -ddr),
-            "i": lambda: (ir - iq + half * e, -r - half * dr, -e - half * de),
+            "i": lambda: (ir - iq + half_s * e, -r - half_s * dr, -e - half_s * de),
             "q": lambda: (-q, none, dq),
         }
-        return tuple(np.array(x).T for x in zip(*(found[one]() for one in letters), strict=True))
+        c, by_d, by_L = np.array([found[one]() for one in letters]).transpose(1, 2, 0)
+        return np.c_[c, self._beside], by_d, by_L
 
-    def _first_delay(
-        self, letters: str, by: str, known: KnownLag, clock: tuple[float, float]
-    ) -> float:
+    def _first_delay(self, letters: str, late_s: float, by: str) -> float:
         """The delay by columns of what it adds to the error, -d dr, or to its integral, -d r,
         which grows without bound.
         """
         d, letter = 0.0, "w" if by == "e" and "w" in letters else by
+        added = [letters.index(one) for one in "e" * (by == "i") + letter]
         for _ in range(FIRST_STEPS):
-            c, by_d, _ = self._columns(letters, (d, known.value_s), clock)
-            added = [
-                by_d[:, letters.index(one)]
-                for one in dict.fromkeys((letter if by == "e" else "e", letter))
-            ]
-            x = scaled_solution(np.column_stack([c, self._rest, *added]), self.u)
+            c, by_d, _ = self._columns(letters, late_s, d, self.known.value_s)
+            x = scaled_solution(np.c_[c, by_d[:, added]], self.u)
             gain = x[letters.index(letter)]
-            step = x[-1] / gain if gain else 0.0
-            d = float(np.clip(d + step, -self._most, self._most))
-            if abs(step) < MIN_STEP:
+            step_s = x[-1] / gain if gain else 0.0
+            d = float(np.clip(d + step_s, -MAX_DELAY_S, MAX_DELAY_S))
+            if abs(step_s) * self.rate_hz < MIN_STEP:
                 break
         return d
 
-    def _refine(
-        self,
-        letters: str,
-        start: tuple[float, float],
-        known: KnownLag,
-        clock: tuple[float, float],
-    ) -> LawSolution:
+    def _refined(self, letters: str, late_s: float, d: float, L: float) -> Found:
         """Gauss-Newton steps of the values, d and L, which is known within limits; a law far
         from the effort is left.
         """
-        (d, L), step, k = start, np.inf, len(letters)
+        known, step = self.known, np.inf
+        size = max(math.sqrt(len(self.u)) * self.u.std(), 1e-300)
         for number in range(STEPS):
-            c, by_d, by_L = self._columns(letters, (d, L), clock)
-            c = np.hstack([c, self._rest])
-            x = scaled_solution(c, self.u)
-            rho = self.u - c @ x
-            J = np.hstack([c, (by_d @ x[:k])[:, None], (by_L @ x[:k])[:, None]])
-            percent = 100 * float(np.linalg.norm(rho)) / self._size
+            x, rho, J = self.solved(letters, late_s, d, L)
+            percent = 100 * float(np.linalg.norm(rho)) / size
             if step < MIN_STEP or (number == FIRST_STEPS and percent > HOPELESS_PERCENT):
                 break
-            weight = PRIOR_WEIGHT * rho.std() / max(known.sd_s, self._most / 10)
+            weight = PRIOR_WEIGHT * rho.std() / max(known.sd_s, MAX_DELAY_S / 10)
             A = np.vstack([J, np.r_[np.zeros(J.shape[1] - 1), weight]])
-            moves = np.clip(
-                scaled_solution(A, np.r_[self.u, weight * (known.value_s - L)])[-2:],
-                -MAX_STEP,
-                MAX_STEP,
-            )
+            wanted = np.r_[self.u, weight * (known.value_s - L)]
+            most_s = MAX_STEP / self.rate_hz
+            moves = np.clip(scaled_solution(A, wanted)[-2:], -most_s, most_s)
             (d, L), step = (
-                np.clip([d + moves[0], L + moves[1]], -self._most, self._most).tolist(),
-                np.abs(moves).max(),
+                np.clip([d + moves[0], L + moves[1]], -MAX_DELAY_S, MAX_DELAY_S).tolist(),
+                np.abs(moves).max() * self.rate_hz,
             )
-        return LawSolution(x=x, d=d, L=L, J=J, rho=rho, percent=percent)
+        return percent, np.r_[x, d, L]
 
 
 def scaled_solution(A: Array, y: Array) -> Array:
@@ -171,20 +149,15 @@ def scaled_solution(A: Array, y: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A / scale, y)[0] / scale)
 
 
-def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
-    """The motors of a recording, and the rate of their paths."""
+def motor_paths(problem: "Problem", known: KnownLag, period_s: float) -> list[MotorPaths]:
+    """The motors of a recording, with the lag as known, and the period of the controller's sum."""
     s, settings, R = problem.signals, problem.settings, problem.signals.robot.R
     fs, n_d = s.sample_rate_hz, settings.decimation
-    stop, step = (
-        min(settings.stop, settings.start + round(MAX_USED_S * fs)),
-        max(1, n_d // SAMPLES_PER_ROW),
-    )
-    used = slice(settings.start, stop)
+    used = slice(settings.start, min(settings.stop, settings.start + round(MAX_USED_S * fs)))
+    step = max(1, n_d // SAMPLES_PER_ROW)
     assert s.q_ref is not None
     u, first = s.robot.motor_effort(s.effort[used]), s.q_ref[used.start] @ R.T
-    limits = np.array(
-        [np.inf if m.saturation is None else SATURATED * m.saturation for m in s.robot.motors]
-    )
+    limits = SATURATED * np.array([motor.saturation or np.inf for motor in s.robot.motors])
     saturated = np.cumsum(
         (np.abs(u) >= limits) | ~problem.measured_samples()[used, None],  # neither follows the law
         axis=0,
@@ -200,31 +173,38 @@ def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
     ends = [np.clip(at + way * SATURATED_ROWS * n_d, 0, len(u) - 1) for way in (1, -1)]
     near: NDArray[np.intp] = np.asarray(saturated[ends[0]] - saturated[ends[1]])
     free = near <= MAX_SATURATED * 2 * SATURATED_ROWS * n_d
-    paths = [_paths(x, step) for x in (r, q)]
-    held = np.zeros((len(at), s.robot.n, 0))
+    paths, held = [_paths(x, fs, step) for x in (r, q)], np.zeros((0, *u[at].shape))
     if s.robot.controller.gravity_feedforward:
         inverse = np.linalg.inv(R)
-        still = problem.model.regressor((q[at] + first) @ inverse.T, 0 * q[at], 0 * q[at])[
-            ..., problem.base.columns
-        ]
-        held = np.einsum("jm,ajp->amp", inverse, still)
+        still = problem.model.regressor((q[at] + first) @ inverse.T, 0 * q[at], 0 * q[at])
+        held = np.einsum("jm,ajp->pam", inverse, still[..., problem.base.columns])
     found = []
-    for j in range(s.robot.n):
-        own = held[:, j][:, held[:, j].any(axis=0)]
-        rest = np.c_[np.ones(len(at)), own][free[:, j]]
-        places, own_paths = at[free[:, j]] // step, (paths[0][j], paths[1][j])
-        found.append(
-            MotorPaths(own_paths, u[at, j][free[:, j]], rest, places, MAX_DELAY_S * fs / step)
-        )
-    return found, fs / step
+    for own, *of_motor, gravity, effort in zip(
+        free.T, *paths, held.transpose(2, 0, 1), u[at].T, strict=True
+    ):
+        moved = (x for x in gravity[:, own] if x.any())
+        beside = np.column_stack([np.ones(own.sum()), *moved, effort[own]])
+        by_delay = [_path(c, at[own] // step, fs / step) for c in of_motor]
+        found.append(MotorPaths(by_delay, beside, fs / step, known, period_s))
+    return found
 
 
-def _paths(x: Array, step: int) -> list[Array]:
-    """By motor the spline coefficients of a path (N, n), of its two derivatives and its
-    integral; times in its samples.
+def _paths(x: Array, fs: float, step: int) -> list[Array]:
+    """By motor the spline coefficients of every `step`-th sample of a path (N, n), of its two
+    derivatives and its integral.
     """
-    dx = differentiate(x, step)
-    series = np.stack(
-        [x, dx, differentiate(dx, step), (np.cumsum(x, axis=0) - 0.5 * x) / step], axis=-1
-    )[::step]
+    dx = differentiate(x, fs)
+    summed = (np.cumsum(x, axis=0) - 0.5 * x) / fs
+    series = np.stack([x, dx, differentiate(dx, fs), summed], axis=-1)[::step]
     return [spline_coefficients(series[:, j]) for j in range(x.shape[1])]
+
+
+def _path(c: Array, places: NDArray[np.intp], rate_hz: float) -> Path:
+    """The path of these coefficients, at places that are counted in its samples."""
+
+    @lru_cache(_REMEMBERED)  # structures and steps share most of their lags and delays
+    def path(late_s: float) -> Array:
+        whole, part = divmod(-late_s * rate_hz, 1.0)
+        return on_spline(places + int(whole), np.asarray(part), c).T
+
+    return path
