@@ -4,7 +4,7 @@ made in a task, and how that robot follows the recording.
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -35,7 +35,8 @@ class Simulated:
         reason: why it is not the robot asked; None if it is.
         controller: where its control law comes from; `gains`: (n,) factors on its gains.
         prior_known: whether the inertias that these were set for are known.
-        motion: the motion, None once dropped; of a long recording at the instants of the rows.
+        motion: the motion, None once dropped or if nothing was simulated; of a long recording at
+            the instants of the rows.
         error: (N, n) its position less the measured one.
         percent: |q_sim - q| in percent of |q - mean|, all joints that move, and `by_joint`; None
             and empty if nothing was simulated.
@@ -47,10 +48,10 @@ class Simulated:
     controller: ControllerKind
     gains: Array
     prior_known: bool
-    motion: Motion | None
-    error: Array
-    percent: float | None
-    by_joint: tuple[DirectModelResidual, ...]
+    motion: Motion | None = None
+    error: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    percent: float | None = None
+    by_joint: tuple[DirectModelResidual, ...] = ()
 
 
 @one_thread
@@ -92,42 +93,34 @@ def simulate(
     if asked is not None:
         beta, covariance, payload = asked
         why = robot.gains(robot.model(beta))[1]
+        kind = "simulated" if why is None else "consistent"
         if covariance is not None:
             with suppress(NoFitError):
                 own = robot.problem.model, robot.problem.base, beta - payload
                 beta = nearest_consistent(*own, covariance).beta + payload
+            if why is None and beta is asked[0]:
+                why = "no physically consistent robot is near: that of the estimate itself"
     along, gains, reason = robot.motion(beta)
-    if asked is not None and reason is None:
-        kind, reason = "simulated" if why is None else "consistent", why
-        if reason is None and covariance is not None and beta is asked[0]:
-            reason = "no physically consistent robot is near: that of the estimate itself"
+    if reason is not None:
+        kind, why = "reference", reason
     rows = rows_of_recording(equation, x, further, along(), of_lag=of_lag)
-    moved = along()
-    if kind == "reference":  # along it no robot has a torque
-        known = equation.arm.beta(x)
-        moved = (one.with_torque_of(known) for one in moved)
-    motion, error, percent, by_joint = _followed(robot, moved, rows.tau)
     found = Simulated(
         recording=robot.problem.signals.recording,
         kind=kind,
-        reason=reason,
+        reason=why,
         controller=robot.controller,
         gains=gains,
         prior_known=robot.prior_known,
-        motion=motion,
-        error=error,
-        percent=None if kind == "reference" else percent,
-        by_joint=() if kind == "reference" else by_joint,
     )
-    return found, rows
+    return found if kind == "reference" else _followed(found, robot, along(), rows.tau), rows
 
 
 def _followed(
-    robot: SimulatedRecording, along: Iterator[MotionBlock], measured: Array
-) -> tuple[Motion, Array, float, tuple[DirectModelResidual, ...]]:
-    """A motion at the samples that are kept, the error of its positions, and norms of errors in
-    percent of those measured: of the positions about their mean, of all joints that move, and by
-    joint of positions and of torques, `measured` (T, n).
+    found: Simulated, robot: SimulatedRecording, along: Iterator[MotionBlock], measured: Array
+) -> Simulated:
+    """The same with its motion at the samples that are kept, the error of its positions, and norms
+    of errors in percent of those measured: of the positions about their mean, of all joints that
+    move, and by joint of positions and of torques, `measured` (T, n).
     """
     problem, moves, kept = robot.problem, ~robot.held, list[list[Array]]()
     few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
@@ -147,5 +140,10 @@ def _followed(
         DirectModelResidual(name=joint.name, position_error_percent=a, torque_error_percent=b)
         for joint, a, b in zip(problem.signals.robot.joints, *percents, strict=True)
     )
-    percent = 100 * float(np.linalg.norm(errors) / np.linalg.norm(sizes))
-    return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau), q - wanted, percent, by_joint
+    return replace(
+        found,
+        motion=Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau),
+        error=q - wanted,
+        percent=100 * float(np.linalg.norm(errors) / np.linalg.norm(sizes)),
+        by_joint=by_joint,
+    )
