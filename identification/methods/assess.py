@@ -21,7 +21,7 @@ from ..estimation import (
 )
 from ..regression import ROWS, Lag, Problem, Rows, base_name, lag_by_law, sample_weights
 from ..report import FTest, Method, Status
-from ..simulation import ControllerKind, Simulated, saturated_percents
+from ..simulation import ControllerKind, Simulated
 from ..trust import (
     MIN_FIRST_STAGE_F,
     FitData,
@@ -42,6 +42,7 @@ SURROGATE = (
     "surrogate reference: none recorded, the measured position is used instead; the instruments "
     "are not strictly exogenous"
 )
+CONTROLLERS = ("described", "found", "surrogate")  # the last is the worst
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 
 
@@ -236,7 +237,6 @@ def assess_iv(
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half
         contrast = np.nan_to_num(np.where(np.isin(estimate.names, ls.full.names), off, 0.0))
-    saturated = [saturated_percents(one.problem.with_samples()) for one in model.equations]
     iv = InstrumentEvidence(
         start=loop.iteration.start,
         reference="recorded" if model.exogenous else "surrogate",
@@ -249,7 +249,7 @@ def assess_iv(
         contrast=float(contrast.max()),
         contrast_at=estimate.names[int(contrast.argmax())],
         rows_used_percent=float(100 * (rows.share > 0).mean()),
-        saturated_percent=largest([max(one.values(), default=None) for one in saturated]),
+        saturated_percent=largest([max(one.saturated.values(), default=None) for one in z]),
         direct=direct_errors(z),
     )
     evidence = replace(
@@ -260,25 +260,21 @@ def assess_iv(
         by_reference=reason if status == "converged" else None,
     )
     fit = fit_of(model, evidence, x, ls, z)
-    warnings = (*fit.warnings, *_iv_warnings(model, z, saturated, F))
+    warnings = (*fit.warnings, *_iv_warnings(model, z, F))
     return replace(fit, status=status, iv=iv, warnings=warnings)
 
 
-def _iv_warnings(
-    model: Model,
-    z: Sequence[Simulated],
-    saturated: Sequence[dict[str, float]],
-    first_stage_F: float,
-) -> tuple[str, ...]:
-    robots = [problem.signals.robot for problem in model.problems]
-    each = list(zip(robots, z, strict=True))
+def _iv_warnings(model: Model, z: Sequence[Simulated], first_stage_F: float) -> tuple[str, ...]:
+    each = list(zip((problem.signals.robot for problem in model.problems), z, strict=True))
     without = [robot for robot, one in each if one.controller == "surrogate"]
     unknown = [
         robot for robot, one in each if one.controller != "surrogate" and not one.prior_known
     ]
     limits = (
-        ", ".join(f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT)
-        for shares in saturated
+        ", ".join(
+            f"{m} in {x:.1f} %" for m, x in one.saturated.items() if x > MAX_SATURATED_PERCENT
+        )
+        for one in z
     )
     return (
         *([] if model.exogenous else [SURROGATE]),

@@ -28,7 +28,7 @@ class Simulated:
     """What a robot simulated in a recording gives.
 
     Attributes:
-        recording: its name.
+        recording: its name; `controller`, `saturated`: as of `SimulatedRecording`.
         kind: `simulated`: with the physically consistent parameters nearest to those asked;
             `consistent`: the same, where the inertia matrix of those asked is not positive;
             `reference`: not simulated, the motion is that which the reference predicts.
@@ -43,9 +43,10 @@ class Simulated:
     """
 
     recording: str
+    controller: ControllerKind
+    saturated: dict[str, float]
     kind: InstrumentKind
     reason: str | None
-    controller: ControllerKind
     gains: Array
     prior_known: bool
     motion: Motion | None = None
@@ -106,9 +107,10 @@ def simulate(
     rows = rows_of_recording(equation, x, further, along(), of_lag=of_lag)
     found = Simulated(
         recording=robot.problem.signals.recording,
+        controller=robot.controller,
+        saturated=robot.saturated,
         kind=kind,
         reason=why,
-        controller=robot.controller,
         gains=gains,
         prior_known=robot.prior_known,
     )

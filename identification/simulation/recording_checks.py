@@ -34,9 +34,9 @@ def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDAr
     return np.where(held, largest, travel), held
 
 
-def refuse_foreign_reference(problem: Problem) -> None:
-    """Refuse a reference far from the measured position: of another
-    recording, or in other units.
+def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> None:
+    """Refuse a reference far from the measured position: of another recording, or in other units;
+    `saturated`: as of `saturated_percents`.
     """
     signals, settings, sums = problem.signals, problem.settings, []
     if signals.q_ref is None:
@@ -49,7 +49,7 @@ def refuse_foreign_reference(problem: Problem) -> None:
     scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
     far = ~(error <= MAX_DEVIATION * scale)
     # a drive at its limit does not follow
-    if far.any() and max(saturated_percents(problem).values(), default=0) <= MIN_SATURATED_PERCENT:
+    if far.any() and max(saturated.values(), default=0) <= MIN_SATURATED_PERCENT:
         j, expected = int(far.argmax()), "the reference of this recording"
         what = (
             f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "

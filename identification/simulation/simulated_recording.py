@@ -38,6 +38,7 @@ from .recording_checks import (
     position_scales,
     refuse_foreign_reference,
     refuse_instants,
+    saturated_percents,
 )
 
 FINE = 100.0  # samples and steps per period of the bandwidth, at least
@@ -46,7 +47,7 @@ ControllerKind = Literal["described", "found", "surrogate"]
 CHUNK = 50_000  # instants of the controller that are simulated at a time
 
 
-def controller_of(problem: Problem) -> tuple[ControlLaw | None, ControllerKind]:
+def _controller_of(problem: Problem) -> tuple[ControlLaw | None, ControllerKind]:
     """Return the control loop, and whether it is described or found in the recording; None for
     neither: a PD of the stated bandwidth is used instead.
 
@@ -73,8 +74,9 @@ class SimulatedRecording:
         problem: of the recording, with its samples.
         blocks: of the rows; `decimation` leads from the samples to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
-        loop: the control loop, a PD of the stated bandwidth where none is `known`; `controller`:
-            where it comes from.
+        loop: the control loop; `controller`: whether it is described or found in the recording, or
+            a PD of the stated bandwidth.
+        saturated: percentage of the samples at each motor's limit, by motor and limit.
         poses: (P, n) positions at which the inertia matrix is checked.
         start: the motion at the first instant.
         fastest: (c,) largest speeds of the reference along the directions of Coulomb friction.
@@ -100,8 +102,8 @@ class SimulatedRecording:
         recording, or a reference of another recording.
         """
         self.problem = problem = problem.with_samples()
-        self._gain_update = gain_update
-        refuse_foreign_reference(problem)
+        self._gain_update, self.saturated = gain_update, saturated_percents(problem)
+        refuse_foreign_reference(problem, self.saturated)
         signals, settings, robot = problem.signals, problem.settings, problem.robot
         fs, n_d, hz = signals.sample_rate_hz, settings.decimation, robot.bandwidth_hz
         step_hz = rate_per_bandwidth * hz
@@ -114,10 +116,10 @@ class SimulatedRecording:
         self.N = -(-(settings.stop - settings.start) // self.stride)
         self.first = settings.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop, self.controller = controller_of(problem)
+        loop, self.controller = _controller_of(problem)
         self.poses = poses_of(signals.q[settings.start : settings.stop])
         M = self.model(prior).inertia(self.poses)
-        self.prior, self.known = inertias(M), loop is not None
+        self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
             self.prior = loop.inertias(hz) if loop is not None else np.ones(robot.n)
@@ -127,7 +129,8 @@ class SimulatedRecording:
         self.substeps = max(1, math.ceil(loop.period_s * step_hz - 1e-9))
         duration_s = (self.N - 1) * self.stride / fs
         refuse_instants(problem, loop.period_s, duration_s, self.substeps)
-        self.loop = loop.slower(M, FINE * hz) if self.known and not why_not_positive(M) else loop
+        surrogate = self.controller == "surrogate"
+        self.loop = loop if surrogate or why_not_positive(M) else loop.slower(M, FINE * hz)
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
         # of a short recording made once
         self._whole = self.reference(0, self.instants) if self.instants <= CHUNK else None
@@ -222,7 +225,7 @@ class SimulatedRecording:
         if feedforward is not None:  # held between samples: a cubic would overshoot
             held = np.minimum(each + 1e-6, settings.stop - 1).astype(np.intp)
             feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
-            if not self.known:  # a surrogate's output is torque at the joints
+            if self.controller == "surrogate":  # a surrogate's output is torque at the joints
                 feedforward = self.problem.robot.joint_effort(feedforward)
         q, dq, ddq = np.split(sampled_at(at, np.hstack(paths)), 3, axis=1)
         return Reference(q, dq, ddq, known_torque=known, feedforward=feedforward)
