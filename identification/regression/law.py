@@ -58,7 +58,7 @@ class Law:
             also for `cascade_p_p`.
         reason: why no law is found; None if one is.
         rival: the structure that fits better than the described one; None for none.
-        velocity_estimate, period_s: of the controller.
+        velocity_estimate, period_s: of the controller; `used`: (3,) the gains that it has.
         gains, gains_half: (3, n) Kp, Kd, Ki of the law above, and half-widths
             of their 95 % intervals.
         delay_s, delay_half_s: (n,) of the reference. `lag_s`, `lag_sd_s`: (n,) of the effort
@@ -74,6 +74,7 @@ class Law:
     rival: str | None
     velocity_estimate: str
     period_s: float
+    used: NDArray[np.bool_]
     gains: Array
     gains_half: Array
     delay_s: Array
@@ -83,11 +84,6 @@ class Law:
     residual_percent: Array
     clear: NDArray[np.bool_]
     described: Array | None
-
-    @property
-    def used(self) -> NDArray[np.bool_]:
-        """(3,) the gains that the structure has."""
-        return np.array([True, True, "i" in STRUCTURES[self.structure]])
 
     def controller(self, described: Controller) -> Controller:
         """`[controller]` with this law, which is found."""
@@ -167,14 +163,14 @@ def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: fl
     )
     gains, half, times = (np.array(x).T for x in zip(*each, strict=True))
     half[0] = np.hypot(half[0], unknown_s * gains[2])
-    reason = None
+    reason, used = None, np.array([True, True, "i" in STRUCTURES[name]])
     if not valid[name].all():
         reason = f"no linear law fits motor {robot.motors[int(valid[name].argmin())].name}"
     elif best != name:
         reason = f"{best} fits better"
     elif not clear[name].any():
         reason = "several laws fit alike"
-    elif not (gains[: 2 + ("i" in STRUCTURES[name])] > 0).all():
+    elif not (gains[used] > 0).all():
         # by the speed that is taken, and determined at all
         reason = f"gains of {name} are undetermined, or not positive"
     return Law(
@@ -183,6 +179,7 @@ def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: fl
         rival=best if best != name and clear[best].any() else None,
         velocity_estimate=estimate,
         period_s=period_s,
+        used=used,
         gains=gains,
         gains_half=half,
         delay_s=times[0],
@@ -223,23 +220,14 @@ def described_gains(controller: Controller) -> Array | None:
     """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
     is not described whole.
     """
-    position, velocity, integral = (
-        controller.position_gain,
-        controller.velocity_gain,
-        controller.integral_gain,
-    )
     integrates = controller.structure in ("cascade_p_pi", "pid")
-    if (
-        controller.structure is None
-        or position is None
-        or velocity is None
-        or (integrates and integral is None)
-    ):
+    keys = ["position_gain", "velocity_gain", *["integral_gain"] * integrates]
+    given = [getattr(controller, key) for key in keys]
+    if controller.structure is None or None in given:
         return None
-    kp, kd = np.array(position), np.array(velocity)
-    ki = np.array(integral) if integrates else np.zeros_like(kp)
+    kp, kd, *ki = map(np.array, given)
     cascade = kd if controller.structure.startswith("cascade") else 1.0
-    return np.array([kp * cascade, kd, ki * cascade])
+    return np.array([kp * cascade, kd, ki[0] * cascade if ki else 0.0 * kp])
 
 
 def _is_clear(name: str, percent: dict[str, Array]) -> NDArray[np.bool_]:

@@ -48,6 +48,7 @@ class FilteredMotion:
     """
 
     def __init__(self, signals: Signals, q: Array | None = None) -> None:
+        """`q` (N, n): other positions than the recorded ones."""
         self._signals, self._q = signals, signals.q if q is None else q
         self._filtered: dict[float, Array] = {}
 

@@ -3,7 +3,6 @@ which joints are fast.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,51 +19,29 @@ LAG_ORDER = 6
 STATES = 300  # rows of a recording to evaluate friction at
 
 
-def fast_rows(speed: Array, directions: Array, percent: float, peak: Array) -> NDArray[np.bool_]:
-    """Rows (rows, n) in which each joint is fast, by the joint speeds (rows, n).
-
-    A row is slow if a direction (c, n) of Coulomb friction that acts on its joint is slower than
-    `percent` of its `peak` (c,).
-    """
-    slow = np.abs(speed @ directions.T) < 0.01 * percent * peak
-    return np.asarray(~(slow @ (directions != 0)))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RowStates:
-    """Some rows (k,) of a recording, and the motion q, dq, ddq (k, n) at their instants."""
-
-    rows: NDArray[np.intp]
-    q: Array
-    dq: Array
-    ddq: Array
-
-
-def row_states(problem: Problem, *, always: bool = False) -> RowStates | None:
-    """About 300 rows of a recording, evenly spaced; None, if not `always`, where there is viscous
-    and Coulomb friction only.
-    """
-    joints, problem = problem.signals.robot.joints, problem.with_samples()
-    if not always and not any(
-        joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints
-    ):
-        return None
-    parts, rows = list[tuple[Array, ...]](), len(problem.settings.instants)
-    rows_wanted = np.arange(0, rows, max(1, rows // STATES))
+def row_states(problem: Problem) -> tuple[NDArray[np.intp], Array, Array, Array]:
+    """About 300 rows (k,) of a recording, evenly spaced; q, dq, ddq (k, n) at their instants."""
+    problem, parts = problem.with_samples(), list[tuple[Array, ...]]()
+    rows = len(problem.settings.instants)
+    wanted = np.arange(0, rows, max(1, rows // STATES))
     for motion in motion_blocks(problem):
         rows_here = np.arange(rows)[motion.near][motion.inside]
-        here = np.flatnonzero(np.isin(rows_here, rows_wanted))
+        here = np.flatnonzero(np.isin(rows_here, wanted))
         parts.append(tuple(motion.kept(x)[here] for x in (motion.q, motion.dq, motion.ddq)))
-    q, dq, ddq = (np.concatenate([part[i] for part in parts]) for i in range(3))
-    return RowStates(rows=rows_wanted, q=q, dq=dq, ddq=ddq)
+    q, dq, ddq = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return wanted, q, dq, ddq
 
 
-def friction_states(problem: Problem, beta: Array, states: RowStates) -> tuple[Array, Array]:
-    """Speeds and loads (m, n), by states of a recording, to evaluate the power of
-    further friction terms at.
+def friction_states(problem: Problem, beta: Array) -> tuple[Array, Array] | None:
+    """Speeds and loads (m, n), by states of a recording and base parameters beta (b,), to evaluate
+    the power of further friction terms at; None where there is viscous and Coulomb friction only.
     """
-    rigid = torque_of_links(problem, beta, states.q, states.dq, states.ddq)
-    return shaped_states(problem.model, states.dq, np.abs(rigid))
+    joints = problem.signals.robot.joints
+    if not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
+        return None
+    _, *motion = row_states(problem)
+    rigid = torque_of_links(problem, beta, *motion)
+    return shaped_states(problem.model, motion[1], np.abs(rigid))
 
 
 def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
@@ -72,11 +49,9 @@ def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
     torque of base parameters beta (b,); None without further friction terms.
     """
     found = [
-        friction_power(
-            problem.model, np.arange(problem.model.p), *friction_states(problem, beta, states)
-        )
+        friction_power(problem.model, np.arange(problem.model.p), *states)
         for problem in problems
-        if (states := row_states(problem)) is not None
+        if (states := friction_states(problem, beta)) is not None
     ]
     return np.concatenate(found) if found else None
 
@@ -97,11 +72,15 @@ def fast_for_lag(motion: MotionBlock, peak: Array) -> NDArray[np.bool_]:
 
 
 def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> NDArray[np.bool_]:
-    """Rows (n, T) in which a lag shows, by their speeds (T, n)."""
+    """Rows (n, T) in which a lag shows, by their speeds (T, n): no direction of Coulomb friction
+    that acts on the joint is slower than a share of its peak.
+    """
     percent = max(MIN_LAG_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
-    fast = fast_rows(speed, problem.model.coulomb_directions, percent, peak).T
+    directions = problem.model.coulomb_directions
+    slow = np.abs(speed @ directions.T) < 0.01 * percent * peak
+    fast = ~(slow @ (directions != 0)).T
     # Not soon before a slow row, as zero-phase decimation spreads a reversal both ways; the
     # whitening leaves out rows soon after one.
     for _ in range(LAG_ORDER):
         fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
-    return fast
+    return np.asarray(fast)

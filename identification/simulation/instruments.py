@@ -33,7 +33,7 @@ class Simulated:
             `consistent`: the same, where the inertia matrix of those asked is not positive;
             `reference`: not simulated, the motion is that which the reference predicts.
         reason: why it is not the robot asked; None if it is.
-        controller: where its control law comes from; `gains`: (n,) factors on its gains.
+        gains: (n,) factors on the gains of its control law.
         prior_known: whether the inertias that these were set for are known.
         motion: the motion, None once dropped or if nothing was simulated; of a long recording at
             the instants of the rows.

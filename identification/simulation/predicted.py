@@ -17,7 +17,7 @@ from acquisition.files import allocate, release_pages
 
 from ..arrays import Array
 from ..estimation import r_factor
-from ..regression import FilteredMotion, Problem, differentiate, lowpass_reach, rule_cutoff_hz
+from ..regression import FilteredMotion, Problem, differentiate, lowpass_reach
 
 DELAYS_S = (0.0, 0.02, 0.05, 0.1)
 SMOOTH = 0.05  # of the peak speed
@@ -33,30 +33,26 @@ _made: WeakKeyDictionary[FilteredMotion, dict[tuple[int, int], FilteredMotion]] 
 )
 
 
-def predicted_motion(problem: Problem) -> FilteredMotion:
-    """Return the motion that the reference predicts, made once for its span; the measured one where
-    no reference is recorded.
+def predicted_motion(problem: Problem, cutoff_hz: float) -> FilteredMotion:
+    """Return the motion that the reference predicts, made once for its span, of which motion up to
+    the cut-off is asked; the measured one where no reference is recorded.
     """
     signals, span = problem.signals, (problem.settings.start, problem.settings.stop)
     if signals.q_ref is None:
         return problem.motion
     made = _made.setdefault(problem.motion, {})
     if span not in made:
-        predicted = _predicted_positions(signals.q, signals.q_ref, problem, span)
-        made[span] = FilteredMotion(signals, predicted)
+        reach = lowpass_reach(cutoff_hz, signals.sample_rate_hz)
+        within = max(0, span[0] - reach), min(len(signals.q), span[1] + reach)
+        positions = _predicted_positions(signals.q, signals.q_ref, signals.sample_rate_hz, within)
+        made[span] = FilteredMotion(signals, positions)
     return made[span]
 
 
-def _predicted_positions(q: Array, r: Array, problem: Problem, span: tuple[int, int]) -> Array:
-    """q^ (N, n) at all samples of a recording, by the errors within its span and the
-    reach of the low-pass.
-    """
-    fs, (N, n), found = problem.signals.sample_rate_hz, r.shape, allocate(r.shape)
-    reach, late = (
-        lowpass_reach(rule_cutoff_hz(problem.signals), fs),
-        [round(delay_s * fs) for delay_s in DELAYS_S],
-    )
-    start, stop = max(0, span[0] - reach), min(N, span[1] + reach)
+def _predicted_positions(q: Array, r: Array, fs: float, within: tuple[int, int]) -> Array:
+    """q^ (N, n) at all samples of a recording, by the errors of the samples `within`."""
+    (N, n), found, (start, stop) = r.shape, allocate(r.shape), within
+    late = [round(delay_s * fs) for delay_s in DELAYS_S]
     every = -(-(stop - start) // MOST_SAMPLES)
     peak = np.abs(differentiate(r[start:stop:every], fs / every)).max(axis=0)
 
@@ -67,12 +63,10 @@ def _predicted_positions(q: Array, r: Array, problem: Problem, span: tuple[int, 
             [np.ones((len(at), 1)), *(now[np.maximum(at - d, 0) - low] for d in late)], axis=1
         )
 
-    R, block = (
-        np.zeros((0, columns(np.array([start])).shape[1] + n)),
-        max(1, DESIGN_SAMPLES // every) * every,
-    )
-    for at in (np.arange(a, min(stop, a + block), every) for a in range(start, stop, block)):
-        R = r_factor(np.concatenate([R, np.c_[columns(at), q[at] - r[at]]]))
+    used = np.arange(start, stop, every)
+    blocks = (used[k : k + DESIGN_SAMPLES] for k in range(0, len(used), DESIGN_SAMPLES))
+    factors = [r_factor(np.c_[columns(at), q[at] - r[at]]) for at in blocks]
+    R = r_factor(np.concatenate(factors))
     size = np.maximum(np.linalg.norm(R[:, :-n], axis=0), np.finfo(float).tiny)
     effects = np.linalg.lstsq(R[:, :-n] / size, R[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
     for at in (np.arange(a, min(N, a + DESIGN_SAMPLES)) for a in range(0, N, DESIGN_SAMPLES)):
@@ -86,8 +80,6 @@ def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:
     """What the error is made of, (K, p), of a reference (K, n) with peak speeds (n,)."""
     dr, n = differentiate(r, sample_rate_hz), r.shape[1]
     sums = np.stack([r[:, i:j].sum(axis=1) for i in range(n) for j in range(i + 1, n + 1)], axis=1)
-    ddr, friction = (
-        differentiate(dr, sample_rate_hz),
-        np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny)),
-    )
+    friction = np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny))
+    ddr = differentiate(dr, sample_rate_hz)
     return np.concatenate([np.sin(sums), np.cos(sums), dr, ddr, friction, dr**3], axis=1)

@@ -38,27 +38,30 @@ def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> N
     """Refuse a reference far from the measured position: of another recording, or in other units;
     `saturated`: as of `saturated_percents`.
     """
-    signals, settings, sums = problem.signals, problem.settings, []
+    signals, joints, sums = problem.signals, problem.signals.robot.joints, []
     if signals.q_ref is None:
         return
     for q, q_ref in _blocks(problem, signals.q, signals.q_ref):
-        x = q_ref - signals.q_ref[settings.start]
+        x = q_ref - signals.q_ref[problem.settings.start]
         sums.append([y.sum(axis=0) for y in (x, x**2, (q_ref - q) ** 2)])
-    mean, square, of_error = np.sum(sums, axis=0) / (settings.stop - settings.start)
-    joints, error = signals.robot.joints, np.sqrt(of_error)
+    mean, square, of_error = np.sum(sums, axis=0) / (problem.settings.stop - problem.settings.start)
+    error = np.sqrt(of_error)
     scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
     far = ~(error <= MAX_DEVIATION * scale)
     # a drive at its limit does not follow
     if far.any() and max(saturated.values(), default=0) <= MIN_SATURATED_PERCENT:
-        j, expected = int(far.argmax()), "the reference of this recording"
+        j, unstated = int(far.argmax()), unstated_limits(problem)
         what = (
             f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "
             f"travel of {scale[j]:.3g}"
         )
-        if unstated := unstated_limits(problem):
-            what, expected = "; ".join([what, *unstated]), "saturation of the motor in robot.toml"
-        place = f"{signals.recording}: reference of joint {joints[j].name}"
-        raise BadInputError(what, place=place, expected=expected)
+        raise BadInputError(
+            "; ".join([what, *unstated]),
+            place=f"{signals.recording}: reference of joint {joints[j].name}",
+            expected="saturation of the motor in robot.toml"
+            if unstated
+            else "the reference of this recording",
+        )
 
 
 def saturated_percents(problem: Problem) -> dict[str, float]:

@@ -19,7 +19,7 @@ from .. import estimation
 from ..arrays import Array
 from ..errors import NoFitError
 from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
-from ..regression import base_name, base_places, friction_states, recorded_power, row_states
+from ..regression import base_name, base_places, friction_states, recorded_power
 from ..report import Level
 from .fit_data import FitData, relative_residual
 from .lines import LEVELS, TrustLine, first_case
@@ -132,11 +132,10 @@ def _driving_findings(
     """
     idm, each = evidence.problem.model, list[Array]()
     for problem, arm in zip(evidence.problems, evidence.arms, strict=True):
-        if (states := row_states(problem)) is not None:
-            dq, load = friction_states(problem, estimate.values_of(arm.names), states)
-            G = friction_power(idm, columns, dq, load) * np.isin(estimate.names, arm.names)
-            j = np.abs(dq).argmax(axis=1)[:, None]
-            each.append(np.c_[j, np.take_along_axis(dq, j, axis=1), G])
+        if (states := friction_states(problem, estimate.values_of(arm.names))) is not None:
+            G = friction_power(idm, columns, *states) * np.isin(estimate.names, arm.names)
+            j = np.abs(states[0]).argmax(axis=1)[:, None]
+            each.append(np.c_[j, np.take_along_axis(states[0], j, axis=1), G])
     findings, power = list[Finding](), np.concatenate([*each, np.zeros((0, 2 + len(columns)))])
     power = power[np.lexsort(power[:, 1::-1].T)]
     for j in np.unique(power[:, 0]).astype(int):

@@ -134,16 +134,15 @@ def _cause(evidence: FitData) -> str:
     of the first recording.
     """
     problem, names, payload = evidence.problem, _joints(evidence), evidence.arms[0].payload
-    base, same, states = problem.base, np.eye(len(names)), row_states(problem, always=True)
-    assert states is not None
+    base, same, (at, *motion) = problem.base, np.eye(len(names)), row_states(problem)
     beta = np.array([evidence.prior.get(name, 0.0) for name in base.names])
     beta += payload.values(evidence.estimate) * base.links if payload else 0.0
     links = direct_model(problem.model, base.standard_parameters(beta)).torques_of_links
-    recorded, counts = (x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts))
-    as_recorded = links(states.q, states.dq, states.ddq)
+    recorded, counts = (x[at] for x in (evidence.observed.tau, evidence.observed.counts))
+    as_recorded = links(*motion)
 
     def left(of_motion: Array, of_torque: Array) -> float:
-        q, dq, ddq = (x @ of_motion for x in (states.q, states.dq, states.ddq))
+        q, dq, ddq = (x @ of_motion for x in motion)
         tau = recorded @ of_torque
         rigid = as_recorded if of_motion is same else links(q, dq, ddq)
         moves = (counts @ np.abs(of_motion) > 0).T[..., None]
