@@ -158,7 +158,7 @@ def motor_paths(problem: "Problem", known: KnownLag, period_s: float) -> list[Mo
     assert s.q_ref is not None
     u, first = s.robot.motor_effort(s.effort[used]), s.q_ref[used.start] @ R.T
     limits = SATURATED * np.array([motor.saturation or np.inf for motor in s.robot.motors])
-    saturated = np.cumsum(
+    saturated: NDArray[np.intp] = np.cumsum(
         (np.abs(u) >= limits) | ~problem.measured_samples()[used, None],  # neither follows the law
         axis=0,
     )
@@ -170,9 +170,8 @@ def motor_paths(problem: "Problem", known: KnownLag, period_s: float) -> list[Mo
     edge = EDGE_ROWS * n_d + math.ceil(MAX_DELAY_S * fs)
     apart = max(n_d, (len(u) - 2 * edge) // MAX_ROWS)
     at = np.arange(edge - edge % step, len(u) - edge, max(step, apart - apart % step))
-    ends = [np.clip(at + way * SATURATED_ROWS * n_d, 0, len(u) - 1) for way in (1, -1)]
-    near: NDArray[np.intp] = np.asarray(saturated[ends[0]] - saturated[ends[1]])
-    free = near <= MAX_SATURATED * 2 * SATURATED_ROWS * n_d
+    far = SATURATED_ROWS * n_d
+    free = saturated[at + far] - saturated[at - far] <= MAX_SATURATED * 2 * far
     paths, held = [_paths(x, fs, step) for x in (r, q)], np.zeros((0, *u[at].shape))
     if s.robot.controller.gravity_feedforward:
         inverse = np.linalg.inv(R)

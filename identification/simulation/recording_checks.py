@@ -38,12 +38,17 @@ def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> N
     """Refuse a reference far from the measured position: of another recording, or in other units;
     `saturated`: as of `saturated_percents`.
     """
-    signals, joints, sums = problem.signals, problem.signals.robot.joints, []
+    signals, joints = problem.signals, problem.signals.robot.joints
     if signals.q_ref is None:
         return
-    for q, q_ref in _blocks(problem, signals.q, signals.q_ref):
-        x = q_ref - signals.q_ref[problem.settings.start]
-        sums.append([y.sum(axis=0) for y in (x, x**2, (q_ref - q) ** 2)])
+    first, blocks = (
+        signals.q_ref[problem.settings.start],
+        _blocks(problem, signals.q, signals.q_ref),
+    )
+    sums = [
+        [x.sum(axis=0) for x in (q_ref - first, (q_ref - first) ** 2, (q_ref - q) ** 2)]
+        for q, q_ref in blocks
+    ]
     mean, square, of_error = np.sum(sums, axis=0) / (problem.settings.stop - problem.settings.start)
     error = np.sqrt(of_error)
     scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
@@ -82,10 +87,11 @@ def unstated_limits(problem: Problem) -> list[str]:
     """Drives that saturate, below a stated limit or without one, in words."""
     found, motors = list[str](), problem.signals.robot.motors
     peaks = np.max([np.abs(effort).max(axis=0) for effort in _motor_efforts(problem)], axis=0)
-    ranges, counts = [(0, peak or 1.0) for peak in peaks], np.zeros(())
-    for effort in _motor_efforts(problem):
-        each = zip(np.abs(effort).T, ranges, strict=True)
-        counts = counts + [np.histogram(x, 1000, within)[0][::-1] for x, within in each]
+    each = (zip(np.abs(effort).T, peaks, strict=True) for effort in _motor_efforts(problem))
+    counts = np.sum(
+        [[np.histogram(x, 1000, (0, peak or 1.0))[0][::-1] for x, peak in of] for of in each],
+        axis=0,
+    )
     for motor, peak, share in zip(motors, peaks, counts / counts[0].sum(), strict=True):
         held, *below = np.diff(np.r_[0.0, share.cumsum()][np.outer(range(4), HELD_WIDTHS)], axis=0)
         ratio = (
