@@ -157,11 +157,11 @@ def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: fl
     ways = {one: solved(STRUCTURES[name], one) for one in SPEED_DELAYS}
     estimate = _estimate(ways, motors[0], controller.velocity_estimate)
     late_s, known = SPEED_DELAYS[estimate] * period_s, repeat(None) if stated is None else stated.T
-    each = (
+    each = [
         _values(motor, x, gains, name, late_s)
         for motor, (_, x), gains in zip(motors, ways[estimate], known, strict=False)
-    )
-    gains, half, times = (np.array(x).T for x in zip(*each, strict=True))
+    ]
+    gains, half, times = np.split(np.array(each).T, [3, 6])
     half[0] = np.hypot(half[0], unknown_s * gains[2])
     reason, used = None, np.array([True, True, "i" in STRUCTURES[name]])
     if not valid[name].all():
@@ -246,35 +246,30 @@ def _floored(percent: Array) -> Array:
     return np.maximum(percent, LEAST_RESIDUAL_PERCENT)
 
 
-def _values(
-    motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s: float
-) -> tuple[Array, Array, Array]:
-    """Of a motor Kp, Kd, Ki (3,), their half-widths, and delay, its half-width, lag, its deviation,
-    s; NaN if undetermined. If gains are `stated` (3,), the lag is that with these.
+def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s: float) -> Array:
+    """Of a motor Kp, Kd, Ki, their half-widths, and delay, its half-width, lag, its deviation,
+    s, (10,); NaN if undetermined. If gains are `stated` (3,), the lag is that with these.
     """
-    letters, sd_s = STRUCTURES[name], motor.known.sd_s
+    letters, sd_s, found = STRUCTURES[name], motor.known.sd_s, np.full(10, np.nan)
     _, rho, J = motor.solved(letters, late_s, *x[-2:].tolist())
     rows, names = np.zeros(len(rho), dtype=np.intp), tuple(map(str, range(J.shape[1])))
-    gains, half, times = np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan)
     with suppress(NoFitError):
         whole = System.whole(J, rho, rows, names)
-        free = ordinary_least_squares(whole)
-        sd_L = 1 / math.hypot(1 / intervals_of(whole, free).sigma[-1], 1 / max(sd_s, 1e-12))
+        sd_L = intervals_of(whole, ordinary_least_squares(whole)).sigma[-1]
+        sd_L = 1 / math.hypot(1 / sd_L, 1 / max(sd_s, 1e-12))
         sd_L = math.hypot(sd_L, LEAST_LAG_SD / motor.rate_hz)
         whole = whole.with_columns(np.arange(len(names) - 1))
         held = ordinary_least_squares(whole)
         within = intervals_of(whole, held)
         # An unknown lag widens all; an unknown period of the sum of rectangles widens Kp.
-        every = within.reach * np.hypot(within.sigma, held.bread @ (held.Q.T @ J[:, -1]) * sd_L)
-        at = [
-            letters.find(one)
-            for one in ("e", "f" if "f" in letters else "v", "q" if "q" in letters else "i")
-        ]
-        gains, half = (np.where(np.array(at) < 0, 0.0, of[at]) for of in (x, every))
-        times = np.array([x[-2], every[-1], x[-1], sd_L])
+        half = within.reach * np.hypot(within.sigma, held.bread @ (held.Q.T @ J[:, -1]) * sd_L)
+        # with the integral of a speed's error its gain is that of q
+        at = np.array([max(map(letters.find, of)) for of in ("e", "fv", "iq")])
+        gains, widths = (np.where(at < 0, 0.0, of[at]) for of in (x, half))
+        found = np.r_[gains, widths, x[-2], half[-1], x[-1], sd_L]
     if stated is not None:
-        times[2:] = _lag_of(letters, x, rho, J, stated)
-    return gains, half, times
+        found[8:] = _lag_of(letters, x, rho, J, stated)
+    return found
 
 
 def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple[float, float]:

@@ -67,8 +67,7 @@ def _line(law: Law, motors: list[str]) -> TrustLine | None:
             f"left; {delays}{f'; {alone} alone do not show it' if alone else ''}",
         )
     gains, described, half = law.gains[used], law.described[used], law.gains_half[used]
-    factor = np.divide(gains, described, out=np.ones_like(gains), where=described != 0)
-    within = np.divide(half, np.abs(described), out=np.zeros_like(gains), where=described != 0)
+    factor, within = gains / described, half / described
     names = [f"{letter} {motor}" for letter in np.array(LETTERS)[used] for motor in motors]
     figures = figures_of(names, factor.flat, within.flat, np.ones(factor.size))
     off = np.nan_to_num(np.abs(factor - 1) * (np.abs(factor - 1) > 2 * within))
