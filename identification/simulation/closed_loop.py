@@ -224,8 +224,8 @@ class RigidBodyPlant:
         *,
         speed_scale: Array,
         step_s: float,
-        disturbance: Array,
-        seed: int,
+        disturbance: Array | float = 0.0,
+        seed: int = 0,
     ) -> None:
         """`speed_scale` (n,) is the maximum speed, which sets the speed below
         which friction sticks.
@@ -281,9 +281,9 @@ def described_robot(
     inverse = InverseModel(robot)
     base = base_parameters(inverse)
     parameters = base.standard_parameters(described_parameters(inverse, base))
-    model = direct_model(inverse, parameters)
+    model = loaded = direct_model(inverse, parameters)
     if payload is not None:
-        parameters = add_payload(inverse, parameters, payload)
+        loaded = direct_model(inverse, add_payload(inverse, parameters, payload))
     ranges = np.array(
         [joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints]
     )
@@ -293,12 +293,10 @@ def described_robot(
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     plant = RigidBodyPlant(
-        direct_model(inverse, parameters),
+        loaded,
         middle_of_range(robot),
         speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
         step_s=duration_s / np.ceil(duration_s / MAX_PLANT_STEP_S),
-        disturbance=np.zeros(robot.n),
-        seed=0,
     )
     return plant, drive_loops(robot, inertias(M))
 
