@@ -56,12 +56,9 @@ def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> N
     # a drive at its limit does not follow
     if far.any() and max(saturated.values(), default=0) <= MIN_SATURATED_PERCENT:
         j, unstated = int(far.argmax()), unstated_limits(problem)
-        what = (
-            f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "
-            f"travel of {scale[j]:.3g}"
-        )
         raise BadInputError(
-            "; ".join([what, *unstated]),
+            f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "
+            f"travel of {scale[j]:.3g}{''.join(f'; {limit}' for limit in unstated)}",
             place=f"{signals.recording}: reference of joint {joints[j].name}",
             expected="saturation of the motor in robot.toml"
             if unstated
