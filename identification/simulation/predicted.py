@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from acquisition.files import allocate, release_pages
 
 from ..arrays import Array
+from ..data import Signals
 from ..estimation import r_factor
-from ..regression import FilteredMotion, Problem, differentiate, lowpass_reach
+from ..regression import FilteredMotion, Problem, differentiate, lowpass_reach, rule_cutoff_hz
 
 DELAYS_S = (0.0, 0.02, 0.05, 0.1)
 SMOOTH = 0.05  # of the peak speed
@@ -33,28 +34,28 @@ _made: WeakKeyDictionary[FilteredMotion, dict[tuple[int, int], FilteredMotion]] 
 )
 
 
-def predicted_motion(problem: Problem, cutoff_hz: float) -> FilteredMotion:
-    """Return the motion that the reference predicts, made once for its span, of which motion up to
-    the cut-off is asked; the measured one where no reference is recorded.
+def predicted_motion(problem: Problem) -> FilteredMotion:
+    """Return the motion that the reference predicts, made once for its span; the measured one where
+    no reference is recorded.
     """
-    signals, span = problem.signals, (problem.settings.start, problem.settings.stop)
+    signals, start, stop = problem.signals, problem.settings.start, problem.settings.stop
     if signals.q_ref is None:
         return problem.motion
     made = _made.setdefault(problem.motion, {})
-    if span not in made:
-        reach = lowpass_reach(cutoff_hz, signals.sample_rate_hz)
-        within = max(0, span[0] - reach), min(len(signals.q), span[1] + reach)
-        positions = _predicted_positions(signals.q, signals.q_ref, signals.sample_rate_hz, within)
-        made[span] = FilteredMotion(signals, positions)
-    return made[span]
+    if (start, stop) not in made:
+        reach = lowpass_reach(rule_cutoff_hz(signals), signals.sample_rate_hz)
+        within = range(max(0, start - reach), min(len(signals.q), stop + reach))
+        made[start, stop] = FilteredMotion(signals, _positions(signals, signals.q_ref, within))
+    return made[start, stop]
 
 
-def _predicted_positions(q: Array, r: Array, fs: float, within: tuple[int, int]) -> Array:
+def _positions(signals: Signals, r: Array, within: range) -> Array:
     """q^ (N, n) at all samples of a recording, by the errors of the samples `within`."""
-    (N, n), found, (start, stop) = r.shape, allocate(r.shape), within
+    (N, n), q, fs, found = r.shape, signals.q, signals.sample_rate_hz, allocate(r.shape)
     late = [round(delay_s * fs) for delay_s in DELAYS_S]
-    every = -(-(stop - start) // MOST_SAMPLES)
-    peak = np.abs(differentiate(r[start:stop:every], fs / every)).max(axis=0)
+    every = -(-len(within) // MOST_SAMPLES)
+    used = np.array(within[::every])
+    peak = np.abs(differentiate(r[used], fs / every)).max(axis=0)
 
     def columns(at: NDArray[np.intp]) -> Array:  # (K, p) at samples (K,), in order
         low = max(0, at[0] - late[-1] - EDGE)
@@ -63,10 +64,8 @@ def _predicted_positions(q: Array, r: Array, fs: float, within: tuple[int, int])
             [np.ones((len(at), 1)), *(now[np.maximum(at - d, 0) - low] for d in late)], axis=1
         )
 
-    used = np.arange(start, stop, every)
     blocks = (used[k : k + DESIGN_SAMPLES] for k in range(0, len(used), DESIGN_SAMPLES))
-    factors = [r_factor(np.c_[columns(at), q[at] - r[at]]) for at in blocks]
-    R = r_factor(np.concatenate(factors))
+    R = r_factor(np.concatenate([r_factor(np.c_[columns(at), q[at] - r[at]]) for at in blocks]))
     size = np.maximum(np.linalg.norm(R[:, :-n], axis=0), np.finfo(float).tiny)
     effects = np.linalg.lstsq(R[:, :-n] / size, R[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
     for at in (np.arange(a, min(N, a + DESIGN_SAMPLES)) for a in range(0, N, DESIGN_SAMPLES)):

@@ -255,7 +255,7 @@ class SimulatedRecording:
         """A block of a simulated path, linear between steps, or of the predicted motion."""
         problem, fs = self.problem, self.problem.signals.sample_rate_hz
         if path is None:
-            x = self.low_passed(predicted_motion(problem, self.cutoff_hz), near)
+            x = self.low_passed(predicted_motion(problem), near)
         else:
             span = self.decimation.samples(near, self.N)
             k = np.arange(span.start, span.stop)
