@@ -251,7 +251,7 @@ def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s
     s, (10,); NaN if undetermined. If gains are `stated` (3,), the lag is that with these.
     """
     letters, sd_s, found = STRUCTURES[name], motor.known.sd_s, np.full(10, np.nan)
-    _, rho, J = motor.solved(letters, late_s, *x[-2:].tolist())
+    _, rho, J = motor.solved(letters, late_s, *x[-2:])
     rows, names = np.zeros(len(rho), dtype=np.intp), tuple(map(str, range(J.shape[1])))
     with suppress(NoFitError):
         whole = System.whole(J, rho, rows, names)

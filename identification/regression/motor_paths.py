@@ -54,23 +54,19 @@ class MotorPaths:
         controller's sum.
         """
         (self._r, self._q), self._half_s = paths, 0.5 * period_s
-        self._beside, self.u, self.rate_hz, self.known = (
-            beside[:, :-1],
-            beside[:, -1],
-            rate_hz,
-            known,
-        )
+        self._beside, self.u = beside[:, :-1], beside[:, -1]
+        self.rate_hz, self.known = rate_hz, known
 
     def solve(self, letters: str, late_s: float, near: Found | None = None) -> Found:
         """Least squares by the columns `letters`, the speed being `late_s` behind; `near`: the
         solution of another delay of the speed.
         """
         if near is not None and near[0] < MAX_RESIDUAL_PERCENT:
-            return self._refined(letters, late_s, *near[1][-2:].tolist())
+            return self._refined(letters, late_s, near[1][-2:])
         found = list[Found]()
         for by in ("i", "e") if "i" in letters else ("e",):
-            d = self._first_delay(letters, late_s, by)
-            found.append(self._refined(letters, late_s, d, self.known.value_s))
+            at = np.array([self._first_delay(letters, late_s, by), self.known.value_s])
+            found.append(self._refined(letters, late_s, at))
             if found[-1][0] < MAX_RESIDUAL_PERCENT:
                 break
         return min(found, key=lambda one: one[0])
@@ -119,27 +115,24 @@ class MotorPaths:
                 break
         return d
 
-    def _refined(self, letters: str, late_s: float, d: float, L: float) -> Found:
-        """Gauss-Newton steps of the values, d and L, which is known within limits; a law far
-        from the effort is left.
+    def _refined(self, letters: str, late_s: float, at: Array) -> Found:
+        """Gauss-Newton steps of the values, d and L from `at` on; L is known within limits; a law
+        far from the effort is left.
         """
         known, step = self.known, np.inf
         size = max(math.sqrt(len(self.u)) * self.u.std(), 1e-300)
         for number in range(STEPS):
-            x, rho, J = self.solved(letters, late_s, d, L)
+            x, rho, J = self.solved(letters, late_s, *at)
             percent = 100 * float(np.linalg.norm(rho)) / size
             if step < MIN_STEP or (number == FIRST_STEPS and percent > HOPELESS_PERCENT):
                 break
             weight = PRIOR_WEIGHT * rho.std() / max(known.sd_s, MAX_DELAY_S / 10)
             A = np.vstack([J, np.r_[np.zeros(J.shape[1] - 1), weight]])
-            wanted = np.r_[self.u, weight * (known.value_s - L)]
-            most_s = MAX_STEP / self.rate_hz
-            moves = np.clip(scaled_solution(A, wanted)[-2:], -most_s, most_s)
-            (d, L), step = (
-                np.clip([d + moves[0], L + moves[1]], -MAX_DELAY_S, MAX_DELAY_S).tolist(),
-                np.abs(moves).max() * self.rate_hz,
-            )
-        return percent, np.r_[x, d, L]
+            moves = scaled_solution(A, np.r_[self.u, weight * (known.value_s - at[1])])[-2:]
+            moves = np.clip(self.rate_hz * moves, -MAX_STEP, MAX_STEP)
+            at = np.clip(at + moves / self.rate_hz, -MAX_DELAY_S, MAX_DELAY_S)
+            step = np.abs(moves).max()
+        return percent, np.r_[x, at]
 
 
 def scaled_solution(A: Array, y: Array) -> Array:
