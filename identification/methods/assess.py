@@ -58,7 +58,7 @@ def evidence_of(
     candidates.
     """
     estimate, unknowns = solved.estimate, model.unknowns
-    candidates = model.candidates(x, rows.speed, simulated=not rows.recorded)
+    candidates, *_ = model.candidates(x, rows.speed, simulated=not rows.recorded)
     lags = counted_lags(model, lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
     return FitData(

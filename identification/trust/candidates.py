@@ -5,7 +5,6 @@ columns along a motion. A new one is an entry of `KINDS`.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import groupby, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ STRIBECK, ASYMMETRIC, SPRING = "Stribeck friction", "asymmetric friction", "spri
 TILT, LAG, ROTOR, ZERO, CLOCKS = "tilt of gravity", "lag", "rotor", "zero", "clock drift"
 # Near reversals, friction that rises smoothly looks like these; they hardly show in the residual.
 IN_FAST_ROWS = (LAG, CLOCKS)
+MIN_ARM_M = 1e-9  # of a weight about an axis
 # at which the torque of the links is computed: smooth, and low-passed to half a sample a row
 SAMPLES_A_ROW = 4
 SELECT_TERMS = "run `robot-identify friction`"
@@ -35,6 +35,8 @@ class MissingTerm:
 
     Attributes:
         kind, where: the term, and its joint or axis; `finding`: what is wrong, in a few words.
+        place: of its kind, counted from 0; `column`: of C; `joint`: whose rows in that are its own,
+            None for all.
         unit, advice: unit of the coefficient; what to do.
         value, t: its coefficient, also in deviations.
         taken_percent: share of the residual's square that it explains; `together_percent`:
@@ -50,6 +52,9 @@ class MissingTerm:
     unit: str
     advice: str
     finding: str = ""
+    place: int = 0
+    column: int = 0
+    joint: int | None = None
     value: float = 0.0
     t: float = 0.0
     taken_percent: float = 0.0
@@ -75,8 +80,9 @@ class Kind:
     """A kind of term, at one place or several: at joints, axes, or directions of friction.
 
     Attributes:
-        name, torque: terms of one joint each share a column, unless they act `everywhere`.
-        told: unit and advice at a joint.
+        torque: terms of one joint each share a column, unless they act `everywhere`.
+        unit: of the coefficient, by those of the joint that tells it.
+        advice: what to do; where friction is a list in which it may be `listed`, to add it.
         friction: the term of a joint's description that is this one.
         at: its places, each its name and the joint that tells it.
         lacks: whether a model without that may lack it at its k-th place.
@@ -84,9 +90,10 @@ class Kind:
         least_percent: as of `MissingTerm`, where no link weighs.
     """
 
-    name: str
     torque: Torque
-    told: Callable[[Robot, int], tuple[str, str]]
+    unit: str
+    advice: str
+    listed: bool = False
     everywhere: bool = False
     friction: str = ""
     lacks: Callable[["Candidates", int], bool] = lambda *_: True
@@ -120,36 +127,36 @@ class Candidates:
     @cached_property
     def terms(self) -> tuple[MissingTerm, ...]:
         """The terms."""
-        robot, at_zero = self.robot, _of_links(self._links, *np.zeros((3, 1, len(self.peak))))
-        weighs = robot.n > 1 and np.abs(at_zero).max() > 1e-9
-        return tuple(
-            MissingTerm(
-                kind=kind.name,
-                where=where,
-                unit=unit,
-                advice=advice,
-                finding=f"{kind.name} {where}{kind.missing}",
-                least_percent=MIN_TAKEN_PERCENT if weighs else kind.least_percent,
-            )
-            for kind, where, j in [(KINDS[i], where, j) for i, _, where, j in self._lacking]
-            for unit, advice in [kind.told(robot, j)]
-        )
-
-    @cached_property
-    def places(self) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """By term its column (k,) and the joints (k, n) whose rows in it are its own."""
-        each = [(i, k * KINDS[i].everywhere) for i, k, _, _ in self._lacking]
-        columns, one = list(dict.fromkeys(each)), np.eye(len(self.peak), dtype=bool)
-        acts = [one[j] | KINDS[i].everywhere for i, _, _, j in self._lacking]
-        return np.array([columns.index(key) for key in each], dtype=np.intp), np.array(acts)
+        robot, found, columns = self.robot, list[MissingTerm](), dict[tuple[str, int], int]()
+        weighs = robot.n > 1 and len(self.weighs)
+        for name, kind in KINDS.items():
+            for k, (where, j) in enumerate(kind.at(self)):
+                if kind.friction in robot.joints[j].terms or not kind.lacks(self, k):
+                    continue
+                listed = kind.listed and isinstance(robot.joints[j].friction, tuple)
+                term = MissingTerm(
+                    kind=name,
+                    where=where,
+                    unit=kind.unit.format(**_units(robot, j)),
+                    advice=f'add "{kind.friction}" to its friction' if listed else kind.advice,
+                    finding=f"{name} {where}{kind.missing}",
+                    place=k,
+                    column=columns.setdefault((name, k * kind.everywhere), len(columns)),
+                    joint=None if kind.everywhere else j,
+                    least_percent=MIN_TAKEN_PERCENT if weighs else kind.least_percent,
+                )
+                found.append(term)
+        return tuple(found)
 
     @cached_property
     def weighs(self) -> NDArray[np.intp]:
         """(g,) places of the base parameters of links that weigh."""
         idm, columns = self.problem.model, self.problem.base.columns
         q = np.sin(np.outer(np.arange(1, 6), np.arange(1, idm.robot.n + 1)))  # some poses
-        still = idm.regressor(q, 0 * q, 0 * q)[:, :, columns] * idm.of_links[columns]
-        return np.flatnonzero(np.abs(still).max(axis=(0, 1)) > 1e-12 * np.abs(still).max())
+        still = np.abs(idm.regressor(q, 0 * q, 0 * q)[:, :, columns] * idm.of_links[columns])
+        return np.flatnonzero(
+            still.max(axis=(0, 1)) > MIN_ARM_M * np.linalg.norm(self.robot.gravity)
+        )
 
     def at_rest(self, motion: MotionBlock) -> Array:
         """(n, g, rows) the torques of `weighs` at rest, which change slowly, weighted and decimated
@@ -163,28 +170,14 @@ class Candidates:
         """(n, k, rows) torque per unit of the terms, weighted and decimated, along a motion with
         the torque that `beta` predicts.
         """
-        places, acts = self.places
-        found = np.zeros((len(self.peak), int(places.max()) + 1, len(motion.share.T)))
+        of_columns = {term.column: term for term in self.terms}
+        found = np.zeros((len(self.peak), len(of_columns), len(motion.share.T)))
         links = smooth(partial(_of_links, self._links), motion, _stride(motion))
-        for place, (i, k, _, _) in dict(zip(places, self._lacking, strict=True)).items():
-            torque = KINDS[i].torque(self, motion, links, k)
-            at = np.flatnonzero(acts[places == place].any(axis=0) & torque.any(axis=0))
-            if len(at):
-                found[at, place] = motion.weighted(torque.T[at], at)
+        for column, term in of_columns.items():
+            torque = KINDS[term.kind].torque(self, motion, links, term.place)
+            if len(at := np.flatnonzero(torque.any(axis=0))):
+                found[at, column] = motion.weighted(torque.T[at], at)
         return found
-
-    @cached_property
-    def _lacking(self) -> list[tuple[int, int, str, int]]:
-        """Each term: the number of its kind, its place and the name of that, and the joint that
-        tells it.
-        """
-        known, numbers = [joint.terms for joint in self.robot.joints], range(len(KINDS))
-        return [
-            (i, k, where, j)
-            for at, kinds in groupby(numbers, lambda i: KINDS[i].at)
-            for (k, (where, j)), i in product(enumerate(at(self)), kinds)
-            if KINDS[i].friction not in known[j] and KINDS[i].lacks(self, k)
-        ]
 
     @property
     def robot(self) -> Robot:
@@ -226,19 +219,15 @@ def _stride(motion: MotionBlock) -> int:
     return motion.decimation.factor // SAMPLES_A_ROW
 
 
-def _listed(term: str, keys: str, unit: str = "") -> Callable[[Robot, int], tuple[str, str]]:
-    """What is told of a friction term that a description has in a list, or by keys."""
-    return lambda robot, j: (
-        unit or robot.effort_units[j],
-        f'add "{term}" to its friction'
-        if isinstance(robot.joints[j].friction, tuple)
-        else f"describe it as {keys}",
-    )
-
-
-def _per_angle(robot: Robot, j: int) -> tuple[str, float]:
-    """The unit of a zero, and its size."""
-    return ("deg", np.pi / 180) if robot.joints[j].type == "revolute" else ("mm", 1e-3)
+def _units(robot: Robot, j: int) -> dict[str, str]:
+    """The units of a joint."""
+    turns = robot.joints[j].type == "revolute"
+    return {
+        "effort": robot.effort_units[j],
+        "position": robot.joints[j].position_unit,
+        "zero": "deg" if turns else "mm",
+        "inertia": inertia_unit(robot, j),
+    }
 
 
 def _directions(of: Candidates) -> list[tuple[str, int]]:
@@ -261,120 +250,106 @@ def _root(of: Candidates, x: MotionBlock, links: Array, k: int) -> Array:
     return np.asarray((np.sign(v) * np.sqrt(np.abs(v)))[:, None] * along)
 
 
-# Those at the same places are tried place by place.
-KINDS = (
-    Kind(
-        name=ASYMMETRIC,
+KINDS = {
+    ASYMMETRIC: Kind(
         torque=lambda of, x, *_: of._friction("Fc") + of._friction("Fv") * np.abs(x.dq),
-        told=_listed("asymmetric", 'friction = "asymmetric", which includes an offset', "% of it"),
+        unit="% of it",
+        advice='describe it as friction = "asymmetric", which includes an offset',
+        listed=True,
         friction="asymmetric",
         lacks=lambda of, k: (
             not (joint := of.robot.joints[k]).one_sided
             and not {"viscous", "coulomb"}.isdisjoint(joint.terms)
         ),
     ),
-    Kind(
-        name="offset",
+    "offset": Kind(
         torque=lambda of, x, *_: np.ones_like(x.q),
-        told=_listed("offset", "offset = true"),
+        unit="{effort}",
+        advice="describe it as offset = true",
+        listed=True,
         friction="offset",
     ),
-    Kind(
-        name="drift",
+    "drift": Kind(
         torque=lambda of, x, *_: ((x.t_s - of._span_s[0]) / np.ptp(of._span_s))[:, None] + 0 * x.q,
-        told=lambda robot, j: (
-            f"{robot.effort_units[j]} over the recording",
-            "warm the robot up, or record a shorter motion",
-        ),
+        unit="{effort} over the recording",
+        advice="warm the robot up, or record a shorter motion",
         missing="",
     ),
-    Kind(
-        name=SPRING,
+    SPRING: Kind(
         torque=lambda of, x, *_: x.q,
-        told=lambda robot, j: (
-            f"{robot.effort_units[j]}/{robot.joints[j].position_unit}",
-            "record its torque (of a spring, a hose or a weight) as known_torque",
-        ),
+        unit="{effort}/{position}",
+        advice="record its torque (of a spring, a hose or a weight) as known_torque",
         least_percent=10.0,  # any slow error correlates with a slow position
     ),
-    Kind(
-        name=STRIBECK,
+    STRIBECK: Kind(
         torque=lambda of, x, *_: (
             np.sign(x.dq)
             * np.exp(-((x.dq / (STRIBECK_SPEED_RATIO * np.maximum(of.peak, 1e-300))) ** 2))
         ),
-        told=lambda robot, j: (
-            robot.effort_units[j],
-            "leave out slow samples by a larger low_speed_percent of [identification]",
-        ),
+        unit="{effort}",
+        advice="leave out slow samples by a larger low_speed_percent of [identification]",
         friction="stribeck",
     ),
-    Kind(
-        name=ZERO,
-        torque=lambda of, x, links, k: _per_angle(of.robot, k)[1] * links[..., 1 + k],
-        told=lambda robot, j: (
-            _per_angle(robot, j)[0],
-            "check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
+    ZERO: Kind(
+        torque=lambda of, x, links, k: (
+            links[..., 1 + k] * (np.pi / 180 if of.robot.joints[k].type == "revolute" else 1e-3)
         ),
+        unit="{zero}",
+        advice="check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
         everywhere=True,
         missing="",
     ),
-    Kind(
-        name=ROTOR,
+    ROTOR: Kind(
         torque=lambda of, x, *_: x.ddq,
-        told=lambda robot, j: (inertia_unit(robot, j), "rotor_inertia = true"),
+        unit="{inertia}",
+        advice="rotor_inertia = true",
         lacks=lambda of, k: not of.robot.joints[k].rotor_inertia,
     ),
-    Kind(
-        name="load friction",
+    "load friction": Kind(
         torque=lambda of, x, links, _: np.abs(links[..., 0]) * np.sign(x.dq),
-        told=lambda *_: ("", SELECT_TERMS),
+        unit="",
+        advice=SELECT_TERMS,
         friction="load",
     ),
-    Kind(
+    TILT: Kind(
         at=lambda of: ((f"about {axis}", 0) for axis in "xyz"),
-        name=TILT,
         torque=lambda of, x, _, k: smooth(
             lambda q, *_: of._links.gravity(q, _turned(of, k)), x, _stride(x)
         ),
-        told=lambda *_: ("rad", "level the base, or set gravity_m_s2"),
+        unit="rad",
+        advice="level the base, or set gravity_m_s2",
         everywhere=True,
         lacks=lambda of, k: bool(_turned(of, k).any()),
         missing="",
     ),
-    Kind(
+    "root friction": Kind(
         at=_directions,
-        name="root friction",
         torque=_root,
-        told=lambda robot, j: (
-            f"{robot.effort_units[j]} ({robot.joints[j].position_unit}/s)^-½",
-            SELECT_TERMS,
-        ),
+        unit="{effort} ({position}/s)^-½",
+        advice=SELECT_TERMS,
         everywhere=True,
         friction="root",
     ),
-    Kind(
+    CLOCKS: Kind(
         at=lambda of: [("between positions and efforts", 0)],
-        name=CLOCKS,
         torque=lambda of, x, *_: -0.01 * (x.t_s - of._span_s.mean())[:, None] * x.rate(x.tau),
-        told=lambda *_: ("%", "stamp positions and efforts by one clock"),
+        unit="%",
+        advice="stamp positions and efforts by one clock",
         everywhere=True,
         missing="",
     ),
-    Kind(
-        name=LAG,
+    LAG: Kind(
         torque=lambda of, x, *_: -1e-3 * x.rate(x.tau),
-        told=lambda *_: ("ms", "check how its effort is filtered and stamped"),
+        unit="ms",
+        advice="check how its effort is filtered and stamped",
         lacks=lambda of, k: of.simulated and len(of.peak) > 1,
         missing="",
     ),
-    Kind(  # the coefficient of a predicted torque is the gain relative to others, less 1
-        name="relative gain",
+    # the coefficient of a predicted torque is the gain relative to others, less 1
+    "relative gain": Kind(
         torque=lambda of, x, *_: 0.01 * x.tau,
-        told=lambda *_: (
-            "%",
-            "check its drive_gain and ratio against those of the other joints",
-        ),
+        unit="%",
+        advice="check its drive_gain and ratio against those of the other joints",
         lacks=lambda of, k: of.robot.gain_known and not of.gains and len(of.peak) > 1,
     ),
-)
+}

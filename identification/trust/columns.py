@@ -11,10 +11,9 @@ Columns have the weights of W.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from itertools import chain, groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import deviations_of_sums, orthonormal
@@ -106,120 +105,84 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth
         the sign of the speed.
     """
-    observed, (places, joints) = evidence.observed, evidence.candidates[0].places
-    acts, weight = joints.T[observed.system.joint_of_row], evidence.weight[:, None]
-    tried, lags = evidence.candidates[0].terms, observed.L.shape[1] - len(evidence.lags)
-    everywhere = np.array([term.kind not in candidates.IN_FAST_ROWS for term in tried])
-
-    def columns(at: NDArray[np.intp]) -> Array:
-        counts = acts[:, at] & (observed.fast[:, None] | everywhere[at])
-        return np.asarray(observed.C[:, places[at]] * counts * weight)
-
-    rate = -observed.L[:, lags:].sum(axis=1, keepdims=True) * weight
-    terms, together = (
-        {
-            int(at[i]): term
-            for at in np.array_split(np.arange(len(tried)), 1 + acts.size // MAX_NUMBERS)
-            if len(at) or not tried
-            for i, term in _scored(evidence, [tried[k] for k in at], columns(at)).items()
-        },
-        dict[str, float](),
-    )
-    for k, term in terms.items():
-        clocks, none = term.kind == candidates.CLOCKS, replace(term, t=0.0)
-        if clocks or (term.kind == candidates.LAG and abs(term.t) > candidates.MIN_T):
-            # In fast rows only: friction near reversals looks like a lag. And beside the common
-            # lag, which its prior holds.
-            among = observed.fast | ~acts[:, k], rate[:, : int(clocks)]
-            again = _scored(evidence, [term], columns(np.array([k])), among).get(0, none)
-            terms[k] = again if clocks or again.t * term.t > 0 else none
-    fit = _fit(evidence)
-    for kind in {term.kind for term in terms.values()} - {candidates.CLOCKS}:
-        own = [k for k, x in terms.items() if x.kind == kind and np.isfinite(x.noticed)]
-        z, apart = fit.projected(C := columns(np.array(own, dtype=np.intp)))
-        g = np.linalg.lstsq(z.T @ C, z.T @ fit.rho, rcond=1e-6)[0]
-        together[kind] = float(fit.taken_percent(fit.rho - apart @ g))
-    return tuple(
-        replace(term, together_percent=together.get(term.kind, term.taken_percent))
-        for term in terms.values()
+    of_kinds = groupby(evidence.candidates.terms, lambda term: term.kind)
+    kinds = {kind: list(own) for kind, own in of_kinds}
+    clocks, each = kinds.pop(candidates.CLOCKS), list(kinds.values())
+    at_once = max(1, MAX_NUMBERS // (evidence.Y.size * evidence.robot.n))
+    found = [
+        term
+        for k in range(0, len(each), at_once)
+        for term in _scored(evidence, list(chain(*each[k : k + at_once])))
         if term.kind != candidates.STRIBECK or term.value > 0
-    )
-
-
-class _Fit(NamedTuple):
-    """Weighted columns W (r, b), the span Q of the instruments, bread, residuals rho (r,), and
-    the rows (r, 1) that count.
-    """
-
-    W: Array
-    Q: Array
-    bread: Array
-    rho: Array
-    rows: Array
-
-    def projected(self, C: Array) -> tuple[Array, Array]:
-        """Columns C (r, k) made orthogonal to W by the span of Q, and what is left of them
-        when beta is solved again.
-        """
-        along = self.Q @ (self.bread.T @ (self.W.T @ C))
-        return C - along, (C - self.W @ (self.bread @ (self.Q.T @ C))) * self.rows
-
-    def taken_percent(self, left: Array) -> Array:
-        """Share of the square of rho that is not in what is left of it, (r,) or (r, k)."""
-        whole = max(float(self.rho @ self.rho), 1e-300)
-        return np.asarray(100 * (1 - (left**2).sum(axis=0) / whole))
-
-
-def _fit(evidence: FitData, among: tuple[NDArray[np.bool_], Array] | None = None) -> _Fit:
-    """The fit; or one `among` some of its rows (r,), with further columns."""
-    estimate, W = evidence.estimate, evidence.W
-    if among is None:
-        return _Fit(
-            W, estimate.Q, estimate.bread, evidence.residual(estimate.beta), np.ones((1, 1))
-        )
-    rows = among[0][:, None].astype(float)  # so that no product is a further copy
-    Q = orthonormal(np.c_[estimate.Q, among[1]] * rows)
-    W = np.c_[W, among[1]] if among[1].size else W
-    bread: Array = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
-    return _Fit(W, Q, bread, rows[:, 0] * (evidence.Y - W @ (bread @ (Q.T @ evidence.Y))), rows)
+    ]
+    for i, term in enumerate(found):
+        if term.kind == candidates.LAG and abs(term.t) > candidates.MIN_T:
+            # In fast rows only: friction near reversals looks like a lag.
+            again = [x for x in _scored(evidence, [term], fast=True) if x.t * term.t > 0]
+            told = again[0] if again else replace(term, t=0.0)
+            found[i] = replace(told, together_percent=term.together_percent)
+    return (*found, *_scored(evidence, clocks, fast=True))
 
 
 def _scored(
-    evidence: FitData,
-    terms: Sequence[candidates.MissingTerm],
-    C: Array,
-    among: tuple[NDArray[np.bool_], Array] | None = None,
-) -> dict[int, candidates.MissingTerm]:
-    """Terms of columns C (r, k) by their places with their figures, `among` some of the rows
-    (r,), and further columns.
+    evidence: FitData, terms: Sequence[candidates.MissingTerm], *, fast: bool = False
+) -> list[candidates.MissingTerm]:
+    """Terms with their figures; `fast`: of a single one, with the rows of its joint in which a lag
+    shows only, and clocks beside the common lag, which its prior holds.
     """
-    fit, C = _fit(evidence, among), C * among[0][:, None] if among else C
-    z, apart = fit.projected(C)
+    observed, estimate, W, Y = evidence.observed, evidence.estimate, evidence.W, evidence.Y
+    joint, weight = observed.system.joint_of_row, evidence.weight[:, None]
+    acts = np.stack([(joint == term.joint) | (term.joint is None) for term in terms], axis=1)
+    anywhere = np.array([term.kind not in candidates.IN_FAST_ROWS for term in terms])
+    C = observed.C[:, [term.column for term in terms]] * weight
+    C *= acts & (observed.fast[:, None] | anywhere)
+    Q, bread, rho, rows = estimate.Q, estimate.bread, evidence.residual(estimate.beta), np.ones(1)
+    if fast:
+        rows = (observed.fast | ~acts[:, 0]).astype(float)  # so that no product is a further copy
+        if terms[0].kind == candidates.CLOCKS:
+            lags = observed.L[:, observed.L.shape[1] - len(evidence.lags) :]
+            W = np.c_[W, -lags.sum(axis=1) * evidence.weight]
+            Q = np.c_[Q, W[:, -1]]
+        Q = orthonormal(Q * rows[:, None])
+        bread = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
+        rho = rows * (Y - W @ (bread @ (Q.T @ Y)))
+    z = C - Q @ (bread.T @ (W.T @ C))  # orthogonal to W
+    apart = (C - W @ (bread @ (Q.T @ C))) * rows[:, None]  # what is left, beta solved again
     norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
     independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
     # A zero may act nowhere, and a rotor in the span to rounding is a part of a link's parameter.
     stays = {
-        candidates.ZERO: norm > MIN_BIAS * np.linalg.norm(evidence.Y),
+        candidates.ZERO: norm > MIN_BIAS * np.linalg.norm(Y),
         candidates.ROTOR: left > MIN_BIAS * norm,
     }
     size = np.where(independent, (z * C).sum(axis=0), np.inf)
-    g = z.T @ fit.rho / size
-    with_term = fit.rho[:, None] - g * apart  # and beta solved again
-    sigma = deviations_of_sums(evidence.observed.system, z, with_term, fit.Q) / np.abs(size)
-    essential = np.isin(evidence.estimate.names, evidence.essential)
+    g = z.T @ rho / size
+    with_term = rho[:, None] - g * apart
+    sigma = deviations_of_sums(observed.system, z, with_term, Q) / np.abs(size)
+    essential = np.isin(estimate.names, evidence.essential)
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = (fit.bread @ (fit.Q.T @ C))[: len(essential)] * g
+        moved = (bread @ (Q.T @ C))[: len(essential)] * g
         moves = np.nan_to_num(np.abs(moved) / evidence.intervals.half[:, None])
         t = np.where(sigma > 0, g / sigma, 0.0)
-        large = np.sqrt(0.01 * candidates.MIN_TAKEN_PERCENT) * np.linalg.norm(fit.rho)
+        large = np.sqrt(0.01 * candidates.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
         large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
     noticed = np.maximum((candidates.MIN_T + MARGIN_T) * sigma, large)
     moves, noticed = moves * essential[:, None], np.where(independent, noticed, np.inf)
-    figures = np.stack([g, t, fit.taken_percent(with_term), moves.max(axis=0), noticed])
-    return {
-        k: replace(term, value=value, t=t, taken_percent=taken, moves=most, noticed=least)
-        for k, (term, (value, t, taken, most, least)) in enumerate(
-            zip(terms, figures.T.tolist(), strict=True)
-        )
+    taken, together = _taken_percent(rho, with_term), np.empty(len(terms))
+    of_kind = np.array([term.kind for term in terms])
+    for kind in dict.fromkeys(of_kind):
+        own = independent & (of_kind == kind)
+        of_all = np.linalg.lstsq(z[:, own].T @ C[:, own], z[:, own].T @ rho, rcond=1e-6)[0]
+        together[of_kind == kind] = _taken_percent(rho, rho - apart[:, own] @ of_all)
+    figures = np.stack([g, t, taken, together, moves.max(axis=0), noticed], axis=1).tolist()
+    names = "value", "t", "taken_percent", "together_percent", "moves", "noticed"
+    return [
+        replace(term, **dict(zip(names, of_term, strict=True)))
+        for k, (term, of_term) in enumerate(zip(terms, figures, strict=True))
         if stays.get(term.kind, independent)[k]
-    }
+    ]
+
+
+def _taken_percent(rho: Array, left: Array) -> Array:
+    """Share of the square of rho (r,) that is not in what is left of it, (r,) or (r, k)."""
+    return np.asarray(100 * (1 - (left**2).sum(axis=0) / max(float(rho @ rho), 1e-300)))

@@ -34,7 +34,7 @@ class FitData:
         estimate: of the base parameters, or of the essential ones only.
         predicted: (rows, n) predicted torque, not weighted.
         least_squares: weighted least squares of all base parameters on the same recordings.
-        candidates: terms that are not in the model, by recording.
+        candidates: terms that are not in the model, of the first recording.
         position_noise: whether position noise biases least squares; None for
             instrumental variables.
         lags: one per group of recordings of equal timing.
@@ -56,7 +56,7 @@ class FitData:
     predicted: Array
     intervals: Intervals
     least_squares: Estimate
-    candidates: tuple[Candidates, ...] = ()
+    candidates: Candidates
     first_stage_F: float | None = None
     unconfirmed: str | None = None
     by_reference: str | None = None

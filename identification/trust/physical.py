@@ -183,7 +183,7 @@ def _gravity_findings(evidence: FitData, poses: Array) -> list[Finding]:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
-    base, rest, terms = evidence.problem.base, evidence.observed.at_rest, evidence.candidates[0]
+    base, rest, terms = evidence.problem.base, evidence.observed.at_rest, evidence.candidates
     assert rest is not None
     gravity, columns = evidence.robot.gravity, base.columns[terms.weighs]
     at_rest = evidence.problem.model.regressor(poses, 0 * poses, 0 * poses)[:, :, columns]

@@ -114,18 +114,23 @@ def test_clocks_that_run_apart_are_named():
 def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     """Of the elbow; the rows of the shoulder stay."""
     data, scored, shares = clean("scara").data, columns._scored, []
+    orthonormal, joint = columns.orthonormal, data.observed.system.joint_of_row
+
+    def of_rows(A):
+        shares.append([A[joint == j].any(axis=1).mean() for j in range(2)])
+        return orthonormal(A)
 
     def lag_of_elbow(in_fast_rows: float) -> MissingTerm:
-        def of_t(evidence, terms, C, among=None):
-            found = scored(evidence, terms, C, among)
-            if among is not None and terms[0].kind == "lag":
-                joint = data.observed.system.joint_of_row
-                shares.append([among[0][joint == j].mean() for j in range(2)])
-            t = 6.0 if among is None else in_fast_rows
-            return {
-                k: replace(x, t=t, moves=2.0) if x.finding == "lag of joint elbow" else x
-                for k, x in found.items()
-            }
+        def of_t(evidence, terms, *, fast=False):
+            with pytest.MonkeyPatch.context() as within:
+                if terms[0].kind == "lag":
+                    within.setattr(columns, "orthonormal", of_rows)
+                found = scored(evidence, terms, fast=fast)
+            t = in_fast_rows if fast else 6.0
+            return [
+                replace(x, t=t, moves=2.0) if x.finding == "lag of joint elbow" else x
+                for x in found
+            ]
 
         monkeypatch.setattr(columns, "_scored", of_t)
         return next(x for x in missing_terms(data) if x.finding == "lag of joint elbow")
