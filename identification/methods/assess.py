@@ -25,11 +25,10 @@ from ..simulation import ControllerKind, Simulated
 from ..trust import (
     MIN_FIRST_STAGE_F,
     FitData,
-    held_out_parts,
     moves_of,
     relative_residual,
     trust_in,
-    with_prior,
+    with_predictions,
 )
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
@@ -108,8 +107,7 @@ def fit_of(
     rows, predicted, predict = evidence.observed, evidence.predicted, partial(model.predicted, x)
     release_memory(rows.C)
     names = tuple(joint.name for joint in model.problem.signals.robot.joints)
-    evidence = replace(evidence, held_out=held_out_parts(evidence, predict))
-    evidence = with_prior(evidence, predict)
+    evidence = with_predictions(evidence, predict)
     filtered, warnings = model, _warnings(model)
     measured, of_model, speed = rows.tau, predicted, rows.speed
     try:  # errors of the model, without the noise that passes the cut-off of the fit
@@ -131,9 +129,7 @@ def fit_of(
                 filtered.problems[k].measured_rows(),
                 names,
             ),
-            held_out=evidence.held_out[k]
-            if len(model.problems) > 1 and not evidence.gains
-            else None,
+            held_out=evidence.by_others[k] if evidence.by_others else None,
             simulated=z[k] if z else None,
         )
         for k, (problem, part, own) in enumerate(parts)

@@ -2,8 +2,8 @@
 
 from .candidates import Candidates
 from .fit_data import FitData, relative_residual
-from .held_out import held_out_parts, predictions_by_others
+from .held_out import predictions_by_others
 from .lag import moves_of
 from .lines import LEVELS, Figure, HeldOut, Trust, TrustLine
-from .prior import with_prior
+from .prior import with_predictions
 from .solution import MIN_FIRST_STAGE_F, trust_in

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals, r_factor, spans_of
+from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
 from ..report import Method
 from .candidates import Candidates
@@ -39,8 +39,8 @@ class FitData:
             instrumental variables.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
-        held_out: blocks of time, or recordings, predicted by the fit of the others; empty
-            where that is not made.
+        held_out: whether blocks of time, or recordings, are predicted by the fit of the others;
+            `by_others`: recordings so predicted, empty for blocks.
         prior, prior_source: a-priori base parameters of links, by name, of the
             `URDF` or `[parameters]`.
         prior_error_percent: held-out torque error of these links with all else fitted to the other
@@ -63,7 +63,8 @@ class FitData:
     position_noise: TrustLine | None = None
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
-    held_out: tuple[HeldOut, ...] = ()
+    held_out: TrustLine | None = None
+    by_others: tuple[HeldOut, ...] = ()
     prior: dict[str, float] = field(default_factory=dict)
     prior_source: str = ""
     prior_error_percent: float | None = None
@@ -91,21 +92,36 @@ class FitData:
         return tuple(name for name in self.estimate.names if name.startswith("K:"))
 
     @cached_property
+    def counts(self) -> NDArray[np.bool_]:
+        """(T, n) whether a decimated sample counts."""
+        return self.observed.share > 0
+
+    @cached_property
     def edges(self) -> NDArray[np.intp]:
         """(S + 1,) the first instant of each span of time, and the end of the last."""
         of_recordings = [np.diff(own) for own in self.observed.system.spans]
         return np.cumsum(np.r_[0, np.concatenate(of_recordings)])
 
+    @property
+    def recordings(self) -> list[Part]:
+        """The spans of time of each recording."""
+        return [self.between(*both) for both in pairwise(self.ends)]
+
+    @property
+    def ends(self) -> NDArray[np.intp]:
+        """The first instant of the recordings, and the end of each."""
+        return np.cumsum([0, *(own[-1] for own in self.observed.system.spans)])
+
     def spans(self, count: int) -> list[Part]:
         """Equal parts of the time of the recordings together; of each recording, if a part alone
         must determine drive gains.
         """
-        parts = spans_of(self.observed.parts if self.gains else [len(self.observed.tau)])
-        ends = [
-            [one.start - (-k * (one.stop - one.start) // count) for one in parts]
-            for k in range(count + 1)
+        ends = self.ends if self.gains else self.ends[[0, -1]]
+        cuts = ends[:-1] - -np.arange(count + 1)[:, None] * np.diff(ends) // count
+        return [
+            np.any([self.between(*both) for both in zip(*pair, strict=True)], axis=0)
+            for pair in pairwise(cuts)
         ]
-        return [sum(map(self.between, *both), np.array(False)) for both in pairwise(ends)]
 
     def between(self, start: int, stop: int) -> Part:
         """The spans of time from an instant to before another, rounded to the nearest borders."""

@@ -22,27 +22,20 @@ class Figure:
     expected: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class HeldOut:
-    """A block of time, or a recording, predicted by the fit of the others, in the rows that count.
+    """A recording predicted by the fit of the others, in the rows that count.
 
     Attributes:
-        name: of the block or recording.
         error_percent: its torque error, in percent of its torque; None where the others do not
             determine the parameters.
         trained_percent: the same for the fit of all.
-        torque: norm of its torque.
-        held, trained: norms of both errors of its weighted rows, in which nothing stands.
         undetermined: names of the parameters that the others do not determine.
     """
 
-    name: str
     error_percent: float | None
     trained_percent: float | None
-    torque: float
-    held: float = 0.0
-    trained: float = 0.0
-    undetermined: tuple[str, ...] = ()
+    undetermined: tuple[str, ...]
 
 
 @dataclass(frozen=True)

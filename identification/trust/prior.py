@@ -19,7 +19,7 @@ from ..estimation import MIN_COLUMN_NORM, Estimate, instrumental_variables, inte
 from ..model import base_prior, direct_model
 from ..regression import base_name, row_states
 from .fit_data import FitData
-from .held_out import Predict, held_out_parts, held_out_test
+from .held_out import Predict, held_out
 from .lines import TrustLine, figures_of, first_case
 
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
@@ -35,30 +35,32 @@ UNITS = {
 }
 
 
-def with_prior(evidence: FitData, predict: Predict) -> FitData:
-    """The same with the prior and the held-out error of its links: all else is fitted to the other
-    blocks, or recordings.
+def with_predictions(evidence: FitData, predict: Predict) -> FitData:
+    """The same with what the fit of other blocks or recordings predicts; and with the prior, and
+    the held-out error of its links: all else is fitted to the others.
     """
+    line, by_others = held_out(evidence, predict)
+    evidence = replace(evidence, held_out=line, by_others=by_others)
     problem, system = evidence.problem, evidence.observed.system
     values, source = base_prior(problem.model, problem.base)
     if not values or not evidence.robot.gain_known:
         return evidence
     evidence = replace(evidence, prior=values, prior_source=source)
+    if line is None or line.level == "not made" or evidence.gains:
+        return evidence
     known, free = _known_and_free(evidence)
 
-    def with_links(*estimates: Estimate, by_recording: bool = False) -> Array:
+    def with_links(*estimates: Estimate, by_recording: bool) -> Array:
         betas = (known + one.values_of(system.names) for one in estimates)
         whole = (replace(evidence.estimate, names=system.names, beta=beta) for beta in betas)
         return predict(*whole, by_recording=by_recording)
 
-    if evidence.held_out and not evidence.gains:
-        rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
-        rows = replace(evidence.observed, system=rest.with_columns(free), Z=Z)
-        with suppress(NoFitError):
-            others = instrumental_variables(rows.system, Z, evidence.estimate.weights)
-            of_rest = replace(evidence, observed=rows, estimate=others)
-            line = held_out_test(replace(of_rest, held_out=held_out_parts(of_rest, with_links)))
-            return replace(evidence, prior_error_percent=line.value)
+    rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
+    rows = replace(evidence.observed, system=rest.with_columns(free), Z=Z)
+    with suppress(NoFitError):
+        others = instrumental_variables(rows.system, Z, evidence.estimate.weights)
+        line, _ = held_out(replace(evidence, observed=rows, estimate=others), with_links)
+        evidence = replace(evidence, prior_error_percent=line.value if line else None)
     return evidence
 
 
@@ -138,7 +140,7 @@ def _cause(evidence: FitData) -> str:
     beta = np.array([evidence.prior.get(name, 0.0) for name in base.names])
     beta += payload.values(evidence.estimate) * base.links if payload else 0.0
     links = direct_model(problem.model, base.standard_parameters(beta)).torques_of_links
-    recorded, counts = (x[at] for x in (evidence.observed.tau, evidence.observed.counts))
+    recorded, counts = (x[at] for x in (evidence.observed.tau, evidence.counts))
     as_recorded = links(*motion)
 
     def left(of_motion: Array, of_torque: Array) -> float:

@@ -6,6 +6,7 @@ Nothing is simulated again.
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from .control_law import control_law_test
 from .efforts import effort_test, positions_test, saturation_test, signs_and_order_test
 from .fit_data import FitData, Part
 from .gains import centre_of_mass_test, gains_test, payload_assumptions
-from .held_out import held_out_test
 from .lag import lag_test
 from .lines import LEVELS, Trust, TrustLine, first_case
 from .physical import consistent_test, physical_test
@@ -141,13 +141,13 @@ def ends_test(evidence: FitData) -> TrustLine | None:
     especially at the ends.
     """
     rho = np.abs(evidence.observed.tau - evidence.predicted)
-    used = evidence.observed.counts & estimation.are_moving(evidence.observed.speed)
+    used = evidence.counts & estimation.are_moving(evidence.observed.speed)
     each = zip(rho.T, used.T, strict=True)
     scale = np.array([1.4826 * np.median(x[at]) if at.any() else np.inf for x, at in each])
     size = np.where(used, rho / np.where(scale > 0, scale, np.inf), 0.0)
     at_end = np.zeros(len(size), dtype=bool)
-    for part in estimation.spans_of(evidence.observed.parts):
-        at_end[part.start : part.start + END_ROWS] = at_end[part.stop - END_ROWS : part.stop] = True
+    for start, stop in pairwise(evidence.ends):
+        at_end[start : start + END_ROWS] = at_end[stop - END_ROWS : stop] = True
     ends, middle = size[at_end].max(axis=0), size[~at_end].max(axis=0)
     worst = int((ends / np.maximum(middle, MAX_ROBUST_DEVIATIONS)).argmax())
     at_ends, elsewhere = float(ends[worst]), float(middle[worst])
@@ -174,7 +174,7 @@ def halves_test(evidence: FitData) -> TrustLine | None:
     """Whether both halves of the recording give the same parameters: a Wald test, with the
     cosines of both as freedom.
     """
-    T, cuts = len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
+    T, cuts = len(evidence.observed.tau), evidence.ends[1:-1]
     # recordings are not cut
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)
     half = evidence.spans(2)[0] if evidence.gains else evidence.between(0, cut)
@@ -228,6 +228,11 @@ def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
 def position_noise_test(evidence: FitData) -> TrustLine | None:
     """Whether position noise biases least squares; made while the recording is read."""
     return evidence.position_noise
+
+
+def held_out_test(evidence: FitData) -> TrustLine | None:
+    """Whether the fit of other blocks or recordings predicts each; made with all predictions."""
+    return evidence.held_out
 
 
 def motion_test(evidence: FitData) -> TrustLine | None:
