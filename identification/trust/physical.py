@@ -12,21 +12,22 @@ drive a joint at a recorded speed. A stricter test is the distance of the neares
 links have positive density. `fit --consistent` and `export` use the same requirements.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import estimation
 from ..arrays import Array
 from ..errors import NoFitError
-from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
-from ..regression import base_name, base_places, friction_states, recorded_power
+from ..model import friction_power, nearest_consistent, poses_of, requirements
+from ..regression import friction_states, recorded_power
 from ..report import Level
 from .fit_data import FitData, relative_residual
 from .lines import LEVELS, TrustLine, first_case
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
-MIN_ARM_M = 1e-9  # of a weight about an axis
 MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
 CONSISTENT_LEVEL = 0.001  # of the chi-squared test
 Finding = tuple[Level, str]
@@ -40,7 +41,7 @@ def physical_test(evidence: FitData) -> TrustLine:
     """
     poses = np.concatenate([poses_of(problem.used_positions()) for problem in evidence.problems])
     found, lowest = _findings(evidence, evidence.estimate, evidence.intervals, poses)
-    found += _gravity_findings(evidence, poses)
+    found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
@@ -55,26 +56,25 @@ def physical_test(evidence: FitData) -> TrustLine:
 
 
 def _findings(
-    evidence: FitData, whole: estimation.Estimate, within: estimation.Intervals, poses: Array
+    evidence: FitData, estimate: estimation.Estimate, found: estimation.Intervals, poses: Array
 ) -> tuple[list[Finding], float]:
     """Physically impossible values of an estimate, and the lowest eigenvalue
     of M on the trajectory.
     """
-    idm, base, own = evidence.problem.model, evidence.problem.base, base_places(whole.names)
-    estimate, found, names = whole.part(own), within.part(own), evidence.names
-    places = np.array([base.names.index(base_name(name)) for name in estimate.names])
-    findings, lowest = _inertia_findings(idm, base.columns[places], estimate, found, poses)
-    findings += _driving_findings(evidence, base.columns[places], estimate, found)
+    idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
+    # by recording the base parameters (b, e) in the estimate
+    own = [np.array(arm.names)[:, None] == estimate.names for arm in evidence.arms]
+    findings, lowest = _inertia_findings(evidence, np.any(own, axis=0), estimate, found, poses)
+    findings += _driving_findings(evidence, own, estimate, found)
     apart, by_base = any("@" in name for name in estimate.names), np.linalg.pinv(base.K)
     required = requirements(idm, shaped=False)
     # by joint and kind: half-widths, and a text
     beyond = dict[tuple[int, str], tuple[float, str]]()
     for k in range(len(names) if apart else 1):
-        of_part = np.isin(estimate.names, evidence.arms[k].names)
         for matrix, first, of in required:
             # of base parameters, which do not separate rotors regrouped with links
             G = matrix @ by_base
-            separate, G = np.allclose(G @ base.K, matrix, atol=1e-9), G[..., places] * of_part
+            separate, G = np.allclose(G @ base.K, matrix, atol=1e-9), G @ own[k]
             if separate and G.any():
                 far, value, half, *_ = _worst(G, estimate, found)
                 text = f"{of}{f' in {names[k]}' * apart} = {value:.4g} ± {half:.2g} {first.unit}"
@@ -119,7 +119,7 @@ def _worst(
 
 def _driving_findings(
     evidence: FitData,
-    columns: NDArray[np.intp],
+    arms: Sequence[NDArray[np.bool_]],
     estimate: estimation.Estimate,
     found: estimation.Intervals,
 ) -> list[Finding]:
@@ -130,13 +130,14 @@ def _driving_findings(
     compensates for it. Constant offsets are not friction. A recording's own parameters are
     tested at its own speeds.
     """
-    idm, each = evidence.problem.model, list[Array]()
-    for problem, arm in zip(evidence.problems, evidence.arms, strict=True):
+    idm, columns, each = evidence.problem.model, evidence.problem.base.columns, list[Array]()
+    for problem, arm, of_arm in zip(evidence.problems, evidence.arms, arms, strict=True):
         if (states := friction_states(problem, estimate.values_of(arm.names))) is not None:
-            G = friction_power(idm, columns, *states) * np.isin(estimate.names, arm.names)
+            G = friction_power(idm, columns, *states) @ of_arm
             j = np.abs(states[0]).argmax(axis=1)[:, None]
             each.append(np.c_[j, np.take_along_axis(states[0], j, axis=1), G])
-    findings, power = list[Finding](), np.concatenate([*each, np.zeros((0, 2 + len(columns)))])
+    no_power = np.zeros((0, 2 + len(estimate.names)))
+    findings, power = list[Finding](), np.concatenate([*each, no_power])
     power = power[np.lexsort(power[:, 1::-1].T)]
     for j in np.unique(power[:, 0]).astype(int):
         own, joint = power[power[:, 0] == j], idm.robot.joints[j]
@@ -154,16 +155,17 @@ def _driving_findings(
 
 
 def _inertia_findings(
-    idm: InverseModel,
-    columns: NDArray[np.intp],
+    evidence: FitData,
+    own: NDArray[np.bool_],
     estimate: estimation.Estimate,
     found: estimation.Intervals,
     q: Array,
 ) -> tuple[list[Finding], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
+    idm, columns = evidence.problem.model, evidence.problem.base.columns
     # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta
     rest, *alone = (
-        idm.regressor(q, 0 * q, 0 * q + e)[:, :, columns]
+        idm.regressor(q, 0 * q, 0 * q + e)[:, :, columns] @ own
         for e in np.eye(q.shape[1] + 1, q.shape[1], -1)
     )
     G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, b)
@@ -179,15 +181,13 @@ def _inertia_findings(
     return [finding] * (least <= 0), least
 
 
-def _gravity_findings(evidence: FitData, poses: Array) -> list[Finding]:
+def _gravity_findings(evidence: FitData) -> list[Finding]:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
     base, rest, terms = evidence.problem.base, evidence.observed.at_rest, evidence.candidates
     assert rest is not None
-    gravity, columns = evidence.robot.gravity, base.columns[terms.weighs]
-    at_rest = evidence.problem.model.regressor(poses, 0 * poses, 0 * poses)[:, :, columns]
-    if np.abs(at_rest).max(initial=0.0) <= MIN_ARM_M * np.linalg.norm(gravity):
+    if not len(terms.weighs):
         return []
     # by unknown its column at rest
     same = np.array(base.names)[terms.weighs][:, None] == np.array(rest.names[len(terms.weighs) :])
