@@ -9,10 +9,9 @@ from .confidence import (
     covariance_of_all,
     deviations_of_sums,
     differs,
-    estimate_deviations,
     intervals_from,
     intervals_of,
-    scores_of_recordings,
+    moves_of,
 )
 from .consistency import (
     Consistent,
@@ -32,6 +31,7 @@ from .diagnostics import (
     f_test,
     first_stage,
     relative_error_percent,
+    relative_residual,
     t_quantile,
     torque_errors,
 )

@@ -55,7 +55,9 @@ class Intervals:
         return 0.5 * (self.high - self.low)
 
 
-def intervals_of(system: System, estimate: Estimate) -> Intervals:
+def intervals_of(
+    system: System, estimate: Estimate, among: NDArray[np.bool_] | None = None
+) -> Intervals:
     """Compute the 95 % intervals of an estimate from the rows of its system, equation (F).
 
         beta ± t sigma,     sigma² = (1/B) sum_b L_b²,     L_b = sum_t c_b(t) e(t)
@@ -64,6 +66,7 @@ def intervals_of(system: System, estimate: Estimate) -> Intervals:
     ----------
     system : the rows W, Y that it was estimated from, not weighted.
     estimate : with its weights and Q; `stated` values add their deviations.
+    among : the spans of time that the rows are of; by default all.
 
     Returns
     -------
@@ -72,7 +75,7 @@ def intervals_of(system: System, estimate: Estimate) -> Intervals:
     """
     rho = system.Y - system.W @ estimate.values_of(system.names)
     weighted = rho * estimate.weights[system.joint_of_row]
-    found = scores_of_recordings(system, estimate.Q, estimate.bread, weighted)
+    found = scores_of_recordings(system, estimate.Q, estimate.bread, weighted, among)
     sigma, freedom = estimate_deviations(estimate.bread, found)
     return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
 
@@ -218,6 +221,14 @@ def covariance_of_all(
     indices = np.array([names.index(name) for name in estimate.names])
     covariance[np.ix_(indices, indices)] = intervals.covariance
     return covariance
+
+
+def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
+    """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
+    that the estimate holds.
+    """
+    weight = estimate.weights[system.joint_of_row]
+    return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
 def deviations_of_sums(system: System, z: Array, rho: Array, Q: Array) -> Array:

@@ -76,6 +76,12 @@ def relative_error_percent(tau: Array, rho: Array) -> float | None:
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
+def relative_residual(W: Array, Y: Array) -> float:
+    """Residual of the least squares of Y (r,) by columns W (r, b), relative to Y."""
+    W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
+    return float(np.linalg.norm(Y - W @ np.linalg.lstsq(W, Y, rcond=1e-9)[0]) / np.linalg.norm(Y))
+
+
 def first_stage(Q: Array, W: Array, rows: float) -> tuple[float, float]:
     """Test instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted and has
     `rows` used rows.

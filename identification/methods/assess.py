@@ -15,6 +15,8 @@ from ..estimation import (
     Estimate,
     autocorrelation,
     f_test,
+    moves_of,
+    relative_residual,
     release_memory,
     spans_of,
     torque_errors,
@@ -25,8 +27,6 @@ from ..simulation import ControllerKind, Simulated
 from ..trust import (
     MIN_FIRST_STAGE_F,
     FitData,
-    moves_of,
-    relative_residual,
     trust_in,
     with_predictions,
 )

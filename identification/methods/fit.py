@@ -383,4 +383,4 @@ class Fit:
     @property
     def distrust(self) -> tuple[str, ...]:
         """The tests whose level is `do not use`; empty if the result may be used."""
-        return self.trust.severe
+        return tuple(line.text for line in self.trust.lines if line.level == "do not use")

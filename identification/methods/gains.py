@@ -15,7 +15,7 @@ from .. import estimation
 from ..arrays import Array
 from ..estimation import Estimate, Intervals, System
 from ..regression import Lag, Rows, base_places
-from ..trust import FitData, moves_of
+from ..trust import FitData
 from .gain_results import EstimatedPayload, Gains
 from .model import Model
 
@@ -31,7 +31,7 @@ def held_and_counted(
     if of.held:
         places = [of.names.index(name) for name in estimate.names]
         half = np.array([[one.half] for one in of.held])
-        moves = moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
+        moves = estimation.moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
         stated = np.array([one.stated[places] for one in of.held])
         moved += list(half * np.abs(stated - moves) / found.reach)
     return estimation.intervals_from(

@@ -31,13 +31,13 @@ from ..estimation import (
     instrumental_variables,
     intervals_of,
     r_factor,
+    relative_residual,
     weighted_least_squares,
     weights_of,
 )
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, refuse_standing_joints, sample_weights
 from ..report import Method
-from ..trust import relative_residual
 from .fit import LeastSquares, Pass
 from .model import Model
 from .observation import solver_of

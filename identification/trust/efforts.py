@@ -15,10 +15,11 @@ import numpy as np
 from acquisition.robot import RADIANS_AS_DEGREES
 
 from ..arrays import Array
+from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
 from .control_law import law_line
-from .fit_data import FitData, relative_residual
+from .fit_data import FitData
 from .lines import LEVELS, TrustLine, first_case
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes

@@ -176,9 +176,3 @@ class FitData:
         return float(
             np.linalg.norm((self.residual(beta) / self.weight)[part[self.observed.system.span]])
         )
-
-
-def relative_residual(W: Array, Y: Array) -> float:
-    """Residual of the least squares of Y (r,) by columns W (r, b), relative to Y."""
-    W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
-    return float(np.linalg.norm(Y - W @ np.linalg.lstsq(W, Y, rcond=1e-9)[0]) / np.linalg.norm(Y))

@@ -2,22 +2,12 @@
 
 import numpy as np
 
-from ..arrays import Array
-from ..estimation import Estimate, System
 from ..regression import Lag
 from .fit_data import FitData
 from .lines import TrustLine, figures_of, first_case, worst_of
 
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
-
-
-def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
-    """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
-    that the estimate holds.
-    """
-    weight = estimate.weights[system.joint_of_row]
-    return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
 def lag_test(evidence: FitData) -> TrustLine | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from ..report import Assumed, Level, Verdict
@@ -107,25 +108,13 @@ class Trust:
         """The line of a test."""
         return next(line for line in self.lines if line.test == test)
 
-    @property
-    def severe(self) -> tuple[str, ...]:
-        """Texts of the tests that forbid using the result."""
-        return tuple(line.text for line in self.lines if line.level == "do not use")
-
-    @property
+    @cached_property
     def verdict(self) -> Verdict:
         """The worst level."""
-        levels = {line.level for line in self.lines}
-        return (
-            "do not use"
-            if "do not use" in levels
-            else "caution"
-            if "caution" in levels
-            else "trust"
-        )
+        level = self.lines[0].level
+        return level if level == "do not use" or level == "caution" else "trust"
 
     @property
     def finding(self) -> str:
         """The worst finding in a few words; empty where there is none."""
-        worst = self.lines[0]
-        return (worst.finding or worst.test) if worst.level in ("do not use", "caution") else ""
+        return "" if self.verdict == "trust" else self.lines[0].finding or self.lines[0].test

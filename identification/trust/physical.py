@@ -23,7 +23,7 @@ from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, poses_of, requirements
 from ..regression import friction_states, recorded_power
 from ..report import Level
-from .fit_data import FitData, relative_residual
+from .fit_data import FitData
 from .lines import LEVELS, TrustLine, first_case
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
@@ -194,7 +194,7 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     # The small R factor has the same column products as the rows.
     A = np.c_[rest.W, rest.Y] * evidence.estimate.weights[rest.joint_of_row][:, None]
     G, W, Y = np.split(estimation.r_factor(A), [len(terms.weighs), -1], axis=1)
-    left = [100 * relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
+    left = [100 * estimation.relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
     finding: Finding = (
         "caution",
         f"the torques fit a model without gravity better: residual {left[1]:.3g} % against "

@@ -15,7 +15,7 @@ from ..arrays import Array
 from ..data import position_steps
 from ..errors import NoFitError
 from ..model import JointTerm
-from ..regression import Problem, base_name, base_places, standing_joints
+from ..regression import Problem, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
 from .control_law import control_law_test
@@ -120,13 +120,17 @@ def units_test(evidence: FitData) -> TrustLine | None:
 
 def essential_test(evidence: FitData) -> TrustLine | None:
     """Whether the interval of some inertia is narrower than its value."""
-    base, idm = evidence.problem.base, evidence.problem.model
-    rows = [base.names.index(base_name(one)) for one in evidence.essential]
+    base, idm, names = (
+        evidence.problem.base,
+        evidence.problem.model,
+        [x.names for x in evidence.arms],
+    )
+    rows = np.isin(names, evidence.essential).any(axis=0)
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
     inertia = any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources)
     return first_case(
         "essential",
-        (inertia, "ok", f"{len(rows)} of {len(base_places(evidence.least_squares.names))}"),
+        (inertia, "ok", f"{len(evidence.essential)} of {len(np.unique(names))}"),
         (
             True,
             "caution",
@@ -210,7 +214,7 @@ def halves_test(evidence: FitData) -> TrustLine | None:
 
 def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
     """Intervals of the parameters by a span of time; None where they are undetermined."""
-    rows, weights = part[evidence.observed.system.span], evidence.estimate.weights
+    rows = part[evidence.observed.system.span]
     values = np.linalg.eigvalsh(evidence.estimate.Q[rows].T @ evidence.estimate.Q[rows])
     determined = values[0] > MIN_SQUARE_OF_HALF * values[-1]
     if not determined or evidence.count(part) <= 2 * len(values):
@@ -218,10 +222,8 @@ def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
     system = evidence.observed.system.part(rows).with_columns(evidence.places)
     with suppress(NoFitError):
         Z = evidence.Z[np.ix_(rows, evidence.places)]
-        own = estimation.instrumental_variables(system, Z, weights)
-        rho = evidence.residual(own.beta)[rows]
-        scores = estimation.scores_of_recordings(system, own.Q, own.bread, rho, part)
-        return estimation.intervals_from(own, *estimation.estimate_deviations(own.bread, scores))
+        own = estimation.instrumental_variables(system, Z, evidence.estimate.weights)
+        return estimation.intervals_of(system, own, part)
     return None
 
 
@@ -304,14 +306,14 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     robot, law, several = signals.robot, lines["control law"], signals.robot.n > 1
     fs, iv, lags = signals.sample_rate_hz, evidence.method == "iv", evidence.lags
     gains = [m for m in robot.motors if m.drive_gain is not None]
-    recorded = " and ".join(sorted({m.recorded_unit for m in robot.motors}))
     duration_s = len(evidence.observed.tau) * decimation / fs
     cases = (
         (
             robot.gain_known and not evidence.gains,
             "drive gains",
             ", ".join(f"{m.drive_gain:g} {m.drive_gain_unit}" for m in gains)
-            or f"torques recorded in {recorded}",
+            or "torques recorded in "
+            + " and ".join(sorted({m.recorded_unit for m in robot.motors})),
             "a wrong gain scales all parameters, and fits equally well"
             + " if it is common to all joints" * several,
         ),
