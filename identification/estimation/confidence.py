@@ -213,13 +213,14 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
 def covariance_of_all(
     names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate
 ) -> Array:
-    """C = D R D (b, b) of all base parameters; those that are not in the estimate are zero with
-    the deviations of `full`.
+    """C = D R D (b, b) of base parameters by their names; those that are not in the estimate are
+    zero with the deviations of `full`.
     """
     variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
     covariance = np.diag([variances.get(name, 0.0) for name in names])
-    indices = np.array([names.index(name) for name in estimate.names])
-    covariance[np.ix_(indices, indices)] = intervals.covariance
+    at = [i for i, name in enumerate(estimate.names) if name in names]
+    indices = [names.index(estimate.names[i]) for i in at]
+    covariance[np.ix_(indices, indices)] = intervals.covariance[np.ix_(at, at)]
     return covariance
 
 

@@ -140,7 +140,6 @@ class Model:
                 peak=np.abs(speed).max(axis=0),
                 sliding=sliding.max(axis=0),
                 simulated=simulated and self.exogenous,
-                gains=bool(self.unknowns.motors),
             )
             for one in self.equations
         )

@@ -114,7 +114,6 @@ class Candidates:
             directions of Coulomb friction.
         simulated: whether the motion has the torque of a simulated robot that
             follows a recorded reference.
-        gains: whether drive gains are identified.
     """
 
     problem: Problem
@@ -122,7 +121,6 @@ class Candidates:
     peak: Array
     sliding: Array
     simulated: bool
-    gains: bool
 
     @cached_property
     def terms(self) -> tuple[MissingTerm, ...]:
@@ -350,6 +348,8 @@ KINDS = {
         torque=lambda of, x, *_: 0.01 * x.tau,
         unit="%",
         advice="check its drive_gain and ratio against those of the other joints",
-        lacks=lambda of, k: of.robot.gain_known and not of.gains and len(of.peak) > 1,
+        lacks=lambda of, k: (
+            of.robot.gain_known and of.robot.identified_gain is None and of.robot.n > 1
+        ),
     ),
 }

@@ -136,7 +136,7 @@ def _scored(
     anywhere = np.array([term.kind not in candidates.IN_FAST_ROWS for term in terms])
     C = observed.C[:, [term.column for term in terms]] * weight
     C *= acts & (observed.fast[:, None] | anywhere)
-    Q, bread, rho, rows = estimate.Q, estimate.bread, evidence.residual(estimate.beta), np.ones(1)
+    Q, bread, rho, rows = estimate.Q, estimate.bread, Y - W @ estimate.beta, np.ones(1)
     if fast:
         rows = (observed.fast | ~acts[:, 0]).astype(float)  # so that no product is a further copy
         if terms[0].kind == candidates.CLOCKS:

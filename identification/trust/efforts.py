@@ -32,7 +32,7 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
     """
     rows, R = evidence.observed, evidence.robot.R
     rho, size = (
-        np.linalg.norm(x * evidence.counts, axis=0)
+        np.linalg.norm(x * (rows.share > 0), axis=0)
         for x in (rows.tau - evidence.predicted, rows.tau)
     )
     power = rows.speed.T @ rows.tau  # of the speeds of joints and torques at joints

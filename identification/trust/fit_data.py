@@ -92,20 +92,10 @@ class FitData:
         return tuple(name for name in self.estimate.names if name.startswith("K:"))
 
     @cached_property
-    def counts(self) -> NDArray[np.bool_]:
-        """(T, n) whether a decimated sample counts."""
-        return self.observed.share > 0
-
-    @cached_property
     def edges(self) -> NDArray[np.intp]:
         """(S + 1,) the first instant of each span of time, and the end of the last."""
         of_recordings = [np.diff(own) for own in self.observed.system.spans]
         return np.cumsum(np.r_[0, np.concatenate(of_recordings)])
-
-    @property
-    def recordings(self) -> list[Part]:
-        """The spans of time of each recording."""
-        return [self.between(*both) for both in pairwise(self.ends)]
 
     @property
     def ends(self) -> NDArray[np.intp]:
@@ -167,12 +157,7 @@ class FitData:
         Z = self.Z[np.ix_(rows, self.places)] * self.weight[rows, None]
         return r_factor(np.c_[Z, self.W[rows], self.Y[rows]])
 
-    def residual(self, beta: Array) -> Array:
-        """(r,) weighted residuals of parameters beta (b,)."""
-        return np.asarray(self.Y - self.W @ beta)
-
     def error(self, part: Part, beta: Array) -> float:
         """|Y - W beta| of some spans of time, in the unit of the torque."""
-        return float(
-            np.linalg.norm((self.residual(beta) / self.weight)[part[self.observed.system.span]])
-        )
+        rho = (self.Y - self.W @ beta) / self.weight
+        return float(np.linalg.norm(rho[part[self.observed.system.span]]))

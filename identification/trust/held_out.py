@@ -7,6 +7,7 @@ others may leave parameters undetermined.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -37,7 +38,8 @@ def held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tup
     several = len(evidence.names) > 1 and not evidence.gains
     own = [arm.own for arm in evidence.arms] if several else [set[str]()] * BLOCKS
     names = evidence.names if several else [f"block {k + 1}" for k in range(BLOCKS)]
-    parts = evidence.recordings if several else evidence.spans(BLOCKS)
+    recordings = [evidence.between(*both) for both in pairwise(evidence.ends)]
+    parts = recordings if several else evidence.spans(BLOCKS)
     numbers = [evidence.count(part) for part in parts]
     if not several and sum(numbers) - max(numbers) <= b:
         why = f"not made: too few rows outside a block for {b} parameters; record longer"
@@ -50,7 +52,7 @@ def held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tup
     errors, each = (rows.tau, rows.tau - predicted, rows.tau - evidence.predicted), list[HeldOut]()
     made, norms, without = list[str](), list[list[float]](), list[str]()
     for name, part, beta, its in zip(names, parts, betas, lost, strict=True):
-        at = evidence.counts & (measured & evidence.instants(part))[:, None]
+        at = (rows.share > 0) & (measured & evidence.instants(part))[:, None]
         torque, *both = (float(np.linalg.norm(x[at])) for x in errors)
         if torque > 0 and not its:
             made.append(name)

@@ -212,16 +212,13 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
         return TrustLine("consistent", "not made", text)
-    every, beta = evidence.observed.system.names, estimate.values_of(names)
-    covariance = estimation.covariance_of_all(
-        every, estimate, evidence.intervals, evidence.least_squares
-    )
     # of own parameters those of one recording
-    own = np.ix_(*2 * [[every.index(name) for name in names]])
+    beta, of_fit = estimate.values_of(names), (estimate, evidence.intervals)
+    covariance = estimation.covariance_of_all(names, *of_fit, evidence.least_squares)
     pairs = zip(evidence.problems, evidence.arms, strict=True)
     try:
         power = recorded_power([one for one, arm in pairs if arm.names == names], beta)
-        nearest = nearest_consistent(problem.model, problem.base, beta, covariance[own], power)
+        nearest = nearest_consistent(problem.model, problem.base, beta, covariance, power)
     except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
     moves = np.abs(nearest.deviations) / evidence.intervals.reach

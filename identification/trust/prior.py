@@ -70,7 +70,10 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     """
     if not evidence.prior or evidence.gains:
         return None
-    names, links = _joints(evidence), f"the {evidence.prior_source}'s links"
+    names, links = (
+        [joint.name for joint in evidence.robot.joints],
+        f"the {evidence.prior_source}'s links",
+    )
     of_joints = [_factor(evidence, j) for j in range(len(names))]
     factor, half, explained, needed = np.array(of_joints).T
     told = np.flatnonzero(explained > MIN_EXPLAINED)
@@ -94,10 +97,6 @@ def prior_test(evidence: FitData) -> TrustLine | None:
         (True, "caution", f"{off}: drive_gain, ratio, unit, or the prior?", off),
         figures=figures_of(np.array(names)[told], factor[told], half[told], np.ones(len(told))),
     )
-
-
-def _joints(evidence: FitData) -> list[str]:
-    return [joint.name for joint in evidence.robot.joints]
 
 
 def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
@@ -135,12 +134,13 @@ def _cause(evidence: FitData) -> str:
     """What, corrected, lets the prior's links explain the torques far better, in some 300 rows
     of the first recording.
     """
-    problem, names, payload = evidence.problem, _joints(evidence), evidence.arms[0].payload
+    problem, payload = evidence.problem, evidence.arms[0].payload
+    names = [joint.name for joint in evidence.robot.joints]
     base, same, (at, *motion) = problem.base, np.eye(len(names)), row_states(problem)
     beta = np.array([evidence.prior.get(name, 0.0) for name in base.names])
     beta += payload.values(evidence.estimate) * base.links if payload else 0.0
     links = direct_model(problem.model, base.standard_parameters(beta)).torques_of_links
-    recorded, counts = (x[at] for x in (evidence.observed.tau, evidence.counts))
+    recorded, counts = evidence.observed.tau[at], evidence.observed.share[at] > 0
     as_recorded = links(*motion)
 
     def left(of_motion: Array, of_torque: Array) -> float:

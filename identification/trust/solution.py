@@ -3,7 +3,7 @@
 Nothing is simulated again.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -145,7 +145,7 @@ def ends_test(evidence: FitData) -> TrustLine | None:
     especially at the ends.
     """
     rho = np.abs(evidence.observed.tau - evidence.predicted)
-    used = evidence.counts & estimation.are_moving(evidence.observed.speed)
+    used = (evidence.observed.share > 0) & estimation.are_moving(evidence.observed.speed)
     each = zip(rho.T, used.T, strict=True)
     scale = np.array([1.4826 * np.median(x[at]) if at.any() else np.inf for x, at in each])
     size = np.where(used, rho / np.where(scale > 0, scale, np.inf), 0.0)
@@ -300,10 +300,10 @@ def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
     )
 
 
-def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
-    """Assumptions that no test of `lines` covers."""
+def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
+    """Assumptions that no test covers, by that of the control law."""
     signals, decimation = evidence.problem.signals, evidence.problem.settings.decimation
-    robot, law, several = signals.robot, lines["control law"], signals.robot.n > 1
+    robot, several = signals.robot, signals.robot.n > 1
     fs, iv, lags = signals.sample_rate_hz, evidence.method == "iv", evidence.lags
     gains = [m for m in robot.motors if m.drive_gain is not None]
     duration_s = len(evidence.observed.tau) * decimation / fs
@@ -377,24 +377,17 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
 
 
 def trust_in(evidence: FitData) -> Trust:
-    """All tests of an estimate, worst first, and the assumptions."""
-    lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    of_lines = (one for line in lines for one in line.assumed)
-    assumed = *list_assumptions(evidence, {line.test: line for line in lines}), *of_lines
-    return Trust(lines=worst_first(_combine_failures(lines)), assumed=assumed)
-
-
-def _combine_failures(lines: list[TrustLine]) -> list[TrustLine]:
-    """`do not use` if the held-out blocks fail and M is not positive."""
-    held, lowest = (
-        next(line for line in lines if line.test == test)
-        for test in ("held-out blocks", "physical")
-    )
-    if not held.fails_held_out or lowest.value is None or lowest.value > 0:
-        return lines
-    text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
-    severe = replace(held, level="do not use", text=text)
-    return [severe if line is held else line for line in lines]
+    """All tests of an estimate, worst first, and the assumptions: `do not use` if the held-out
+    blocks fail and M is not positive.
+    """
+    lines = {line.test: line for test in TESTS if (line := test(evidence)) is not None}
+    held, lowest = lines["held-out blocks"], lines["physical"].value or 0.0
+    if held.fails_held_out and lowest <= 0:
+        text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
+        lines[held.test] = replace(held, level="do not use", text=text)
+    of_lines = (one for line in lines.values() for one in line.assumed)
+    assumed = *list_assumptions(evidence, lines["control law"]), *of_lines
+    return Trust(lines=worst_first(lines.values()), assumed=assumed)
 
 
 def worst_first(lines: Iterable[TrustLine]) -> tuple[TrustLine, ...]:

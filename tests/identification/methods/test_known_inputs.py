@@ -298,7 +298,7 @@ def test_a_spring_has_to_take_more_than_other_terms():
         peak = np.ones(problem.signals.robot.n)
         beta = described_parameters(problem.model, problem.base)
         terms = Candidates(
-            problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False
+            problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False
         ).terms
         assert {term.least_percent for term in terms if term.kind == SPRING} == {least}
 

@@ -39,7 +39,6 @@ from identification.trust import LEVELS, FitData, Trust, TrustLine, trust_in
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
     TESTS,
-    _combine_failures,
     essential_test,
     fixed_point_test,
     halves_test,
@@ -161,9 +160,9 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
     assert "one joint has no relative gain" in alone.line("added columns").text
 
 
-def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used():
+def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used(monkeypatch):
     _, evidence = examined("wls", "scara")
-    held = trust_in(evidence).line("held-out blocks")
+    held, law = (trust_in(evidence).line(test) for test in ("held-out blocks", "control law"))
     far = replace(held, level="caution", fails_held_out=True)
     for value, line_, level in (
         (-0.1, far, "do not use"),
@@ -171,7 +170,9 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
         (-0.1, held, "ok"),
     ):
         physical = TrustLine("physical", "caution", "", value)
-        (judged,) = (x for x in _combine_failures([physical, line_]) if x.test == "held-out blocks")
+        tests = tuple(lambda _, made=made: made for made in (physical, law, line_))
+        monkeypatch.setattr("identification.trust.solution.TESTS", tests)
+        judged = trust_in(evidence).line("held-out blocks")
         assert judged.level == level
         assert ("--consistent" in judged.text) == (level == "do not use")
 
