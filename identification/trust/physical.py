@@ -109,8 +109,8 @@ def _worst(
     values, vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))
     alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
     v = np.concatenate([alone, vectors[..., None, :, 0]], axis=-2)
-    g = np.einsum("...di,...ijb,...dj->...db", v, G, v)
-    variance = np.einsum("...b,bc,...c->...", g, found.covariance, g)
+    g = np.einsum("...di,...ijb,...dj->...db", v, G, v, optimize=True)
+    variance = ((g @ found.covariance) * g).sum(axis=-1)
     value, half = g @ estimate.beta, found.reach * np.sqrt(np.maximum(variance, 0.0))
     far = -value / np.maximum(half, MIN_HALF_WIDTH)
     at = np.unravel_index(far.argmax(), far.shape)
@@ -163,12 +163,12 @@ def _inertia_findings(
 ) -> tuple[list[Finding], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     idm, columns = evidence.problem.model, evidence.problem.base.columns
-    # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta
-    rest, *alone = (
-        idm.regressor(q, 0 * q, 0 * q + e)[:, :, columns] @ own
-        for e in np.eye(q.shape[1] + 1, q.shape[1], -1)
-    )
-    G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, b)
+    # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta: (n + 1, P, n, e) of 0 and of each joint
+    n = q.shape[1]
+    still, ddq = np.zeros(((n + 1) * len(q), n)), np.eye(n + 1, n, -1).repeat(len(q), axis=0)
+    W = idm.regressor(still + np.tile(q, (n + 1, 1)), still, ddq)[..., columns] @ own
+    rest, *alone = W.reshape(n + 1, len(q), n, -1)
+    G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, e)
     far, value, half, v, _, least = _worst(G, estimate, found)
     joint = idm.robot.joints[int(np.abs(v).argmax())].name
     finding = _finding(

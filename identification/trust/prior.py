@@ -74,8 +74,7 @@ def prior_test(evidence: FitData) -> TrustLine | None:
         [joint.name for joint in evidence.robot.joints],
         f"the {evidence.prior_source}'s links",
     )
-    of_joints = [_factor(evidence, j) for j in range(len(names))]
-    factor, half, explained, needed = np.array(of_joints).T
+    factor, half, explained, needed = _factors(evidence)
     told = np.flatnonzero(explained > MIN_EXPLAINED)
     low, high = factor[told] - half[told], factor[told] + half[told]
     outside = told[(high < MIN_FACTOR) | (low > MAX_FACTOR)]
@@ -108,26 +107,28 @@ def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
     return np.nan_to_num(values), np.flatnonzero(np.isnan(values) & np.isin(names, estimated))
 
 
-def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
-    """The factor of joint j and half its 95 % interval, and shares of the square of its torque,
-    both without what is not of links: what the prior's links explain with the factor, and their
-    own. Zeros where it is undetermined.
+def _factors(evidence: FitData) -> Array:
+    """By joint (4, n) its factor and half the 95 % interval of that, and shares of the square of
+    its torque, both without what is not of links: what the prior's links explain with the factor,
+    and their own. Zeros where it is undetermined.
     """
     system, (known, free) = evidence.observed.system, _known_and_free(evidence)
-    own, one = system.joint_of_row == j, np.ones(1)
-    W, Y = system.W[own], system.Y[own]
-    acts = np.linalg.norm(W, axis=0) > MIN_COLUMN_NORM * np.linalg.norm(system.W, axis=0)
-    columns = np.c_[known, np.eye(len(known))[:, free[acts[free]]]]
-    J, both = W @ columns, np.c_[Y, W @ known]
-    apart = both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]
-    whole, needed = (apart**2).sum(axis=0) + 1e-300
-    names, joint = tuple(map(str, range(J.shape[1]))), np.zeros(len(J), dtype=np.intp)
-    alone = replace(system.part(own), W=J, joint_of_row=joint, names=names, rows=system.rows[[j]])
-    with suppress(NoFitError):
-        found = instrumental_variables(alone, evidence.Z[own] @ columns, one)
-        half = float(intervals_of(alone, found).half[0])
-        return float(found.beta[0]), half, 1 - found.residual_norm**2 / whole, needed / whole
-    return 0.0, 0.0, 0.0, 0.0
+    size, found = np.linalg.norm(system.W, axis=0), np.zeros((4, evidence.robot.n))
+    for j in range(evidence.robot.n):
+        own = system.joint_of_row == j
+        one = system.part(own)
+        acts = np.linalg.norm(one.W, axis=0) > MIN_COLUMN_NORM * size
+        columns = np.c_[known, np.eye(len(known))[:, free[acts[free]]]]
+        J, both = one.W @ columns, np.c_[one.Y, one.W @ known]
+        apart = both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]
+        whole, needed = (apart**2).sum(axis=0) + 1e-300
+        names = tuple(map(str, range(J.shape[1])))
+        one = replace(one, W=J, joint_of_row=0 * one.joint_of_row, names=names, rows=one.rows[[j]])
+        with suppress(NoFitError):
+            fit = instrumental_variables(one, evidence.Z[own] @ columns, np.ones(1))
+            half = intervals_of(one, fit).half[0]
+            found[:, j] = fit.beta[0], half, 1 - fit.residual_norm**2 / whole, needed / whole
+    return found
 
 
 def _cause(evidence: FitData) -> str:
