@@ -189,20 +189,16 @@ class Candidates:
         return np.array([settings.start, settings.stop - 1]) / self.problem.signals.sample_rate_hz
 
     @cached_property
-    def _chi(self) -> Array:
-        """(p,) standard parameters, of those that are regrouped only what they are regrouped in."""
-        chi = np.zeros(self.problem.model.p)
-        chi[self.problem.base.columns] = self.beta
-        return chi
-
-    @cached_property
     def _links(self) -> DirectModel:
-        idm = self.problem.model
-        return direct_model(idm, np.where(idm.of_links, self._chi, 0.0))
+        """The links, with nothing of parameters that are regrouped."""
+        idm, chi = self.problem.model, np.zeros(self.problem.model.p)
+        chi[self.problem.base.columns] = self.beta
+        return direct_model(idm, np.where(idm.of_links, chi, 0.0))
 
     def _friction(self, name: str) -> Array:
         """(n,) a hundredth of the friction of each joint by this name, Fc or Fv."""
-        value = dict(zip(self.problem.model.names, 0.01 * self._chi, strict=True))
+        names = (self.problem.model.names[c] for c in self.problem.base.columns)
+        value = dict(zip(names, 0.01 * self.beta, strict=True))
         return np.array([value.get(f"{name}{j + 1}", 0.0) for j in range(len(self.peak))])
 
 
