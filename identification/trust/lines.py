@@ -111,10 +111,11 @@ class Trust:
     @cached_property
     def verdict(self) -> Verdict:
         """The worst level."""
-        level = self.lines[0].level
-        return level if level == "do not use" or level == "caution" else "trust"
+        worst = self.lines[0].level
+        return worst if worst == "do not use" or worst == "caution" else "trust"
 
     @property
     def finding(self) -> str:
         """The worst finding in a few words; empty where there is none."""
-        return "" if self.verdict == "trust" else self.lines[0].finding or self.lines[0].test
+        worst = self.lines[0]
+        return "" if self.verdict == "trust" else worst.finding or worst.test
