@@ -3,6 +3,6 @@
 from .candidates import Candidates
 from .fit_data import FitData
 from .held_out import predictions_by_others
-from .lines import LEVELS, Figure, HeldOut, Trust, TrustLine
+from .lines import LEVELS, HeldOut, Trust, TrustLine
 from .prior import with_predictions
 from .solution import MIN_FIRST_STAGE_F, trust_in

@@ -102,7 +102,7 @@ def _line(law: Law, motors: list[str]) -> TrustLine | None:
         ),
         (True, "ok", text),
         value=value,
-        figures=tuple(one for one in figures if np.isfinite(one.value)),
+        figures=tuple(one for one in figures if np.isfinite(one[1])),
     )
 
 

@@ -131,7 +131,7 @@ def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
                 ),
                 (True, "ok", text),
                 value=far,
-                figures=figures_of(["distance"], [far], [width]),
+                figures=figures_of(["distance"], [far], [width], [0.0]),
                 unit="mm",
             )
         )

@@ -9,18 +9,8 @@ from ..report import Assumed, Level, Verdict
 
 # worst first
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")
-
-
-@dataclass(frozen=True)
-class Figure:
-    """The result of a test at one joint, motor or block of time: value, half-width of the 95 %
-    interval, expected value.
-    """
-
-    name: str
-    value: float
-    half_width: float = 0.0
-    expected: float = 0.0
+# name, value, half-width of the 95 % interval, expected value
+Figure = tuple[str, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -49,7 +39,8 @@ class TrustLine:
         text: one sentence with the figure, and what to do.
         value: its figure, None where there is none.
         finding: the same in a few words, for the first line of a report.
-        figures: figures by joint, motor or block, for a plot, in `unit`.
+        figures: by joint, motor or block its name, value, half-width of the 95 % interval, and
+            expected value, for a plot, in `unit`.
         fails_held_out: whether held-out errors are so large that, with M not positive, the
             fit is not to be used.
         assumed: what the test cannot check.
@@ -82,10 +73,14 @@ def first_case(test: str, *cases: Case, value: float | None = None, **of: Any) -
     return next(lines, None)
 
 
-def figures_of(names: Iterable[str], *columns: Iterable[float]) -> tuple[Figure, ...]:
-    """Figures by their names, values, half-widths and expected values."""
-    each = zip(names, *columns, strict=True)
-    return tuple(Figure(name, *map(float, numbers)) for name, *numbers in each)
+def figures_of(
+    names: Iterable[str],
+    values: Iterable[float],
+    half_widths: Iterable[float],
+    expected: Iterable[float],
+) -> tuple[Figure, ...]:
+    """Rows of numbers for a plot, of columns."""
+    return tuple(zip(names, *(map(float, x) for x in (values, half_widths, expected)), strict=True))
 
 
 def worst_of(lines: Iterable[TrustLine | None]) -> TrustLine | None:

@@ -121,21 +121,21 @@ def trust_charts(trust: Trust) -> list[Rows]:
             color = LEVEL_COLORS.get(line.level, GREY)
             marks = [
                 *(
-                    Mark(row=k, value=f.expected, color=GREEN, shape="tick")
-                    for k, f in enumerate(line.figures)
+                    Mark(row=k, value=expected, color=GREEN, shape="tick")
+                    for k, (*_, expected) in enumerate(line.figures)
                 ),
                 *(
-                    Mark(row=k, value=f.value, half=f.half_width, color=color)
-                    for k, f in enumerate(line.figures)
+                    Mark(row=k, value=value, half=half, color=color)
+                    for k, (_, value, half, _) in enumerate(line.figures)
                 ),
             ]
-            value = "● value ± 95 %" if any(f.half_width for f in line.figures) else "● value"
-            legend = ((value, color), ("| expected", GREEN))
+            head = "● value ± 95 %" if any(mark.half for mark in marks) else "● value"
+            legend = ((head, color), ("| expected", GREEN))
             charts.append(
                 Rows(
                     path=("tests", line.test),
                     title=f"{line.test}: {line.level}",
-                    names=[(f.name, LIGHT) for f in line.figures],
+                    names=[(name, LIGHT) for name, *_ in line.figures],
                     columns=[Column(head=line.unit, axis=_around(marks), marks=marks)],
                     legend=legend,
                 )

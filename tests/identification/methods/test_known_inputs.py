@@ -80,8 +80,8 @@ def test_with_both_the_truth_is_in_the_intervals():
     assert (off(fit) < 1).all()
     assert "caution" not in [line.level for line in fit.trust.lines]
     assert fit.errors[-1].moving_relative_error_percent < 2.0
-    assert fit.trust.line("control law").figures[0].value == pytest.approx(1.0, abs=0.002)
-    assert fit.trust.line("lag").figures[0].value == pytest.approx(-0.5, abs=0.1)
+    assert fit.trust.line("control law").figures[0][1] == pytest.approx(1.0, abs=0.002)
+    assert fit.trust.line("lag").figures[0][1] == pytest.approx(-0.5, abs=0.1)
     assert fit.status == "converged"
     # 0.03 without the pulses, and the robot is lost without the spring
     assert fit.iv.passes[-1].tracking_percent < 0.01

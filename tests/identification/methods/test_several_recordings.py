@@ -119,7 +119,7 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     assert last.held_out.error_percent == pytest.approx(error, rel=2e-3)
     assert last.held_out.trained_percent < last.held_out.error_percent
     figures = fit.trust.line("held-out blocks").figures
-    assert [figure.name for figure in figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
+    assert [name for name, *_ in figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
 
 def test_a_recording_that_the_others_do_not_predict_is_doubted():
@@ -130,7 +130,7 @@ def test_a_recording_that_the_others_do_not_predict_is_doubted():
     )
     line = fit.trust.line("held-out blocks")
     assert line.level == "caution"
-    assert line.value > 1.5 * np.mean([figure.expected for figure in line.figures])
+    assert line.value > 1.5 * np.mean([expected for *_, expected in line.figures])
 
 
 class LastFirst(Work):

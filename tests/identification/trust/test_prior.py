@@ -89,8 +89,8 @@ def test_links_off_by_forty_percent_are_no_fault():
     fit = fitted(recorded())
     line = fit.trust.line("prior")
     assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
-    assert {one.name for one in line.figures} == set(TOLD)
-    assert all(0.6 < one.value < 1.5 for one in line.figures)
+    assert {name for name, *_ in line.figures} == set(TOLD)
+    assert all(0.6 < value < 1.5 for _, value, *_ in line.figures)
     assert fit.data.prior_error_percent > 3 * fit.trust.line("held-out blocks").value
 
 
@@ -138,7 +138,7 @@ def test_a_stated_payload_counts():
     assert "wrist_1 is" in told(signals)[1].text
     line = told(replace(signals, payload=Payload(12.0, (0.0, 0.0, 0.0))))[1]
     assert line.level == "ok", line.text
-    assert all(0.9 < one.value < 1.1 for one in line.figures)
+    assert all(0.9 < value < 1.1 for _, value, *_ in line.figures)
 
 
 def test_without_gains_or_inertials_there_is_no_prior():

@@ -370,7 +370,7 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
         told = fit.trust.line("held-out blocks")
         assert told.value == pytest.approx(held, rel=rel)
         assert f"{held:.3g} % held out, {trained:.3g} % trained" in told.text
-        assert [figure.name for figure in told.figures] == [f"block {k}" for k in range(1, 6)]
+        assert [name for name, *_ in told.figures] == [f"block {k}" for k in range(1, 6)]
 
 
 def test_a_fit_that_does_not_generalise_is_a_caution():
@@ -522,7 +522,7 @@ def test_tests_of_spans_are_near_those_of_instants(method):
     ):
         told, wanted = (x.trust.line(test) for x in (fit, whole))
         assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=rel))
-        figures, same = ([x.value for x in line.figures] for line in (told, wanted))
+        figures, same = ([x for _, x, *_ in line.figures] for line in (told, wanted))
         assert test != "held-out blocks" or figures == pytest.approx(same, rel=10 * REL[method])
     made, wanted = (
         [x.test for x in one.trust.lines if x.level == "not made"] for one in (fit, whole)

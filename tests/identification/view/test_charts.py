@@ -10,7 +10,7 @@ import pytest
 from pictured_fits import FS, fitted, made_up, values
 
 from identification.study import Run, RunFit
-from identification.trust import Figure, Trust, TrustLine
+from identification.trust import Trust, TrustLine
 from identification.view import charts
 from identification.view.axes import decades, linear, logarithmic
 from identification.view.charts import STUDY_ROWS, deviation_charts, study_chart, trust_charts
@@ -96,8 +96,8 @@ def test_parameters_have_rows_with_values_intervals_and_differences():
 
 def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected():
     figures = (
-        Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5),
-        Figure(name="elbow", value=-0.5),
+        ("shoulder", 1.2, 0.2, -0.5),
+        ("elbow", -0.5, 0.0, 0.0),
     )
     lag = TrustLine("lag", "caution", "torque late", 1.2, unit="samples", figures=figures)
     made = TrustLine("ends", "ok", "no outlier", -5.0)
