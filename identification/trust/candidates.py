@@ -35,8 +35,8 @@ class MissingTerm:
 
     Attributes:
         kind, where: the term, and its joint or axis; `finding`: what is wrong, in a few words.
-        place: of its kind, counted from 0; `column`: of C; `joint`: whose rows in that are its own,
-            None for all.
+        place: the number of its kind, and its place of that; `column`: of C; `joint`: whose rows in
+            that are its own, None for all.
         unit, advice: unit of the coefficient; what to do.
         value, t: its coefficient, also in deviations.
         taken_percent: share of the residual's square that it explains; `together_percent`:
@@ -52,7 +52,7 @@ class MissingTerm:
     unit: str
     advice: str
     finding: str = ""
-    place: int = 0
+    place: tuple[int, int] = (0, 0)
     column: int = 0
     joint: int | None = None
     value: float = 0.0
@@ -80,7 +80,7 @@ class Kind:
     """A kind of term, at one place or several: at joints, axes, or directions of friction.
 
     Attributes:
-        torque: terms of one joint each share a column, unless they act `everywhere`.
+        name, torque: terms of one joint each share a column, unless they act `everywhere`.
         unit: of the coefficient, by those of the joint that tells it.
         advice: what to do; where friction is a list in which it may be `listed`, to add it.
         friction: the term of a joint's description that is this one.
@@ -90,6 +90,7 @@ class Kind:
         least_percent: as of `MissingTerm`, where no link weighs.
     """
 
+    name: str
     torque: Torque
     unit: str
     advice: str
@@ -125,21 +126,21 @@ class Candidates:
     @cached_property
     def terms(self) -> tuple[MissingTerm, ...]:
         """The terms."""
-        robot, found, columns = self.robot, list[MissingTerm](), dict[tuple[str, int], int]()
+        robot, found, columns = self.robot, list[MissingTerm](), dict[tuple[int, int], int]()
         weighs = robot.n > 1 and len(self.weighs)
-        for name, kind in KINDS.items():
+        for i, kind in enumerate(KINDS):
             for k, (where, j) in enumerate(kind.at(self)):
                 if kind.friction in robot.joints[j].terms or not kind.lacks(self, k):
                     continue
                 listed = kind.listed and isinstance(robot.joints[j].friction, tuple)
                 term = MissingTerm(
-                    kind=name,
+                    kind=kind.name,
                     where=where,
                     unit=kind.unit.format(**_units(robot, j)),
                     advice=f'add "{kind.friction}" to its friction' if listed else kind.advice,
-                    finding=f"{name} {where}{kind.missing}",
-                    place=k,
-                    column=columns.setdefault((name, k * kind.everywhere), len(columns)),
+                    finding=f"{kind.name} {where}{kind.missing}",
+                    place=(i, k),
+                    column=columns.setdefault((i, k * kind.everywhere), len(columns)),
                     joint=None if kind.everywhere else j,
                     least_percent=MIN_TAKEN_PERCENT if weighs else kind.least_percent,
                 )
@@ -172,7 +173,8 @@ class Candidates:
         found = np.zeros((len(self.peak), len(of_columns), len(motion.share.T)))
         links = smooth(partial(_of_links, self._links), motion, _stride(motion))
         for column, term in of_columns.items():
-            torque = KINDS[term.kind].torque(self, motion, links, term.place)
+            i, k = term.place
+            torque = KINDS[i].torque(self, motion, links, k)
             if len(at := np.flatnonzero(torque.any(axis=0))):
                 found[at, column] = motion.weighted(torque.T[at], at)
         return found
@@ -244,8 +246,9 @@ def _root(of: Candidates, x: MotionBlock, links: Array, k: int) -> Array:
     return np.asarray((np.sign(v) * np.sqrt(np.abs(v)))[:, None] * along)
 
 
-KINDS = {
-    ASYMMETRIC: Kind(
+KINDS = (
+    Kind(
+        name=ASYMMETRIC,
         torque=lambda of, x, *_: of._friction("Fc") + of._friction("Fv") * np.abs(x.dq),
         unit="% of it",
         advice='describe it as friction = "asymmetric", which includes an offset',
@@ -256,26 +259,30 @@ KINDS = {
             and not {"viscous", "coulomb"}.isdisjoint(joint.terms)
         ),
     ),
-    "offset": Kind(
+    Kind(
+        name="offset",
         torque=lambda of, x, *_: np.ones_like(x.q),
         unit="{effort}",
         advice="describe it as offset = true",
         listed=True,
         friction="offset",
     ),
-    "drift": Kind(
+    Kind(
+        name="drift",
         torque=lambda of, x, *_: ((x.t_s - of._span_s[0]) / np.ptp(of._span_s))[:, None] + 0 * x.q,
         unit="{effort} over the recording",
         advice="warm the robot up, or record a shorter motion",
         missing="",
     ),
-    SPRING: Kind(
+    Kind(
+        name=SPRING,
         torque=lambda of, x, *_: x.q,
         unit="{effort}/{position}",
         advice="record its torque (of a spring, a hose or a weight) as known_torque",
         least_percent=10.0,  # any slow error correlates with a slow position
     ),
-    STRIBECK: Kind(
+    Kind(
+        name=STRIBECK,
         torque=lambda of, x, *_: (
             np.sign(x.dq)
             * np.exp(-((x.dq / (STRIBECK_SPEED_RATIO * np.maximum(of.peak, 1e-300))) ** 2))
@@ -284,7 +291,8 @@ KINDS = {
         advice="leave out slow samples by a larger low_speed_percent of [identification]",
         friction="stribeck",
     ),
-    ZERO: Kind(
+    Kind(
+        name=ZERO,
         torque=lambda of, x, links, k: (
             links[..., 1 + k] * (np.pi / 180 if of.robot.joints[k].type == "revolute" else 1e-3)
         ),
@@ -293,19 +301,22 @@ KINDS = {
         everywhere=True,
         missing="",
     ),
-    ROTOR: Kind(
+    Kind(
+        name=ROTOR,
         torque=lambda of, x, *_: x.ddq,
         unit="{inertia}",
         advice="rotor_inertia = true",
         lacks=lambda of, k: not of.robot.joints[k].rotor_inertia,
     ),
-    "load friction": Kind(
+    Kind(
+        name="load friction",
         torque=lambda of, x, links, _: np.abs(links[..., 0]) * np.sign(x.dq),
         unit="",
         advice=SELECT_TERMS,
         friction="load",
     ),
-    TILT: Kind(
+    Kind(
+        name=TILT,
         at=lambda of: ((f"about {axis}", 0) for axis in "xyz"),
         torque=lambda of, x, _, k: smooth(
             lambda q, *_: of._links.gravity(q, _turned(of, k)), x, _stride(x)
@@ -316,7 +327,8 @@ KINDS = {
         lacks=lambda of, k: bool(_turned(of, k).any()),
         missing="",
     ),
-    "root friction": Kind(
+    Kind(
+        name="root friction",
         at=_directions,
         torque=_root,
         unit="{effort} ({position}/s)^-½",
@@ -324,7 +336,8 @@ KINDS = {
         everywhere=True,
         friction="root",
     ),
-    CLOCKS: Kind(
+    Kind(
+        name=CLOCKS,
         at=lambda of: [("between positions and efforts", 0)],
         torque=lambda of, x, *_: -0.01 * (x.t_s - of._span_s.mean())[:, None] * x.rate(x.tau),
         unit="%",
@@ -332,7 +345,8 @@ KINDS = {
         everywhere=True,
         missing="",
     ),
-    LAG: Kind(
+    Kind(
+        name=LAG,
         torque=lambda of, x, *_: -1e-3 * x.rate(x.tau),
         unit="ms",
         advice="check how its effort is filtered and stamped",
@@ -340,7 +354,8 @@ KINDS = {
         missing="",
     ),
     # the coefficient of a predicted torque is the gain relative to others, less 1
-    "relative gain": Kind(
+    Kind(
+        name="relative gain",
         torque=lambda of, x, *_: 0.01 * x.tau,
         unit="%",
         advice="check its drive_gain and ratio against those of the other joints",
@@ -348,4 +363,4 @@ KINDS = {
             of.robot.gain_known and of.robot.identified_gain is None and of.robot.n > 1
         ),
     ),
-}
+)

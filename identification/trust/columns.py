@@ -11,7 +11,7 @@ Columns have the weights of W.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, groupby
+from itertools import chain
 
 import numpy as np
 
@@ -105,8 +105,9 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth
         the sign of the speed.
     """
-    of_kinds = groupby(evidence.candidates.terms, lambda term: term.kind)
-    kinds = {kind: list(own) for kind, own in of_kinds}
+    kinds = dict[str, list[candidates.MissingTerm]]()
+    for term in evidence.candidates.terms:
+        kinds.setdefault(term.kind, []).append(term)
     clocks, each = kinds.pop(candidates.CLOCKS), list(kinds.values())
     at_once = max(1, MAX_NUMBERS // (evidence.Y.size * evidence.robot.n))
     found = [

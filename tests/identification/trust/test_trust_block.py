@@ -35,7 +35,7 @@ from identification.regression import (
     torque_of_recording,
     weights_at,
 )
-from identification.trust import LEVELS, FitData, Trust, TrustLine, trust_in
+from identification.trust import LEVELS, FitData, Trust, TrustLine, candidates, trust_in
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
     TESTS,
@@ -340,6 +340,31 @@ def test_a_relative_gain_is_named():
     scaled = replace(signals, effort=signals.effort * np.array([1.0, 1.2]))
     told = identify_ls(scaled, Overrides()).trust.line("added columns")
     assert (told.level, told.text[:23]) == ("caution", "relative gain of joint ")
+
+
+def test_two_kinds_of_one_name_are_two_columns_that_count_together(monkeypatch):
+    """Two phases of one fault: a ripple of the elbow, which neither phase explains alone."""
+    signals = recorded("scara")
+    phase = 20 * signals.q[:, 1]
+    ripple = 3.0 * (np.cos(phase) + np.sin(phase))
+    two = (
+        candidates.Kind(
+            name="ripple",
+            torque=lambda of, x, *_, turn=turn: turn(20 * x.q),
+            unit="{effort}",
+            advice="",
+        )
+        for turn in (np.cos, np.sin)
+    )
+    monkeypatch.setattr(candidates, "KINDS", (*candidates.KINDS, *two))
+    fit = identify_ls(
+        replace(signals, effort=signals.effort + ripple[:, None] * [0.0, 1.0]), Overrides()
+    )
+    found = [x for x in missing_terms(fit.data) if x.finding == "ripple of joint elbow missing"]
+    assert len({x.column for x in found}) == 2
+    assert found[0].together_percent == found[1].together_percent
+    assert found[0].together_percent > 1.5 * max(x.taken_percent for x in found)
+    assert [x.value for x in found] == pytest.approx([3.0, 3.0], rel=0.6)
 
 
 # Other estimates from the same rows
