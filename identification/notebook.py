@@ -323,7 +323,7 @@ def validate(
         each,
         "the fit",
         errors,
-        (*each[0].settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit")),
+        (*each[0].problem.settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit")),
     )
 
 

@@ -105,10 +105,11 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     reach = float(
         np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0])
     )
-    c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach))
-    return c.chi, (
+    known = Known(beta=beta, covariance=covariance, reach=reach)
+    c, parameters = consistent_set(model, base, known)
+    return np.array([p.value for p in parameters]), (
         f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
-        f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move "
+        f"added chi² {c.chi2:.3g} on {base.b} parameters, largest move "
         f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; certificate "
         f"{c.certificate:.1e}"
     )

@@ -17,11 +17,12 @@ from ..estimation import (
     covariance_of_all,
     one_thread,
     parameter_certainty,
-    torque_errors,
 )
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
-from ..regression import equation_alone, recorded_power, torque_of_recording
-from .fit import ConsistentSet, Fit
+from ..regression import recorded_power
+from ..report import ConsistentFile, StandardParameter
+from .fit import Fit
+from .recording_report import errors_on, validated
 
 # of the variance by the prior alone: above, the value is more from the prior than the recording
 MIN_PRIOR_SHARE = 0.5
@@ -67,32 +68,26 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     `prior` describes the a-priori links; None: the fitted description. Raises `BadInputError`: a
     drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
-    problem, full = fit.problem, fit.least_squares.full
+    problem, full, own = fit.problem, fit.least_squares.full, fit.recordings[0].arm.names
     covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
     # of own parameters those of one recording
-    first = np.array([full.names.index(name) for name in fit.recordings[0].arm.names])
+    first = np.array([full.names.index(name) for name in own])
     covariance = covariance[np.ix_(first, first)]
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
-    alike = [one for one in fit.recordings if one.arm.names == fit.recordings[0].arm.names]
-    power = recorded_power([one.problem for one in alike], fit.beta)
-    found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
-    carried = [one.arm.payload for one in fit.recordings]
-    each = [
-        (
-            *torque_of_recording(
-                *equation_alone(one.problem),
-                found.beta if payload is None else found.beta + payload.known,
-            ),
-            one.problem.measured_rows(),
-        )
-        for one, payload in zip(fit.recordings, carried, strict=True)
-    ]
-    tau, predicted, speed, measured = (np.concatenate(x) for x in zip(*each, strict=True))
-    names = tuple(joint.name for joint in problem.signals.robot.joints)
+    alike = [one.problem for one in fit.recordings if one.arm.names == own]
+    power = recorded_power(alike, fit.beta)
+    found, standard = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
+    beta = np.array([one.value for one in found.base_parameters or ()])
+    carried = ((one.problem, one.arm.payload) for one in fit.recordings)
+    errors = errors_on(
+        [validated(of, beta + (payload.known if payload else 0.0)) for of, payload in carried]
+    )
+    error = errors[-1].relative_error_percent
     return replace(
         fit,
-        consistent_set=found,
-        consistent_errors=torque_errors(tau, predicted, speed, measured, names),
+        consistent_set=msgspec.structs.replace(found, relative_error_percent=error),
+        standard_parameters=standard,
+        consistent_errors=errors,
     )
 
 
@@ -104,35 +99,47 @@ def consistent_set(
     *,
     prior: Robot | None = None,
     power: Array | None = None,
-) -> ConsistentSet:
-    """The physically consistent parameters nearest to the `known` base parameters of a robot, by
-    the links of `prior`; None: of its own description. `power`: of friction at recorded speeds, for
-    further friction terms; None without such terms or known speeds. Raises as `with_consistent`.
+) -> tuple[ConsistentFile, tuple[StandardParameter, ...]]:
+    """The physically consistent base and standard parameters nearest to the `known` base
+    parameters of a robot, by the links of `prior`; None: of its own description. `power`: of
+    friction at recorded speeds, for further friction terms; None without such terms or known
+    speeds. Raises as `with_consistent`.
     """
     refuse_unknown_gain(model.robot)
     expected = None if prior is None else InverseModel(prior)
     physical = physical_parameters(model, expected, power)
     found = consistent_parameters(known.beta, known.covariance, base.K, physical)
-    (sigma, share), (base_sigma, base_share) = parameter_certainty(
-        found, known.covariance, base.K, physical
-    )
-    return ConsistentSet(
-        names=model.names,
-        units=model.units,
-        chi=found.chi,
-        half=known.reach * sigma,
-        from_prior=share > MIN_PRIOR_SHARE,
-        base_names=base.names,
-        beta=found.beta,
-        base_half=known.reach * base_sigma,
-        base_from_prior=base_share > MIN_PRIOR_SHARE,
+    of_standard, of_base = parameter_certainty(found, known.covariance, base.K, physical)
+    moves = found.deviations / known.reach
+    return ConsistentFile(
         prior=f"{'the description' if prior is None else prior.name}: "
         f"{_in_words(expected_links(model, expected)[1])}",
-        chi_squared=found.chi_squared,
-        deviations=found.deviations,
-        reach=known.reach,
+        chi2=found.chi_squared,
+        largest_move=float(np.abs(moves).max()),
+        moved_most=base.names[int(np.abs(found.deviations).argmax())],
         certificate=found.decrement,
-    )
+        base_parameters=[
+            msgspec.structs.replace(one, move=move)
+            for one, move in zip(
+                _parameters(base.names, base.units, found.beta, of_base, known.reach),
+                moves.tolist(),
+                strict=True,
+            )
+        ],
+    ), _parameters(model.names, model.units, found.chi, of_standard, known.reach)
+
+
+def _parameters(
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    values: Array,
+    certainty: tuple[Array, Array],
+    reach: float,
+) -> tuple[StandardParameter, ...]:
+    """Values (p,) with half-widths, and whether they are from the prior."""
+    (sigma, share), each = certainty, (names, values.tolist(), units)
+    from_prior, half = share > MIN_PRIOR_SHARE, reach * sigma
+    return tuple(map(StandardParameter, *each, from_prior.tolist(), half.tolist()))
 
 
 def refuse_unknown_gain(robot: Robot) -> None:

@@ -6,7 +6,6 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import ripple_notes
 
@@ -14,7 +13,15 @@ from ..arrays import Array
 from ..estimation import Estimate, Intervals
 from ..model import BaseParameters
 from ..regression import Arm, Lag, Problem, Rows, Settings, base_places
-from ..report import DirectModelResidual, FTest, Method, Status, TorqueResidual
+from ..report import (
+    ConsistentFile,
+    DirectModelResidual,
+    FTest,
+    Method,
+    StandardParameter,
+    Status,
+    TorqueResidual,
+)
 from ..simulation import InstrumentKind, Simulated
 from ..trust import FitData, HeldOut, Trust
 from .gain_results import EstimatedPayload, Gains
@@ -199,54 +206,6 @@ def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> t
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ConsistentSet:
-    """The physically consistent standard parameters nearest to an estimate.
-
-    Attributes:
-        chi: (p,) standard parameters: all pseudo-inertias and rotor inertias are positive,
-            friction adds no energy.
-        half: (p,) half-widths of their 95 % intervals, by Laplace.
-        from_prior: (p,) where the recording reduces the variance by the prior by less than half.
-        base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi.
-        prior: source of the a-priori link parameters, in words.
-        chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
-        deviations: (b,) moves of the base parameters in deviations of the estimate.
-        reach: deviations in half a 95 % interval of the estimate.
-        certificate: Newton decrement at the optimum.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    chi: Array
-    half: Array
-    from_prior: NDArray[np.bool_]
-    base_names: tuple[str, ...]
-    beta: Array
-    base_half: Array
-    base_from_prior: NDArray[np.bool_]
-    prior: str
-    chi_squared: float
-    deviations: Array
-    reach: float
-    certificate: float
-
-    @property
-    def moves(self) -> Array:
-        """(b,) moves of the base parameters in half-widths of the estimate's 95 % intervals."""
-        return self.deviations / self.reach
-
-    @property
-    def moved_most(self) -> str:
-        """The base parameter that moved most."""
-        return self.base_names[int(np.abs(self.deviations).argmax())]
-
-    @property
-    def largest_move(self) -> float:
-        """Its move in half-widths of its 95 % interval."""
-        return float(np.abs(self.moves).max())
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class FittedRecording:
     """One of the recordings of a fit.
 
@@ -283,8 +242,8 @@ class Fit:
         tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
         errors: one entry per joint and, last, all joints together.
         iv: None after least squares.
-        consistent_set: the nearest physically consistent parameters, if requested;
-            `consistent_errors`: their torque errors, as `errors`.
+        consistent_set, standard_parameters: the nearest physically consistent parameters, if
+            requested; `consistent_errors`: their torque errors, as `errors`.
         data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
         gains: of the drives, if identified; `payloads`: of the recordings that have one.
         own: the test of parameters of single recordings; None if all are shared.
@@ -305,7 +264,8 @@ class Fit:
     trust: Trust
     data: FitData
     iv: InstrumentEvidence | None = None
-    consistent_set: ConsistentSet | None = None
+    consistent_set: ConsistentFile | None = None
+    standard_parameters: tuple[StandardParameter, ...] = ()
     consistent_errors: tuple[TorqueResidual, ...] = ()
     own: FTest | None = None
     method_reason: str = "as requested"

@@ -11,24 +11,24 @@ from msgspec import UNSET
 from acquisition.robot import Controller, Robot
 
 from .. import report
-from ..data import Signals
 from ..model import LINK
-from ..regression import Law, Settings, forward_backward_3db_hz
+from ..regression import Law, Problem, forward_backward_3db_hz
 from ..trust import HeldOut
 from .fit import Fit, InstrumentEvidence
 from .gain_results import EstimatedPayload, Gains
 from .parameters import fitted_parameters
-from .recording_report import Validated
+from .recording_report import Validated, errors_on
 
 
 def fit_file(fit: Fit) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
     e, signals, lines, prior = fit.estimate, fit.problem.signals, fit.trust.lines, fit.data.prior
-    errors = [(r.problem.signals, r.problem.settings, r.errors, r.held_out) for r in fit.recordings]
+    full = fit.least_squares.full
+    each = [_recording(one.problem, one.errors[-1], one.held_out) for one in fit.recordings]
     return report.FitFile(
-        **_on_recording(signals, fit.settings, fit.errors, fit.warnings),
+        **_on_recording(fit.problem, fit.errors, fit.warnings),
         own_parameters=fit.own or UNSET,
-        recordings=[_recording(*one) for one in errors] if len(errors) > 1 else UNSET,
+        recordings=each if len(each) > 1 else UNSET,
         method=fit.method,
         status=fit.status,
         doubts=[
@@ -76,7 +76,14 @@ def fit_file(fit: Fit) -> report.FitFile:
         gains=_gains(fit.gains) if fit.gains else UNSET,
         payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
         law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,
-        **consistent_keys(fit),
+        covariance=report.Covariance(names=list(e.names), values=fit.intervals.covariance.tolist()),
+        left_out=[
+            report.LeftOut(name=name, sigma=float(sigma))
+            for name, sigma in zip(full.names, full.sigma, strict=True)
+            if name not in e.names
+        ],
+        consistent=fit.consistent_set or UNSET,
+        standard_parameters=list(fit.standard_parameters) or UNSET,
         essential=msgspec.structs.replace(fit.essential, names=fit.essential_names),
         description={
             name: signals.robot.files[name].decode("utf-8", errors="replace")
@@ -155,12 +162,9 @@ def validation_file(
     consistent: tuple[report.TorqueResidual, ...] = (),
 ) -> report.ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
-    first, each = (
-        recordings[0],
-        [_recording(one.signals, one.settings, one.errors) for one in recordings],
-    )
+    each = [_recording(one.problem, errors_on([one])[-1]) for one in recordings]
     return report.ValidationFile(
-        **_on_recording(first.signals, first.settings, errors, warnings),
+        **_on_recording(recordings[0].problem, errors, warnings),
         fit=fit,
         recordings=each if len(each) > 1 else UNSET,
         consistent_errors=list(consistent) or UNSET,
@@ -168,17 +172,10 @@ def validation_file(
 
 
 def _on_recording(
-    signals: Signals,
-    settings: Settings,
-    errors: tuple[report.TorqueResidual, ...],
-    warnings: tuple[str, ...],
+    problem: Problem, errors: tuple[report.TorqueResidual, ...], warnings: tuple[str, ...]
 ) -> dict[str, Any]:
-    whole, units, fs, cutoff_hz = (
-        errors[-1],
-        signals.robot.effort_units,
-        signals.sample_rate_hz,
-        settings.cutoff_hz,
-    )
+    signals, settings, whole = problem.signals, problem.settings, errors[-1]
+    units, fs, cutoff_hz = signals.robot.effort_units, signals.sample_rate_hz, settings.cutoff_hz
     return {
         "warnings": list(warnings),
         "relative_error_percent": whole.relative_error_percent,
@@ -211,68 +208,20 @@ def _on_recording(
 
 
 def _recording(
-    signals: Signals,
-    settings: Settings,
-    errors: tuple[report.TorqueResidual, ...],
-    held_out: HeldOut | None = None,
+    problem: Problem, whole: report.TorqueResidual, held_out: HeldOut | None = None
 ) -> report.RecordingOfFit:
+    signals, settings = problem.signals, problem.settings
     return report.RecordingOfFit(
         recording=signals.recording,
         sha256=signals.sha256,
         sample_rate_hz=signals.sample_rate_hz,
         decimation=settings.decimation,
         samples=(settings.start, settings.stop),
-        relative_error_percent=errors[-1].relative_error_percent,
-        moving_relative_error_percent=errors[-1].moving_relative_error_percent,
+        relative_error_percent=whole.relative_error_percent,
+        moving_relative_error_percent=whole.moving_relative_error_percent,
         held_out_error_percent=held_out.error_percent if held_out else None,
         undetermined=list(held_out.undetermined) if held_out else [],
     )
-
-
-def consistent_keys(fit: Fit) -> dict[str, Any]:
-    """The keys `covariance` and `left_out`, and with a consistent set `consistent` and
-    `standard_parameters`.
-    """
-    full, names = fit.least_squares.full, fit.estimate.names
-    sigma = dict(zip(full.names, full.covariance.diagonal() ** 0.5, strict=True))
-    keys: dict[str, Any] = {
-        "covariance": report.Covariance(
-            names=list(names), values=fit.intervals.covariance.tolist()
-        ),
-        "left_out": [
-            report.LeftOut(name=n, sigma=float(sigma[n])) for n in full.names if n not in names
-        ],
-    }
-    c = fit.consistent_set
-    if c is None:
-        return keys
-    standard = map(
-        report.StandardParameter,
-        c.names,
-        c.chi.tolist(),
-        c.units,
-        c.from_prior.tolist(),
-        c.half.tolist(),
-    )
-    of_base = (
-        c.base_names,
-        c.beta.tolist(),
-        fit.base.units,
-        c.base_from_prior.tolist(),
-        c.base_half.tolist(),
-    )
-    return keys | {
-        "consistent": report.ConsistentFile(
-            prior=c.prior,
-            chi2=c.chi_squared,
-            largest_move=c.largest_move,
-            moved_most=c.moved_most,
-            certificate=c.certificate,
-            relative_error_percent=fit.consistent_errors[-1].relative_error_percent,
-            base_parameters=list(map(report.StandardParameter, *of_base, c.moves.tolist())),
-        ),
-        "standard_parameters": list(standard),
-    }
 
 
 def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:

@@ -224,48 +224,40 @@ def _consistent(fit: Fit) -> list[Section]:
     c = fit.consistent_set
     if c is None:
         return []
-    alike = fit.trust.line("consistent").value == c.chi_squared
+    alike = fit.trust.line("consistent").value == c.chi2
     own = "" if alike else " (the verdict's line `consistent` has its own)"
-    free, held = (
-        errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors)
+    heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
+    rows, of_base = (
+        [
+            (
+                p.name,
+                Number(round(p.value, 12) + 0.0, ".5g"),
+                Number(p.half_width or 0.0, ".2g"),
+                p.unit,
+                "prior" if p.from_prior else "recording",
+            )
+            for p in parameters
+        ]
+        for parameters in (fit.standard_parameters, c.base_parameters or ())
     )
-
-    def row(name: str, value: float, half: float, unit: str, from_prior: bool) -> Row:
-        values = (Number(round(value, 12) + 0.0, ".5g"), Number(half, ".2g"))
-        return (name, *values, unit, "prior" if from_prior else "recording")
-
-    rows: list[Row] = list(
-        map(row, c.names, c.chi.tolist(), c.half.tolist(), c.units, c.from_prior.tolist())
-    )
-    left = [
-        f"{name} ({move:+.2g})"
-        for name, move in zip(c.base_names, c.moves, strict=True)
-        if abs(move) > 1
-    ]
+    moves = [(p.name, p.move or 0.0) for p in c.base_parameters or ()]
+    left = [f"{name} ({move:+.2g})" for name, move in moves if abs(move) > 1]
+    known = [p for p in fit.standard_parameters if p.from_prior]
     lines = (
         "all pseudo-inertias and rotor inertias are positive, friction adds no energy; prior: "
         f"{c.prior}{own}",
-        f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move "
+        f"added chi² {c.chi2:.3g} on {len(moves)} parameters; largest move "
         f"{c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
-        f"relative torque error {_percent(free)} → {_percent(held)} of all rows",
-        f"{int(c.from_prior.sum())} of {len(c.names)} values are the prior's: the torques say "
-        "nothing about them",
+        f"relative torque error {_percent(fit.errors[-1].relative_error_percent)} → "
+        f"{_percent(c.relative_error_percent)} of all rows",
+        f"{len(known)} of {len(rows)} values are the prior's: the torques say nothing about them",
     )
-    heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
     title = "physically consistent standard parameters"
     table, short = Table(columns=heads, rows=tuple(rows)), Section(title=title, lines=lines)
-    of_base = (
-        c.base_names,
-        c.beta.tolist(),
-        c.base_half.tolist(),
-        fit.base.units,
-        c.base_from_prior.tolist(),
-    )
     moved = [
-        (*cells, Number(move, "+.2g"))
-        for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)
+        (*cells, Number(move, "+.2g")) for cells, (_, move) in zip(of_base, moves, strict=True)
     ]
     base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
     whole = (*lines, f"certificate {c.certificate:.1e} (Newton decrement)")

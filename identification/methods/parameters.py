@@ -17,7 +17,7 @@ from acquisition.robot import LowSpeed, Robot, robot_from_files
 from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import BadInputError
-from ..estimation import Estimate, Intervals, one_thread, torque_errors
+from ..estimation import Estimate, Intervals, one_thread
 from ..model import (
     BaseParameters,
     InverseModel,
@@ -26,18 +26,11 @@ from ..model import (
     base_prior,
     direct_model,
 )
-from ..regression import (
-    Overrides,
-    Problem,
-    base_name,
-    equation_alone,
-    make_problem,
-    torque_of_recording,
-)
+from ..regression import Overrides, Problem, base_name, make_problem
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
-from .recording_report import Validated
+from .recording_report import Validated, errors_on, validated
 
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
@@ -54,20 +47,17 @@ def least_squares_parameters(fit: Fit) -> ParameterSet:
 
 def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
     essential = essential_names(fit.essential, e, intervals)
-    known = dict(
-        zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True)
-    )
+    known = true_parameters(fit.base, np.zeros(fit.base.b)).parameters
     found = zip(e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True)
     return ParameterSet(
         label=label,
         parameters={
-            name: Parameter(
+            name: msgspec.structs.replace(
+                known[base_name(name)],
                 name=name,
                 value=float(value),
                 low=float(low),
                 high=float(high),
-                unit=known[base_name(name)][0],
-                expression=known[base_name(name)][1],
                 sigma=float(sigma),
                 essential=name in essential,
             )
@@ -201,13 +191,14 @@ def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
     """Parameters that `base` lacks, or has in another unit or for another sum
     of standard parameters.
     """
-    known = dict(zip(base.names, zip(base.units, base.expressions, strict=True), strict=True))
+    units = dict(zip(base.names, base.units, strict=True))
+    sums = dict(zip(base.names, base.expressions, strict=True))
     return [
         p.name
         for p in stored.parameters
-        if (name := base_name(p.name)) not in known
-        or p.unit != known[name][0]
-        or p.expression not in (None, known[name][1])
+        if (name := base_name(p.name)) not in units
+        or p.unit != units[name]
+        or p.expression not in (None, sums[name])
     ]
 
 
@@ -227,10 +218,8 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
             place=place, key="standard_parameters", value=None, expected="`fit --consistent`"
         )
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
-    beta = (base.K @ [given.get(name, 0.0) for name in model.names]).tolist()
-    found = zip(base.names, beta, base.units, base.expressions, strict=True)
-    parameters = [Parameter(name=n, value=x, unit=unit, expression=e) for n, x, unit, e in found]
-    return msgspec.structs.replace(stored, parameters=parameters)
+    known = true_parameters(base, base.K @ [given.get(name, 0.0) for name in model.names])
+    return msgspec.structs.replace(stored, parameters=list(known.parameters.values()))
 
 
 def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
@@ -302,21 +291,15 @@ def signals_as_fitted(
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
 ) -> tuple[tuple[Validated, ...], tuple[TorqueResidual, ...]]:
-    """Torque errors of a stored fit on recordings of one robot, each with what replaces its
-    settings; nothing is fitted.
+    """The torque of a stored fit on recordings of one robot, each with what replaces its settings,
+    and the errors of all together, as `errors_on`; nothing is fitted.
 
-    Payloads are as the fit found them; `place` names it in errors. Returns each recording with its
-    errors, and the errors of all together: one per joint and, last, that of all joints.
+    Payloads are as the fit found them; `place` names it in errors.
     """
     check_one_robot([signals for signals, _ in recordings])
-    names = tuple(j.name for j in recordings[0][0].robot.joints)
-    each, parts = [], []
-    for signals, overrides in recordings:
-        problem = make_problem(signals, overrides)
-        beta = stored_beta(stored, problem.base, place) + payload_beta(stored, problem)
-        torques = torque_of_recording(*equation_alone(problem), beta)
-        parts.append((*torques, problem.measured_rows()))
-        errors = torque_errors(*parts[-1], names)
-        each.append(Validated(signals, problem.settings, errors, *parts[-1][:2]))
-    tau, predicted, speed, measured = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return tuple(each), torque_errors(tau, predicted, speed, measured, names)
+    problems = [make_problem(*one) for one in recordings]
+    each = tuple(
+        validated(one, stored_beta(stored, one.base, place) + payload_beta(stored, one))
+        for one in problems
+    )
+    return each, errors_on(each)

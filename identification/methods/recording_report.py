@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import ON_GRID, Signals
-from ..regression import Settings, forward_backward_3db_hz
+from ..estimation import torque_errors
+from ..regression import (
+    Problem,
+    Settings,
+    equation_alone,
+    forward_backward_3db_hz,
+    torque_of_recording,
+)
 from ..report import Document, FTest, Number, Row, Section, Table, TorqueResidual, columns
 from .fit import Fit, FittedRecording
 
@@ -54,15 +61,27 @@ def recording_document(
 
 @dataclass(frozen=True)
 class Validated:
-    """A recording, its settings, the torque errors of a fit on it, and the rows (T, n) of
-    measured and modelled torque.
-    """
+    """A recording, with rows (T, n) of measured and modelled torque, and of speed."""
 
-    signals: Signals
-    settings: Settings
-    errors: tuple[TorqueResidual, ...]
+    problem: Problem
     tau: Array
     tau_predicted: Array
+    speed: Array
+
+
+def validated(problem: Problem, beta: Array) -> Validated:
+    """The torque of base parameters (b,), with the payload, on a recording."""
+    return Validated(problem, *torque_of_recording(*equation_alone(problem), beta))
+
+
+def errors_on(recordings: Sequence[Validated]) -> tuple[TorqueResidual, ...]:
+    """Torque errors of recordings together: one per joint and, last, that of all joints."""
+    rows = [
+        (one.tau, one.tau_predicted, one.speed, one.problem.measured_rows()) for one in recordings
+    ]
+    names = tuple(joint.name for joint in recordings[0].problem.signals.robot.joints)
+    tau, predicted, speed, measured = map(np.concatenate, zip(*rows, strict=True))
+    return torque_errors(tau, predicted, speed, measured, names)
 
 
 def validation_document(
@@ -73,19 +92,22 @@ def validation_document(
     consistent: tuple[TorqueResidual, ...] = (),
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from."""
-    units = recordings[0].signals.robot.effort_units
+    each = [one.problem.signals for one in recordings]
+    units, names = each[0].robot.effort_units, [one.recording for one in each]
     title = "relative torque error of the consistent set, %"
-    names = ", ".join(one.signals.recording for one in recordings)
     lines = [
         line
         for one in recordings
-        for line in settings_lines(one.signals, one.settings, used="evaluated on")
+        for line in settings_lines(one.problem.signals, one.problem.settings, used="evaluated on")
     ]
-    lines += [line for one in recordings for line in recording_lines(one.signals)]
-    rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors[-1])) for one in recordings]
+    lines += [line for one in each for line in recording_lines(one)]
+    rows: list[Row] = [
+        (name, *_error_cells(errors_on([one])[-1]))
+        for name, one in zip(names, recordings, strict=True)
+    ]
     table = Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
     return Document(
-        title=f"{fit} on {names}: {headline(errors)}",
+        title=f"{fit} on {', '.join(names)}: {headline(errors)}",
         sections=(
             Section(
                 lines=(

@@ -92,7 +92,7 @@ class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
     largest_move: float
     moved_most: str
     certificate: float
-    relative_error_percent: float | None
+    relative_error_percent: float | None = None
     base_parameters: list[StandardParameter] | UnsetType = UNSET
 
 

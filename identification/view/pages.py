@@ -81,18 +81,19 @@ def draw_validation(
     """
     pages = []
     for one in validated:
-        t_s = one.signals.t_s[one.settings.start : one.settings.stop : one.settings.decimation][
-            : len(one.tau)
-        ]
-        torque, residual = curves.row_plots(one.signals.robot, t_s, one.tau, one.tau_predicted)
-        pages.append(
-            Page(name=one.signals.recording, groups={"torque": torque, "residual": residual})
+        signals = one.problem.signals
+        torque, residual = curves.row_plots(
+            signals.robot, one.problem.row_times_s(), one.tau, one.tau_predicted
         )
+        pages.append(Page(name=signals.recording, groups={"torque": torque, "residual": residual}))
     return Picture(
-        name=f"{validated[0].signals.robot.name} validation",
+        name=f"{validated[0].problem.signals.robot.name} validation",
         document=document,
         pages=tuple(pages),
-        sha256={**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}},
+        sha256={
+            **sha256,
+            **{one.problem.signals.recording: one.problem.signals.sha256 for one in validated},
+        },
     )
 
 

@@ -5,6 +5,7 @@ real TX40, random arms.
 import dataclasses
 import json
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -38,10 +39,10 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     torque error hardly larger.
     """
     c, problem = consistent.consistent_set, consistent.problem
-    assert c.names == problem.model.names
+    value = {p.name: p.value for p in consistent.standard_parameters}
+    assert tuple(value) == problem.model.names
     physical = physical_parameters(problem.model)
-    assert lowest(physical, c.chi) > 0
-    value = dict(zip(c.names, c.chi, strict=True))
+    assert lowest(physical, np.array([*value.values()])) > 0
     assert value["Ia5"] > value["Ia6"] > 0
     assert value["Fv5"] * value["Fv6"] > value["Fvm6"] ** 2
     assert (
@@ -53,14 +54,15 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
         for errors in (consistent.errors, consistent.consistent_errors)
     )
     assert free < held < free + 0.1
-    moved = (c.beta - consistent.beta) / consistent.intervals.half
+    beta = np.array([p.value for p in c.base_parameters])
+    moved = (beta - consistent.beta) / consistent.intervals.half
     assert c.largest_move == pytest.approx(np.abs(moved).max())
     assert c.moved_most == problem.base.names[int(np.abs(moved).argmax())]
     # Nothing is said of link 1 but its part of ZZ1R; friction and offsets come from
     # the recording alone.
-    from_prior = dict(zip(c.names, c.from_prior, strict=True))
+    from_prior = {p.name: p.from_prior for p in consistent.standard_parameters}
     assert all(from_prior[f"{name}1"] for name in ("XX", "YY", "MX", "MZ", "M"))
-    assert not any(from_prior[name] for name in c.names if name[:2] in ("Fv", "Fc", "Of", "Ia"))
+    assert not any(from_prior[name] for name in from_prior if name[:2] in ("Fv", "Fc", "Of", "Ia"))
     assert not from_prior["MX2"]
     assert c.prior == "the description: all links by [parameters]"
 
@@ -78,12 +80,12 @@ def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40
         consistent.trust.line("consistent"),
         signals_of(tx40),
     )
-    assert (line.level, line.value) == ("ok", c.chi_squared)
+    assert (line.level, line.value) == ("ok", c.chi2)
     assert f"{c.moved_most} moved by {c.largest_move:.2g} half-widths" in line.text
     other = with_consistent(
         consistent, dataclasses.replace(consistent.problem.signals.robot, parameters={})
     )
-    assert other.consistent_set.chi_squared != line.value
+    assert other.consistent_set.chi2 != line.value
     assert [
         any("has its own" in x for x in lines_of(signals, fit)) for fit in (consistent, other)
     ] == [False, True]
@@ -91,19 +93,22 @@ def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40
 
 def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40):
     c, signals = consistent.consistent_set, signals_of(tx40)
-    moves = np.where(np.arange(len(c.moves)) == 3, 1.7, c.moves)
+    base = [*c.base_parameters]
+    base[3] = msgspec.structs.replace(base[3], move=1.7)
     far = dataclasses.replace(
-        consistent, consistent_set=dataclasses.replace(c, deviations=moves * c.reach)
+        consistent, consistent_set=msgspec.structs.replace(c, base_parameters=base)
     )
     sections = {s.title: s for s in fit_document(signals, far).sections}
     standard = sections["physically consistent standard parameters"]
     heads = ["parameter", "value", "±95%", "unit", "mostly from"]
     assert [heading for heading, _ in standard.table.columns] == heads
-    assert [row[2].value for row in standard.table.rows] == c.half.tolist()
-    assert f"moved by more than one half-width: {c.base_names[3]} (+1.7)" in standard.lines
+    assert [row[2].value for row in standard.table.rows] == [
+        p.half_width for p in consistent.standard_parameters
+    ]
+    assert f"moved by more than one half-width: {base[3].name} (+1.7)" in standard.lines
     of_base = sections["physically consistent base parameters"].table
-    assert [row[0] for row in of_base.rows] == list(c.base_names)
-    assert [row[2].value for row in of_base.rows] == c.base_half.tolist()
+    assert [row[0] for row in of_base.rows] == [p.name for p in base]
+    assert [row[2].value for row in of_base.rows] == [p.half_width for p in base]
     assert of_base.rows[3][-1].value == 1.7
     assert not any("by more than one half-width" in line for line in lines_of(signals, consistent))
 

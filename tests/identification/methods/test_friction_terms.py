@@ -282,10 +282,13 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
     )
     # What the verdict has nothing against, the consistent set leaves as it is, and
     # the other way round.
-    assert made.chi_squared == fit.trust.line("consistent").value
-    assert (np.abs(made.moves).max() > 1) == told
-    power = recorded_power([one.problem for one in fit.recordings], made.beta)
-    assert (power @ made.chi).min() > 0
+    assert made.chi2 == fit.trust.line("consistent").value
+    assert (made.largest_move > 1) == told
+    beta, chi = (
+        np.array([p.value for p in of]) for of in (made.base_parameters, fit.standard_parameters)
+    )
+    power = recorded_power([one.problem for one in fit.recordings], beta)
+    assert (power @ chi).min() > 0
 
 
 # --- several recordings

@@ -67,7 +67,7 @@ def test_the_truth_is_inside_and_no_test_warns(method, own):
 
 def test_consistent_parameters_take_the_same_terms():
     made = with_consistent(fit_of("wls"))
-    assert {"mu1", "mu2"} < set(made.consistent_set.names)
+    assert {"mu1", "mu2"} < {p.name for p in made.standard_parameters}
     errors = [one[-1].relative_error_percent for one in (made.consistent_errors, made.errors)]
     assert errors[0] == pytest.approx(errors[1], rel=0.05)
 
