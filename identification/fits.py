@@ -116,7 +116,6 @@ class StoredFit(AnyFit):
         doubts = tuple(
             line.text for line in self.file.trust or () if line.level in ("do not use", "caution")
         )
-        percents = {p.name: 100 * p.half / abs(p.value) for p in self.parameters if p.essential}
         shown = report.Section(
             title=f"the {len(rows)} best known parameters",
             warnings=doubts,
@@ -132,7 +131,7 @@ class StoredFit(AnyFit):
                 self.file.moving_relative_error_percent,
                 self.file.held_out_error_percent or None,
                 {},
-                percents,
+                methods.half_width_percents(self.parameters),
             ),
             sections=(shown,),
         )

@@ -119,10 +119,11 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.robot is None:
         shared.print_results(*edited_descriptions(fit, options.recordings))
-    verdict, reasons = fit.trust.verdict, fit.distrust
-    if options.require and not reasons and verdict != options.require:
-        reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)
-    return shared.trust_status(reasons)
+    refused = ("do not use", "caution") if options.require else ("do not use",)
+    worst = fit.trust.lines[0].level
+    return shared.trust_status(
+        [line.text for line in fit.trust.lines if line.level == worst and worst in refused]
+    )
 
 
 def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:

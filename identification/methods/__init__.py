@@ -19,10 +19,9 @@ from .consistent import (
     urdf_prior,
     with_consistent,
 )
-from .fit import Fit, FittedRecording, Pass
+from .fit import Fit, Pass
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
-from .gain_results import Gains
 from .idim import identify, identify_iv, identify_ls
 from .iteration import Iteration, regular_start
 from .model import Model, read_model
@@ -41,5 +40,11 @@ from .parameters import (
     validate_all,
     with_stored_gains,
 )
-from .recording_report import Validated, main_figures, recording_document, validation_document
+from .recording_report import (
+    Validated,
+    half_width_percents,
+    main_figures,
+    recording_document,
+    validation_document,
+)
 from .start import least_squares, with_best_ramps

@@ -16,6 +16,7 @@ from ..regression import Arm, Lag, Problem, Rows, Settings, base_places
 from ..report import (
     ConsistentFile,
     DirectModelResidual,
+    DriveGain,
     FTest,
     Method,
     StandardParameter,
@@ -24,7 +25,7 @@ from ..report import (
 )
 from ..simulation import InstrumentKind, Simulated
 from ..trust import FitData, HeldOut, Trust
-from .gain_results import EstimatedPayload, Gains
+from .gain_results import EstimatedPayload
 
 WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
 
@@ -245,7 +246,8 @@ class Fit:
         consistent_set, standard_parameters: the nearest physically consistent parameters, if
             requested; `consistent_errors`: their torque errors, as `errors`.
         data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
-        gains: of the drives, if identified; `payloads`: of the recordings that have one.
+        gains: of the drives, if identified, with the smallest eigenvalue of the statistic of Cragg
+            and Donald; `payloads`: of the recordings that have one.
         own: the test of parameters of single recordings; None if all are shared.
     """
 
@@ -269,7 +271,8 @@ class Fit:
     consistent_errors: tuple[TorqueResidual, ...] = ()
     own: FTest | None = None
     method_reason: str = "as requested"
-    gains: Gains | None = None
+    gains: tuple[DriveGain, ...] = ()
+    cragg_donald: float | None = None
     payloads: tuple[EstimatedPayload, ...] = ()
 
     @property
@@ -339,6 +342,11 @@ class Fit:
                 text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)
             )
         )
+
+    @property
+    def held_out_error_percent(self) -> float | None:
+        """Torque error of blocks of time predicted by the others."""
+        return self.trust.line("held-out blocks").value
 
     @property
     def distrust(self) -> tuple[str, ...]:

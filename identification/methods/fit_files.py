@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import msgspec
-import numpy as np
 from msgspec import UNSET
 
 from acquisition.robot import Controller, Robot
@@ -15,7 +14,7 @@ from ..model import LINK
 from ..regression import Law, Problem, forward_backward_3db_hz
 from ..trust import HeldOut
 from .fit import Fit, InstrumentEvidence
-from .gain_results import EstimatedPayload, Gains
+from .gain_results import EstimatedPayload
 from .parameters import fitted_parameters
 from .recording_report import Validated, errors_on
 
@@ -55,7 +54,7 @@ def fit_file(fit: Fit) -> report.FitFile:
             ),
             UNSET,
         ),
-        held_out_error_percent=fit.trust.line("held-out blocks").value,
+        held_out_error_percent=fit.held_out_error_percent,
         prior_source=fit.data.prior_source or UNSET,
         prior_held_out_error_percent=fit.data.prior_error_percent if prior else UNSET,
         trust=[
@@ -73,7 +72,7 @@ def fit_file(fit: Fit) -> report.FitFile:
                 fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True
             )
         ],
-        gains=_gains(fit.gains) if fit.gains else UNSET,
+        gains=list(fit.gains) or UNSET,
         payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
         law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,
         covariance=report.Covariance(names=list(e.names), values=fit.intervals.covariance.tolist()),
@@ -92,21 +91,6 @@ def fit_file(fit: Fit) -> report.FitFile:
         },
         **(_iv_keys(fit.iv) if fit.iv else {}),
     )
-
-
-def _gains(g: Gains) -> list[report.DriveGain]:
-    columns = zip(g.motors, g.units, g.described, g.values, g.half, g.determined, strict=True)
-    return [
-        report.DriveGain(
-            motor=motor,
-            unit=unit,
-            described=None if np.isnan(described) else float(described),
-            value=float(value),
-            half_width=float(half),
-            determined=bool(determined),
-        )
-        for motor, unit, described, value, half, determined in columns
-    ]
 
 
 def _law(law: Law, robot: Robot) -> report.LawFile:

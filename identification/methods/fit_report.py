@@ -1,17 +1,19 @@
 """The report of a fit: verdict, parameters, errors, settings and tests."""
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ..data import Signals
 from ..estimation import relative_error_percent
-from ..regression import ROWS, base_name
+from ..regression import ROWS
 from ..report import (
     NO_FIXED_POINT,
     Cell,
     Document,
     Number,
+    Parameter,
     Row,
     Section,
     Table,
@@ -22,6 +24,7 @@ from ..trust import LEVELS
 from . import recording_report as shared
 from .fit import Fit, InstrumentEvidence
 from .gain_results import gain_sections, payload_sections
+from .parameters import fitted_parameters
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
 HIDDEN = Section()  # the `short` of what only `--all` prints
@@ -30,6 +33,9 @@ PARAMETERS = "parameters"  # title of the section of all values
 
 def fit_document(signals: Signals, fit: Fit) -> Document:
     """A fit as a report, the verdict first."""
+    parameters = tuple(fitted_parameters(fit).parameters.values())
+    held, percents = fit.held_out_error_percent, shared.half_width_percents(parameters)
+    title = f"{signals.robot.name}: {first_line(fit, held, percents)}"
     settings = Section(
         title="settings and tests",
         lines=(
@@ -49,20 +55,20 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
         [shared.recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
     )
     return Document(
-        title=f"{signals.robot.name}: {first_line(fit)}",
+        title=title,
         badge=fit.trust.verdict,
         figures=shared.main_figures(
             fit.errors[-1].moving_relative_error_percent,
-            fit.trust.line("held-out blocks").value,
+            held,
             {f"held out, links of the {fit.data.prior_source}": fit.data.prior_error_percent},
-            shared.half_width_percents(fit),
+            percents,
         ),
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
-            *gain_sections(fit.gains),
+            *gain_sections(fit.gains, fit.cragg_donald),
             *payload_sections(fit.payloads, signals.robot.joints[-1].name),
-            _parameters(fit),
+            _parameters(fit, parameters),
             *_consistent(fit),
             *(_iv_sections(fit.iv) if fit.iv else ()),
             shared.errors_section(fit.errors, signals.robot.effort_units),
@@ -73,12 +79,10 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
     )
 
 
-def first_line(fit: Fit) -> str:
+def first_line(fit: Fit, held: float | None, percents: Mapping[str, float]) -> str:
     """Method and its reason, status, verdict with its worst finding, and the main figures."""
-    finding = f": {fit.trust.finding}" if fit.trust.finding else ""
-    figures = [shared.headline(fit.errors)]
-    if (held := fit.trust.line("held-out blocks").value) is not None:
-        figures.append(f"{held:.2g} % held out")
+    verdict = ": ".join(text for text in (fit.trust.verdict, fit.trust.finding) if text)
+    figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     alone = (
         " with instruments: reference"
         if fit.iv and fit.iv.passes[fit.iv.returned - 1].by_reference is not None
@@ -86,14 +90,12 @@ def first_line(fit: Fit) -> str:
     )
     return (
         f"{fit.method.upper()} ({fit.method_reason}), {fit.status}{alone}, "
-        f"{fit.trust.verdict}{finding}; {', '.join(figures)}; "
-        f"{_determined(fit)}"
+        f"{verdict}; {figures}; {_determined(percents, len(fit.least_squares.full.names))}"
     )
 
 
-def _determined(fit: Fit) -> str:
+def _determined(percents: Mapping[str, float], of: int) -> str:
     """How many parameters the recordings determine, and how closely."""
-    percents, of = shared.half_width_percents(fit), len(fit.least_squares.full.names)
     text = f"{len(percents)} of {of} parameters determined"
     if not percents:
         return text
@@ -170,40 +172,34 @@ def _essential_line(fit: Fit) -> str:
     )
 
 
-def _parameters(fit: Fit) -> Section:
-    e, essential = fit.estimate, set(fit.essential_names)
-    units = dict(zip(fit.base.names, fit.base.units, strict=True))
+def _parameters(fit: Fit, parameters: Sequence[Parameter]) -> Section:
     rows: list[Row] = []
     prior, error = fit.data.prior, fit.data.prior_error_percent
-    for k, name in enumerate(e.names):
-        value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
-        form, percent = value_form(sigma), 100 * half / abs(value) if value else math.inf
+    for p in parameters:
+        form, percent = value_form(p.sigma), 100 * p.half / abs(p.value) if p.value else math.inf
         numbers: list[Cell] = [
-            Number(value, form),
-            Number(half, form),
+            Number(p.value, form),
+            Number(p.half, form),
             Number(percent, ".2f", most=1000),
         ]
-        numbers += [Number(prior[name], form) if name in prior else ""] if prior else []
-        unit, mark = units[base_name(name)], "yes" if name in essential else ""
-        rows.append((name, *numbers, unit, Number(sigma, form), mark))
+        numbers += [Number(prior[p.name], form) if p.name in prior else ""] if prior else []
+        mark = "yes" if p.essential else ""
+        rows.append((p.name, *numbers, p.unit, Number(p.sigma, form), mark))
     heads = columns(
         "parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))
     ) + columns("unit")
     torque = dict(
         zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True)
     )
-    places = sorted(
-        range(len(rows)),
-        key=lambda k: (e.names[k] not in essential, -abs(e.beta[k]) * torque[e.names[k]]),
-    )
-    places = sorted(places[: min(MAX_SHORT_PARAMETERS, len(essential))])
+    essential = [k for k, p in enumerate(parameters) if p.essential]
+    essential.sort(key=lambda k: -abs(parameters[k].value) * torque[parameters[k].name])
+    places = sorted(essential[:MAX_SHORT_PARAMETERS])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
     meaning = "±95%: half-width of the 95 % interval"
     if error is not None:
-        held = _percent(fit.trust.line("held-out blocks").value)
         meaning += (
             f"; torque error held out: links of the {fit.data.prior_source} {_percent(error)}, "
-            f"fit {held}"
+            f"fit {_percent(fit.held_out_error_percent)}"
         )
     return Section(
         title=PARAMETERS,

@@ -11,34 +11,9 @@ from acquisition.robot import Payload
 
 from ..arrays import Array
 from ..model import LINK
-from ..report import Number, Row, Section, Table, columns
+from ..report import DriveGain, Number, Row, Section, Table, columns
 
 MASS, MOMENTS = LINK.index("M"), [LINK.index(name) for name in ("MX", "MY", "MZ")]
-MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Gains:
-    """Identified drive gains.
-
-    Attributes:
-        motors: (m,) names; `units`: of the gains, such as N m/A.
-        described: (m,) gains of the description, NaN where it has none.
-        values, half: (m,) gains, and half-widths of their 95 % intervals.
-        cragg_donald: smallest eigenvalue of the Cragg-Donald statistic of the gains.
-    """
-
-    motors: tuple[str, ...]
-    units: tuple[str, ...]
-    described: Array
-    values: Array
-    half: Array
-    cragg_donald: float
-
-    @property
-    def determined(self) -> NDArray[np.bool_]:
-        """(m,) whether a gain is known to better than 10 %."""
-        return np.asarray(self.half < MAX_GAIN_SHARE * np.abs(self.values))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,35 +42,37 @@ class EstimatedPayload:
         return moments / m, np.hypot(self.half[MOMENTS] / m, moments / m**2 * self.half[MASS])
 
 
-def gain_sections(g: Gains | None) -> list[Section]:
-    """Identified drive gains beside those of the description."""
-    if g is None:
+def gain_sections(gains: Sequence[DriveGain], cragg_donald: float | None) -> list[Section]:
+    """Identified drive gains beside those of the description, and how well they are told apart from
+    the arm: the smallest eigenvalue of the statistic of Cragg and Donald.
+    """
+    if not gains:
         return []
-    rows = zip(g.motors, g.described, g.values, g.half, g.determined, g.units, strict=True)
     table = Table(
         columns=columns("motor", numbers=("described", "identified", "±95%", "in %"))
         + columns("unit", ""),
         rows=tuple(
             (
-                name,
-                Number(described if np.isfinite(described) else None, ".4g"),
-                Number(value, ".4g"),
-                Number(half, ".2g"),
-                Number(100 * half / abs(value) if value else math.inf, ".2f", most=1000),
-                unit,
-                "" if determined else "not determined",
+                one.motor,
+                Number(one.described, ".4g"),
+                Number(one.value, ".4g"),
+                Number(one.half_width, ".2g"),
+                Number(
+                    100 * one.half_width / abs(one.value) if one.value else math.inf,
+                    ".2f",
+                    most=1000,
+                ),
+                one.unit,
+                "" if one.determined else "not determined",
             )
-            for name, described, value, half, determined, unit in rows
+            for one in gains
         ),
     )
     line = (
-        f"smallest Cragg-Donald eigenvalue {g.cragg_donald:.3g}: how well the payload "
+        f"smallest Cragg-Donald eigenvalue {cragg_donald:.3g}: how well the payload "
         "separates gains and arm"
     )
-    values = [
-        f"{n} {v:.4g} ± {h:.2g} {u}"
-        for n, v, h, u in zip(g.motors, g.values, g.half, g.units, strict=True)
-    ]
+    values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in gains]
     short = Section(lines=(f"drive gains: {', '.join(values)}",))
     return [Section(title="drive gains", table=table, lines=(line,), short=short)]
 

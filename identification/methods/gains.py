@@ -15,9 +15,12 @@ from .. import estimation
 from ..arrays import Array
 from ..estimation import Estimate, Intervals, System
 from ..regression import Lag, Rows, base_places
+from ..report import DriveGain
 from ..trust import FitData
-from .gain_results import EstimatedPayload, Gains
+from .gain_results import EstimatedPayload
 from .model import Model
+
+MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
 
 
 def held_and_counted(
@@ -65,7 +68,7 @@ def results_of(model: Model, evidence: FitData) -> dict[str, Any]:
     """
     of, estimate, found = model.unknowns, evidence.estimate, evidence.intervals
     base, robot = base_places(estimate.names), model.problem.signals.robot
-    payloads, motors, gains = [], [robot.motors[m] for m in of.motors], None
+    payloads, gains, cragg_donald = [], list[DriveGain](), None
     for one in of.payloads:
         own = np.array(
             [estimate.names.index(name) for name in one.names if name in estimate.names],
@@ -86,23 +89,28 @@ def results_of(model: Model, evidence: FitData) -> dict[str, Any]:
                 near=not one.names or bool(half.any()),
             )
         )
-    if motors:
-        at = [estimate.names.index(name) for name in of.names[of.gains]]
-        gains = Gains(
-            motors=tuple(motor.name for motor in motors),
-            units=tuple(
-                f"{robot.effort_units[m]}/{robot.motors[m].recorded_unit}" for m in of.motors
-            ),
-            described=np.array([np.nan if m.gain is None else m.gain for m in motors]),
-            values=robot.gain[list(of.motors)] * estimate.beta[at],
-            half=np.abs(robot.gain[list(of.motors)]) * found.half[at],
-            cragg_donald=smallest_cragg_donald(
-                evidence.observed.system, evidence.Z, estimate.weights, of.gains
-            ),
+    for m, name in zip(of.motors, of.names[of.gains], strict=True):
+        motor, at = robot.motors[m], estimate.names.index(name)
+        value = float(robot.gain[m] * estimate.beta[at])
+        width = float(np.abs(robot.gain[m]) * found.half[at])
+        gains.append(
+            DriveGain(
+                motor=motor.name,
+                unit=f"{robot.effort_units[m]}/{motor.recorded_unit}",
+                described=motor.gain,
+                value=value,
+                half_width=width,
+                determined=width < MAX_GAIN_SHARE * abs(value),
+            )
+        )
+    if gains:
+        cragg_donald = smallest_cragg_donald(
+            evidence.observed.system, evidence.Z, estimate.weights, of.gains
         )
     return {
         "estimate": estimate.part(base),
         "intervals": found.part(base),
-        "gains": gains,
+        "gains": tuple(gains),
+        "cragg_donald": cragg_donald,
         "payloads": tuple(payloads),
     }

@@ -2,7 +2,7 @@
 fit on other recordings.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +18,18 @@ from ..regression import (
     forward_backward_3db_hz,
     torque_of_recording,
 )
-from ..report import Document, FTest, Number, Row, Section, Table, TorqueResidual, columns
-from .fit import Fit, FittedRecording
+from ..report import (
+    Document,
+    FTest,
+    Number,
+    Parameter,
+    Row,
+    Section,
+    Table,
+    TorqueResidual,
+    columns,
+)
+from .fit import FittedRecording
 
 ERROR_COLUMNS = ("all rows", "moving", "standing")
 
@@ -200,11 +210,9 @@ def error_line(errors: tuple[TorqueResidual, ...]) -> str:
     )
 
 
-def half_width_percents(fit: Fit) -> dict[str, float]:
+def half_width_percents(parameters: Iterable[Parameter]) -> dict[str, float]:
     """The half-width in percent of each essential parameter."""
-    e, essential = fit.estimate, {*fit.essential_names}
-    found = zip(e.names, fit.intervals.half, np.abs(e.beta), strict=True)
-    return {name: 100 * float(half / value) for name, half, value in found if name in essential}
+    return {p.name: 100 * p.half / abs(p.value) for p in parameters if p.essential}
 
 
 def main_figures(

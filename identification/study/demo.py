@@ -177,21 +177,12 @@ def gains_document(fit: Fit, true: Sequence[float]) -> Document:
     """Identified drive gains beside those described and the true ones, each with
     its error in half-widths.
     """
-    assert fit.gains is not None
-    g, rows = fit.gains, []
-    for name, unit, *values, half in zip(
-        g.motors, g.units, g.described, true, g.values, g.half, strict=True
-    ):
-        form = value_form(float(half) / 2)
-        rows.append(
-            (
-                name,
-                *(Number(float(x), form) for x in (*values, half)),
-                Number(float((values[2] - values[1]) / half), "+.2f"),
-                unit,
-            )
-        )
-    within = int((np.abs(g.values - true) <= g.half).sum())
+    rows, within = list[Row](), 0
+    for one, of_drive in zip(fit.gains, true, strict=True):
+        half, off = one.half_width, one.value - of_drive
+        form, within = value_form(half / 2), within + (abs(off) <= half)
+        values = (Number(x, form) for x in (one.described, of_drive, one.value, half))
+        rows.append((one.motor, *values, Number(off / half, "+.2f"), one.unit))
     names = ", ".join(one.problem.signals.recording for one in fit.recordings)
     lines = (
         f"{within} of {len(true)} true values inside; verdict of the fit: {fit.trust.verdict}",

@@ -118,3 +118,8 @@ def with_motors(text: str, unit: str, gains: Array | None, half: Array | None = 
 
 def robot_of(text: str) -> Robot:
     return robot_from_files({"robot.toml": text.encode()}, "robot.toml")
+
+
+def gains_of(fit: Fit) -> tuple[Array, Array]:
+    """The identified gains (m,) and their half-widths (m,)."""
+    return np.array([one.value for one in fit.gains]), np.array([x.half_width for x in fit.gains])

@@ -50,12 +50,12 @@ def test_two_recordings_are_fitted_with_what_they_have(
         and all(one.problem.law.reason is None for one in fit.recordings)
     )
     assert (off(fit) < 1.5).all()
-    assert (fit.own is None, fit.gains is None) == (
+    assert (fit.own is None, fit.gains == ()) == (
         not {"own", "gains"} & concerns,
         "gains" not in concerns,
     )
     if fit.gains:
-        assert abs(fit.gains.values[0] - TRUE[1]) < 2 * fit.gains.half[0] < 0.25
+        assert abs(fit.gains[0].value - TRUE[1]) < 2 * fit.gains[0].half_width < 0.25
     # The mean of own parameters is validated, and load friction where the fit has it linearised.
     tolerance = (
         0.06

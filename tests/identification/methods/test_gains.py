@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_runs import refused
 from described_truth import off, truth_of
-from gain_cases import GainCase, fit_with_gains, with_gains
+from gain_cases import GainCase, fit_with_gains, gains_of, with_gains
 from planned_pairs import planned, planned_pair
 
 import identification.methods.idim as idim
@@ -73,24 +73,24 @@ def test_rows_made_by_the_model_give_gains_and_parameters_exactly(robot, catalog
     case = GainCase(robot=robot, catalogue=catalogue)
     monkeypatch.setattr(idim, "read_model", lambda *given: exact(read_model(*given), case))
     fit = fit_with_gains(*planned_pair(case))
-    np.testing.assert_allclose(fit.gains.values, case.gains, rtol=1e-6)
+    np.testing.assert_allclose(gains_of(fit)[0], case.gains, rtol=1e-6)
     true = truth_of(fit)
     np.testing.assert_allclose(fit.estimate.beta, true, rtol=1e-6, atol=1e-6 * np.abs(true).max())
 
 
 def test_a_known_gain_tells_the_scale_without_a_payload():
     recording = with_gains(planned(WHITE, None, 0), WHITE.gains * [1.0, 1.3], None)
-    gains = fitted(recording, gains=("motor_2",)).gains
-    assert (gains.motors, gains.described) == (("motor_2",), WHITE.gains[1] * 1.3)
-    assert abs(gains.values[0] - WHITE.gains[1]) <= 1.5 * gains.half[0] < 0.05 * WHITE.gains[1]
+    (gain,) = fitted(recording, gains=("motor_2",)).gains
+    assert (gain.motor, gain.described) == ("motor_2", WHITE.gains[1] * 1.3)
+    assert abs(gain.value - WHITE.gains[1]) <= 1.5 * gain.half_width < 0.05 * WHITE.gains[1]
 
 
 @pytest.mark.parametrize(("robot", "push"), [("scara", 1.0), ("emps", 20.0)])
 def test_a_known_torque_tells_the_scale_without_a_payload(robot, push):
     case = replace(WHITE, robot=robot)
-    gains = fitted(planned(case, None, 0, push=push), gains=("all",)).gains
-    assert (np.abs(gains.values - case.gains) <= 1.5 * gains.half).all()
-    assert (gains.half < 0.05 * case.gains).all()
+    gains, half = gains_of(fitted(planned(case, None, 0, push=push), gains=("all",)))
+    assert (np.abs(gains - case.gains) <= 1.5 * half).all()
+    assert (half < 0.05 * case.gains).all()
 
 
 @pytest.fixture(scope="module")
@@ -227,14 +227,14 @@ def test_the_half_width_of_the_mass_adds_to_the_intervals(pair):
     sure, unsure, moved = (fitted(free, one, gains=("all",)) for one in (loaded, unsure, heavy))
     for of_mass, half, value in (
         (moved.estimate.beta - sure.estimate.beta, unsure.intervals.half, sure.intervals.half),
-        (moved.gains.values - sure.gains.values, unsure.gains.half, sure.gains.half),
+        (gains_of(moved)[0] - gains_of(sure)[0], gains_of(unsure)[1], gains_of(sure)[1]),
     ):
         np.testing.assert_allclose(half, np.hypot(value, of_mass), rtol=5e-3, atol=1e-9)
 
 
 def test_a_payload_is_weighed_with_gains_and_their_half_widths(fit):
     """The half-widths seen by a second way: fits with one gain each moved by its half-width."""
-    gains, half = fit.gains.values, fit.gains.half
+    gains, half = gains_of(fit)
     free, loaded = planned_pair(replace(WHITE, mass_kg=1.4), 1)
     loaded = replace(loaded, payload=Payload(None))
 
@@ -345,7 +345,8 @@ def test_without_a_reference_the_gains_are_those_of_the_measured_motion(pair, fi
     assert (fit.status, fit.trust.verdict, fit.method, fit.iv) == ("solved", "caution", "iv", None)
     told = "drive gains by the measured motion: no robot is simulated without a recorded reference"
     assert fit.trust.line("fixed point").text.startswith(told)
-    assert (np.abs(fit.gains.values - WHITE.gains) <= fit.gains.half).all()
+    gains, half = gains_of(fit)
+    assert (np.abs(gains - WHITE.gains) <= half).all()
 
 
 def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
@@ -357,7 +358,7 @@ def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
     assert line.text.startswith(
         "drive gains by the measured motion: no robot is simulated with these: "
     )
-    assert (fit.gains.values < 0).all()
+    assert (gains_of(fit)[0] < 0).all()
 
 
 def test_consistent_parameters_need_no_described_gain(folder, capsys, tmp_path):
