@@ -78,8 +78,7 @@ for start_kg, gain_update in ((1e-3, True), (1.0, True), (1e3, True), (1.0, Fals
         start="regular", inertias=np.array([start_kg]), gain_update=gain_update
     )
     iv = idim.identify_iv(emps, idim.Overrides(), iteration)
-    assert iv.iv is not None
-    first, last = iv.iv.passes[0], iv.iv.passes[-1]
+    first, last = iv.passes[0], iv.passes[-1]
     print(
         f"{start_kg:8g} kg  {'on' if gain_update else 'off':>5}   {first.kind:>17}   "
         f"{last.change_sigma:5.2f} sigma   {mass(iv)}"
@@ -94,9 +93,8 @@ tx40 = idim.identify_iv(
 )
 true = idim.read_fit(HERE / "tx40" / "truth.json")
 inside = sum(p.low <= true.parameters[k].value <= p.high for k, p in enumerate(tx40.parameters))
-assert tx40.iv is not None
 print(
-    f"TX40: {len(tx40.beta)} parameters, {tx40.status} in {len(tx40.iv.passes)} passes; {inside} "
+    f"TX40: {len(tx40.beta)} parameters, {tx40.status} in {len(tx40.passes)} passes; {inside} "
     "true values inside"
 )
 

@@ -105,9 +105,8 @@ def tx40_rows(recording: Path) -> Iterator[Row]:
     begin = time.perf_counter()
     iv = identify_iv(signals, Overrides(), Iteration())
     seconds = time.perf_counter() - begin
-    assert iv.iv is not None
     yield "TX40: base parameters", "60", str(len(iv.beta)), TX40_IV
-    yield "TX40: passes of iv", "3", f"{len(iv.iv.passes)}, {iv.status}", TX40_IV
+    yield "TX40: passes of iv", "3", f"{len(iv.passes)}, {iv.status}", TX40_IV
     yield "TX40: time of iv, s", "11", f"{seconds:.0f} s", TX40_IV
     yield "TX40, least squares: relative error, %", "not stated", f"{error(ls):.2f}", TX40_LS
     for name in ("ZZ1R", "Fv1", "Fc1", "Ia3", "Ia4", "Fvm6", "Fcm6"):
@@ -122,7 +121,6 @@ def tx40_rows(recording: Path) -> Iterator[Row]:
 def scara_rows() -> Iterator[Row]:
     fit = identify_iv(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(), Iteration())
     robot = robot_named("scara")
-    assert fit.iv is not None
     for k, (name, value) in enumerate(zip(fit.base.names, fit.beta, strict=True)):
         if name in robot.parameters:
             half = fit.intervals.half[k]
@@ -132,7 +130,7 @@ def scara_rows() -> Iterator[Row]:
                 f"{value:.4f} ± {half:.4f}",
                 SCARA,
             )
-    yield "SCARA: passes of iv", "not stated", f"{len(fit.iv.passes)}, {fit.status}", SCARA
+    yield "SCARA: passes of iv", "not stated", f"{len(fit.passes)}, {fit.status}", SCARA
 
 
 def page(emps: Path, tx40: Path) -> str:

@@ -30,7 +30,7 @@ from ..trust import (
     trust_in,
     with_predictions,
 )
-from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
+from .fit import Fit, FittedRecording, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
 from .iteration import Loop
 from .model import Model
@@ -230,24 +230,6 @@ def assess_iv(
     (status, reason), (strength, F) = ended, tests
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half
-        contrast = np.nan_to_num(np.where(np.isin(estimate.names, ls.full.names), off, 0.0))
-    iv = InstrumentEvidence(
-        start=loop.iteration.start,
-        reference="recorded" if model.exogenous else "surrogate",
-        controller=max((one.controller for one in z), key=get_args(ControllerKind).index),
-        passes=tuple(passes),
-        returned=best.number,
-        reason=reason,
-        strength=strength,
-        first_stage_F=F,
-        contrast=float(contrast.max()),
-        contrast_at=estimate.names[int(contrast.argmax())],
-        rows_used_percent=float(100 * (rows.share > 0).mean()),
-        saturated_percent=largest([max(one.saturated.values(), default=None) for one in z]),
-        direct=direct_errors(z),
-    )
     evidence = replace(
         evidence,
         fixed_point=status in ("converged", "not_confirmed"),
@@ -257,7 +239,19 @@ def assess_iv(
     )
     fit = fit_of(model, evidence, x, ls, z)
     warnings = (*fit.warnings, *_iv_warnings(model, z, F))
-    return replace(fit, status=status, iv=iv, warnings=warnings)
+    return replace(
+        fit,
+        status=status,
+        warnings=warnings,
+        start=loop.iteration.start,
+        passes=tuple(passes),
+        returned=best.number,
+        reason=reason,
+        controller=max((one.controller for one in z), key=get_args(ControllerKind).index),
+        strength=strength,
+        saturated_percent=largest([max(one.saturated.values(), default=None) for one in z]),
+        direct=direct_errors(z),
+    )
 
 
 def _iv_warnings(model: Model, z: Sequence[Simulated], first_stage_F: float) -> tuple[str, ...]:

@@ -123,42 +123,6 @@ class Pass:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class InstrumentEvidence:
-    """Results of the instrumental variable method in a fit.
-
-    Attributes:
-        start: as of `Iteration`.
-        reference: `recorded`, or `surrogate`: the measured position, with which the
-            instruments are not strictly exogenous. `controller`: `described`, `found` in the
-            recording, or `surrogate`: a PD of the bandwidth. Of several recordings the last of
-            these that one of them has.
-        passes: in order; `returned` is the number, counted from 1, of the one
-            whose estimate this is.
-        reason: of the status; None for `converged` with instruments of a simulated robot.
-        strength, first_stage_F: of the instruments, as of `estimation.first_stage`.
-        contrast, contrast_at: largest difference of least squares from the estimate, in
-            half-widths, and its parameter.
-        saturated_percent: share of recorded samples at a drive's limit; None if no limit is stated.
-        direct: errors of the direct model by joint; empty if the final estimate
-            could not be simulated.
-    """
-
-    start: str
-    reference: Literal["recorded", "surrogate"]
-    controller: Literal["described", "found", "surrogate"]
-    passes: tuple[Pass, ...]
-    returned: int
-    reason: str | None
-    strength: float
-    first_stage_F: float
-    contrast: float
-    contrast_at: str
-    rows_used_percent: float
-    saturated_percent: float | None
-    direct: tuple[DirectModelResidual, ...]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class LeastSquares:
     """The least squares solution that every fit has.
 
@@ -242,7 +206,16 @@ class Fit:
             order of their digests.
         tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
         errors: one entry per joint and, last, all joints together.
-        iv: None after least squares.
+        passes: of the instrumental variable method, in order, from a `start` as of `Iteration`;
+            none after least squares. `returned` is the number, counted from 1, of the one whose
+            estimate this is.
+        reason: of the status; None for `converged` with instruments of a simulated robot.
+        controller: `described`, `found` in the recording, or `surrogate`: a PD of the bandwidth. Of
+            several recordings the last of these that one of them has.
+        strength: of the instruments, as of `estimation.first_stage`.
+        saturated_percent: share of recorded samples at a drive's limit; None if no limit is stated.
+        direct: errors of the direct model by joint; empty if the final estimate
+            could not be simulated.
         consistent_set, standard_parameters: the nearest physically consistent parameters, if
             requested; `consistent_errors`: their torque errors, as `errors`.
         data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
@@ -265,7 +238,14 @@ class Fit:
     warnings: tuple[str, ...]
     trust: Trust
     data: FitData
-    iv: InstrumentEvidence | None = None
+    start: str = ""
+    passes: tuple[Pass, ...] = ()
+    returned: int = 0
+    reason: str | None = None
+    controller: Literal["described", "found", "surrogate"] | None = None
+    strength: float = 1.0
+    saturated_percent: float | None = None
+    direct: tuple[DirectModelResidual, ...] = ()
     consistent_set: ConsistentFile | None = None
     standard_parameters: tuple[StandardParameter, ...] = ()
     consistent_errors: tuple[TorqueResidual, ...] = ()
@@ -282,15 +262,16 @@ class Fit:
 
     def on(self, one: FittedRecording) -> "Fit":
         """The fit restricted to one of its recordings: rows, errors and simulated robot."""
-        iv = self.iv
-        if iv is not None and one.simulated is not None:
-            iv = replace(iv, direct=one.simulated.by_joint)
         rows = {
             name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")
         }
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(
-            self, recordings=(replace(one, rows=here),), errors=one.errors, iv=iv, **rows
+            self,
+            recordings=(replace(one, rows=here),),
+            errors=one.errors,
+            direct=one.simulated.by_joint if one.simulated else (),
+            **rows,
         )
 
     @property
@@ -342,6 +323,26 @@ class Fit:
                 text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)
             )
         )
+
+    @property
+    def reference(self) -> Literal["recorded", "surrogate"]:
+        """`surrogate`: the measured position, with which instruments are not strictly exogenous."""
+        given = all(one.problem.signals.q_ref is not None for one in self.recordings)
+        return "recorded" if given else "surrogate"
+
+    @property
+    def rows_used_percent(self) -> float:
+        """Share of the rows that count."""
+        return float(100 * self.data.observed.counts.mean())
+
+    @property
+    def contrast(self) -> tuple[float, str]:
+        """Largest difference of least squares from the estimate, in half-widths; its parameter."""
+        estimate, full = self.data.estimate, self.data.least_squares
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.abs(full.values_of(estimate.names) - estimate.beta) / self.data.intervals.half
+        off = np.nan_to_num(np.where(np.isin(estimate.names, full.names), off, 0.0))
+        return float(off.max()), estimate.names[int(off.argmax())]
 
     @property
     def held_out_error_percent(self) -> float | None:

@@ -13,7 +13,7 @@ from .. import report
 from ..model import LINK
 from ..regression import Law, Problem, forward_backward_3db_hz
 from ..trust import HeldOut
-from .fit import Fit, InstrumentEvidence
+from .fit import Fit
 from .gain_results import EstimatedPayload
 from .parameters import fitted_parameters
 from .recording_report import Validated, errors_on
@@ -89,7 +89,7 @@ def fit_file(fit: Fit) -> report.FitFile:
             for name in ("robot.toml", "robot.urdf")
             if name in signals.robot.files
         },
-        **(_iv_keys(fit.iv) if fit.iv else {}),
+        **(_iv_keys(fit) if fit.passes else {}),
     )
 
 
@@ -208,14 +208,14 @@ def _recording(
     )
 
 
-def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
+def _iv_keys(fit: Fit) -> dict[str, Any]:
     """The keys of the instrumental variable method."""
     return {
-        "reason": iv.reason,
-        "pass_returned": iv.returned,
-        "start": iv.start,
-        "reference": iv.reference,
-        "controller": iv.controller,
+        "reason": fit.reason,
+        "pass_returned": fit.returned,
+        "start": fit.start,
+        "reference": fit.reference,
+        "controller": fit.controller,
         "iterations": [
             report.PassFile(
                 instruments=p.kind,
@@ -229,11 +229,11 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
                 condition_number_ztw=p.estimate.condition_number_scaled,
                 settled=p.settled,
             )
-            for p in iv.passes
+            for p in fit.passes
         ],
-        "instrument_tests": {"strength": iv.strength, "first_stage_F": iv.first_stage_F},
-        "contrast_half_widths": iv.contrast,
-        "rows_used_percent": iv.rows_used_percent,
-        "saturated_percent": iv.saturated_percent,
-        "direct_model": list(iv.direct),
+        "instrument_tests": {"strength": fit.strength, "first_stage_F": fit.data.first_stage_F},
+        "contrast_half_widths": fit.contrast[0],
+        "rows_used_percent": fit.rows_used_percent,
+        "saturated_percent": fit.saturated_percent,
+        "direct_model": list(fit.direct),
     }

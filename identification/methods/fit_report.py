@@ -22,7 +22,7 @@ from ..report import (
 )
 from ..trust import LEVELS
 from . import recording_report as shared
-from .fit import Fit, InstrumentEvidence
+from .fit import Fit
 from .gain_results import gain_sections, payload_sections
 from .parameters import fitted_parameters
 
@@ -46,7 +46,7 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
             ),
             f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
             f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
-            *(_iv_lines(fit.iv) if fit.iv else ()),
+            *(_iv_lines(fit) if fit.passes else ()),
             *(shared.recording_lines(signals) if len(fit.recordings) == 1 else ()),
         ),
         short=HIDDEN,
@@ -70,7 +70,7 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
             *payload_sections(fit.payloads, signals.robot.joints[-1].name),
             _parameters(fit, parameters),
             *_consistent(fit),
-            *(_iv_sections(fit.iv) if fit.iv else ()),
+            *(_iv_sections(fit) if fit.passes else ()),
             shared.errors_section(fit.errors, signals.robot.effort_units),
             *several,
             settings,
@@ -85,7 +85,7 @@ def first_line(fit: Fit, held: float | None, percents: Mapping[str, float]) -> s
     figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     alone = (
         " with instruments: reference"
-        if fit.iv and fit.iv.passes[fit.iv.returned - 1].by_reference is not None
+        if fit.passes and fit.passes[fit.returned - 1].by_reference is not None
         else ""
     )
     return (
@@ -109,7 +109,7 @@ def _determined(percents: Mapping[str, float], of: int) -> str:
 
 
 def _verdict_section(fit: Fit) -> Section:
-    reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
+    reason = f": {fit.reason}" if fit.reason else ""
     lines = (
         [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"]
         if fit.trust.assumed
@@ -161,7 +161,7 @@ def _essential_line(fit: Fit) -> str:
         len(fit.essential_names),
         len(fit.least_squares.full.names),
     )
-    by, kept = " (by least squares)" if fit.iv else "", len(reduction.names)
+    by, kept = " (by least squares)" if fit.passes else "", len(reduction.names)
     line = f"{count} of {of} parameters determined{by}"
     line += f", {kept - count} unclear: an interval wider than the value" if kept > count else ""
     if reduction.F is None or not math.isfinite(reduction.F):
@@ -280,7 +280,7 @@ def _rows_line(fit: Fit) -> str:
     return f"{line}; samples below {slow} weigh nothing, ramps of {fit.settings.ramp_rows:g} rows"
 
 
-def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
+def _iv_sections(fit: Fit) -> list[Section]:
     """The passes of the instrumental variable method, and the errors of the direct model."""
     passes = Table(
         columns=columns(numbers=("pass",))
@@ -298,11 +298,11 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
                 Number(float(p.gains.max()), ".3g"),
                 Number(p.estimate.condition_number_scaled, ".1f"),
             )
-            for number, p in enumerate(iv.passes, 1)
+            for number, p in enumerate(fit.passes, 1)
         ),
     )
-    sections = [Section(title=f"passes from start: {iv.start}", table=passes, short=HIDDEN)]
-    if iv.direct:
+    sections = [Section(title=f"passes from start: {fit.start}", table=passes, short=HIDDEN)]
+    if fit.direct:
         direct = Table(
             columns=columns("joint", numbers=("position", "torque")),
             rows=tuple(
@@ -311,7 +311,7 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
                     Number(d.position_error_percent, ".2f"),
                     Number(d.torque_error_percent, ".2f"),
                 )
-                for d in iv.direct
+                for d in fit.direct
             ),
         )
         sections.append(
@@ -320,19 +320,19 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
     return sections
 
 
-def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
+def _iv_lines(fit: Fit) -> tuple[str, ...]:
     """Tests of the instruments, and why a pass could not be simulated."""
     return (
         *(
             f"pass {k}: instruments {p.kind}: {p.reason}"
-            for k, p in enumerate(iv.passes, 1)
+            for k, p in enumerate(fit.passes, 1)
             if p.reason
         ),
-        f"instruments: smallest correlation with W {iv.strength:.3f}, first-stage F "
-        f"{iv.first_stage_F:.3g}",
-        f"least squares differs by {iv.contrast:.2g} half-widths, at {iv.contrast_at}",
-        f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller "
-        f"{iv.controller}",
+        f"instruments: smallest correlation with W {fit.strength:.3f}, first-stage F "
+        f"{fit.data.first_stage_F:.3g}",
+        f"least squares differs by {fit.contrast[0]:.2g} half-widths, at {fit.contrast[1]}",
+        f"{fit.rows_used_percent:.1f} % of the rows used; reference {fit.reference}, controller "
+        f"{fit.controller}",
     )
 
 

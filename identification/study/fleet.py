@@ -130,7 +130,7 @@ def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) 
         method=fit.method,
         status=fit.status,
         verdict=fit.trust.verdict,
-        reason=(fit.iv.reason or "") if fit.iv else "",
+        reason=fit.reason or "",
         moving_error_percent=fit.errors[-1].moving_relative_error_percent,
         parameters=dict(fitted_parameters(fit).parameters),
     )

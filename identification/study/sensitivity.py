@@ -117,7 +117,7 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     return VariedFit(
         variant=variant,
         ended=fit.status,
-        passes=len(fit.iv.passes) if fit.iv else 0,
+        passes=len(fit.passes),
         values=values,
         essential=fit.essential_names,
         units=dict(zip(base.names, base.units, strict=True)),

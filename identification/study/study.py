@@ -137,5 +137,4 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         iv = identify_iv(signals, Overrides(law=ls.problem.law), Iteration())
     except RobotIdimError as error:
         return replace(run, reason=error.args[0])
-    assert iv.iv is not None
-    return replace(run, status=iv.status, reason=iv.iv.reason, iv=result(iv))
+    return replace(run, status=iv.status, reason=iv.reason, iv=result(iv))

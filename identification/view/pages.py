@@ -31,7 +31,7 @@ def draw_fit(signals: Signals, fit: methods.Fit, *, truth: Array | None = None) 
     `column/<quantity>`, `events`, `health`, `report`.
     """
     own = methods.fitted_parameters(fit)
-    others = [methods.least_squares_parameters(fit)] if fit.iv else []
+    others = [methods.least_squares_parameters(fit)] if fit.passes else []
     others += [methods.true_parameters(fit.base, truth)] if truth is not None else []
     document = methods.fit_document(signals, fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)

@@ -107,7 +107,7 @@ def test_fit_of_the_tx40_recording(tx40):
 def test_instrumental_variables_on_the_tx40_recording(tx40):
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
-    passes = len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
+    passes = len(identify_iv(signals, Overrides(), Iteration()).passes)
     floor_of_the_passes = floor_of_passes(dynamics, np.ascontiguousarray(signals.q), passes)
     found, floor_s = ratio(
         lambda: identify_iv(load_signals(tx40), Overrides(), Iteration()),
@@ -171,7 +171,7 @@ def test_whole_processes_on_the_tx40_recording(tx40):
     dynamics = InverseModel(signals.robot)
     q = np.ascontiguousarray(signals.q)
     passes = floor_of_passes(
-        dynamics, q, len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
+        dynamics, q, len(identify_iv(signals, Overrides(), Iteration()).passes)
     )
     fit = (sys.executable, "-m", "identification", "fit", tx40, "--method")
     everything = "import identification as i; i.fit, i.identify_iv, i.load_signals"

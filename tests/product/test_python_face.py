@@ -70,7 +70,7 @@ def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     from identification.study import study_truth
 
     base, true = study_truth(signals.robot)
-    assert (by_iv.status, by_iv.base.names, by_iv.iv.reference) == (
+    assert (by_iv.status, by_iv.base.names, by_iv.reference) == (
         "converged",
         base.names,
         "recorded",
@@ -79,7 +79,7 @@ def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     without = identification.fit(signals.q, signals.effort, 1000.0, signals.robot)
     assert (by_iv.method, without.method) == ("iv", "wls")
     asked = identification.fit(signals.q, signals.effort, 1000.0, signals.robot, method="iv")
-    assert asked.iv.reference == "surrogate"
+    assert asked.reference == "surrogate"
 
 
 def test_arrays_are_copied_and_tell_recordings_apart(signals):

@@ -44,9 +44,9 @@ def test_two_recordings_are_fitted_with_what_they_have(
     fit = fitted(paths, concerns, Work())
     assert bits(fitted(paths, concerns, Work(2))) == bits(fit)
     assert fit.status == ("converged" if "reference" in columns else "solved")
-    assert fit.iv is None or (
-        (fit.iv.passes[-1].by_reference is None) == bool(tracked)
-        and fit.iv.controller == "found"
+    assert not fit.passes or (
+        (fit.passes[-1].by_reference is None) == bool(tracked)
+        and fit.controller == "found"
         and all(one.problem.law.reason is None for one in fit.recordings)
     )
     assert (off(fit) < 1.5).all()

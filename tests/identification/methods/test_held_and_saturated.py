@@ -79,7 +79,7 @@ def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
     assert fit.status == "converged"
     moved = [not (held == 0 and name in ("Fv1", "Fc1")) for name in fit.estimate.names]
     assert off(fit)[moved].max() < 1.5
-    errors = [joint.position_error_percent for joint in fit.iv.direct]
+    errors = [joint.position_error_percent for joint in fit.direct]
     assert errors[held] is None
     assert errors[1 - held] < 1.0
     # The shoulder creeps, where friction is no longer dry: nobody is to take its values
@@ -98,8 +98,8 @@ def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
     fit = identify_iv(signals, Overrides(), Iteration())
     share = 100 * (np.abs(signals.effort[:, 0]) > 0.995 * limits[0]).mean()
     # those between first and last motion count
-    assert fit.iv.saturated_percent == pytest.approx(share, abs=5)
-    assert f"motor_1 (38 N m) in {fit.iv.saturated_percent:.1f} % of the samples" in " ".join(
+    assert fit.saturated_percent == pytest.approx(share, abs=5)
+    assert f"motor_1 (38 N m) in {fit.saturated_percent:.1f} % of the samples" in " ".join(
         fit.warnings
     )
     # A limit that is not stated is found, but the simulated drives would not have it.

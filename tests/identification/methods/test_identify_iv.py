@@ -43,12 +43,12 @@ def test_emps_converges_from_anywhere_to_the_same_answer(emps):
     )
     fits = [identify_iv(signals_of(emps), Overrides(), light), iv_of(emps)]
     for fit in fits:
-        assert (fit.status, fit.iv.reference, fit.iv.controller) == (
+        assert (fit.status, fit.reference, fit.controller) == (
             "converged",
             "recorded",
             "described",
         )
-        assert len(fit.iv.passes) <= 4
+        assert len(fit.passes) <= 4
         np.testing.assert_allclose(fit.beta, fits[0].beta, rtol=5e-4)
     half = fits[0].intervals.high - fits[0].beta
     assert (np.abs(fits[0].beta - [95.1089, 203.5034, 20.3935, -3.1648]) < half).all()
@@ -58,8 +58,8 @@ def test_emps_converges_from_anywhere_to_the_same_answer(emps):
 def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     fit, ls = iv_of(tx40), ls_of(tx40)
     assert (fit.status, len(fit.beta)) == ("converged", 60)
-    assert len(fit.iv.passes) <= 4
-    assert (fit.iv.reference, fit.iv.controller, fit.iv.start) == (
+    assert len(fit.passes) <= 4
+    assert (fit.reference, fit.controller, fit.start) == (
         "surrogate",
         "surrogate",
         "ls",
@@ -69,7 +69,7 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
         i for i, name in enumerate(fit.base.names) if not name.startswith(("Fv", "Fc", "Off"))
     ]
     assert (np.abs(fit.beta - ls.beta)[inertial] < 1.5 * ls.intervals.half[inertial]).all()
-    assert fit.iv.first_stage_F > 10
+    assert fit.data.first_stage_F > 10
 
 
 def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the_reference(tx40):
@@ -79,11 +79,11 @@ def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the
     )
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference
     # does the method go on.
-    first = fit.iv.passes[0]
+    first = fit.passes[0]
     assert first.kind == "reference"
     assert "the simulated robot leaves its reference at joint 6" in first.reason
-    assert all(p.kind == "simulated" for p in updated.iv.passes)
-    assert updated.iv.passes[0].tracking_percent < 5
+    assert all(p.kind == "simulated" for p in updated.passes)
+    assert updated.passes[0].tracking_percent < 5
     # Nor are the gains updated for the last simulation, that of the result.
     assert not np.array_equal(fit.simulated.motion.q, updated.simulated.motion.q)
 
@@ -164,15 +164,15 @@ def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_
         Iteration(start="regular"),
     )
     assert fit.status == "not_confirmed"
-    assert "inertia matrix is not positive" in fit.iv.reason
-    assert all(p.kind != "simulated" or p.reason is None for p in fit.iv.passes)
+    assert "inertia matrix is not positive" in fit.reason
+    assert all(p.kind != "simulated" or p.reason is None for p in fit.passes)
     # Least squares has no positive inertias either: Kp = J w² then gives those of the gains.
     robot, c = signals.robot, signals.robot.controller
     assert any("those that suit the described gains at 5 Hz" in text for text in fit.warnings)
     J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
     np.testing.assert_allclose(recorded_loop(robot).inertias(c.bandwidth_hz), J)
     # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
-    assert (fit.iv.passes[0].gains >= 1 / J - 1e-9).all()
+    assert (fit.passes[0].gains >= 1 / J - 1e-9).all()
 
 
 @pytest.mark.parametrize(
@@ -185,14 +185,14 @@ def test_too_few_passes_are_called_what_they_are(most, tolerance, settled):
     fit = identify_iv(
         signals_of(SCARA), Overrides(), Iteration(max_iterations=most, tolerance_percent=tolerance)
     )
-    assert (fit.iv.reason is None) == (settled is True)
+    assert (fit.reason is None) == (settled is True)
     if settled is None:
-        assert (fit.status, fit.iv.reason) == (
+        assert (fit.status, fit.reason) == (
             "max_iterations",
             "after 1 passes only the start is known",
         )
     else:
-        assert fit.iv.passes[-1].residual_settled == settled
+        assert fit.passes[-1].residual_settled == settled
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_a_robot_whose_law_nobody_tells_is_simulated_with_a_surrogate(monkeypatc
     law = dict.fromkeys(("structure", "position_gain", "velocity_gain", "sample_rate_hz"))
     bare = dataclasses.replace(robot, controller=msgspec.structs.replace(robot.controller, **law))
     fit = identify_iv(load_signals(SCARA, bare), Overrides(), Iteration())
-    assert (fit.status, fit.iv.controller, fit.iv.reference) == (
+    assert (fit.status, fit.controller, fit.reference) == (
         "converged",
         "surrogate",
         "recorded",

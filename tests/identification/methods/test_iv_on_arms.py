@@ -86,7 +86,7 @@ def test_a_loop_unknown_to_the_description_and_noise_in_it(whole):
     )
     assert len(settled) >= 0.95 * count
     assert max(settled) < 5
-    assert {(fit.iv.reference, fit.iv.controller) for fit in found} == {("recorded", "found")}
+    assert {(fit.reference, fit.controller) for fit in found} == {("recorded", "found")}
 
 
 def from_sample(signals: Signals, first: int) -> Signals:
@@ -114,7 +114,7 @@ def test_a_real_record_settles_wherever_it_is_cut(tx40, whole):
         found = [identify_iv(from_sample(s, start), Overrides(), Iteration()) for start in starts]
         print(
             Counter(fit.status for fit in found),
-            [round(fit.iv.first_stage_F, 1) for fit in found],
+            [round(fit.data.first_stage_F, 1) for fit in found],
         )
         assert all(fit.status in SETTLED for fit in found)
         assert len({fit.trust.verdict for fit in found}) == 1
@@ -130,8 +130,8 @@ def test_the_distance_to_the_nearest_robot_is_told():
     signals, right = signals_of(path), iv_of(path)
     turned = dataclasses.replace(signals, effort=signals.effort * np.array([1.0, -1.0]))
     wrong = identify_iv(turned, Overrides(), Iteration())
-    assert {p.kind for p in right.iv.passes} == {"simulated"}
-    assert all(p.reason is not None for p in wrong.iv.passes if p.kind != "simulated")
+    assert {p.kind for p in right.passes} == {"simulated"}
+    assert all(p.reason is not None for p in wrong.passes if p.kind != "simulated")
     line = right.trust.line("consistent")
     assert (line.level, "chi² = " in line.text) == ("ok", True)
     assert line.value < 10

@@ -84,8 +84,8 @@ def test_with_both_the_truth_is_in_the_intervals():
     assert fit.trust.line("lag").figures[0][1] == pytest.approx(-0.5, abs=0.1)
     assert fit.status == "converged"
     # 0.03 without the pulses, and the robot is lost without the spring
-    assert fit.iv.passes[-1].tracking_percent < 0.01
-    assert fit.iv.direct[0].torque_error_percent < 3.0
+    assert fit.passes[-1].tracking_percent < 0.01
+    assert fit.direct[0].torque_error_percent < 3.0
 
 
 def test_without_the_spring_the_fit_says_caution():
@@ -107,8 +107,8 @@ def test_without_the_pulses_the_fit_says_caution():
     assert found.level == "caution"
     assert found.value < 0.97
     assert (
-        fit.iv.passes[-1].tracking_percent
-        > 10 * fitted(records()[0], "iv").iv.passes[-1].tracking_percent
+        fit.passes[-1].tracking_percent
+        > 10 * fitted(records()[0], "iv").passes[-1].tracking_percent
     )
 
 

@@ -62,7 +62,7 @@ def axis_signals(*, law: bool = False) -> list[Signals]:
 
 
 def stands_alone(fit: Fit) -> bool:
-    return fit.iv.passes[fit.iv.returned - 1].by_reference is not None
+    return fit.passes[fit.returned - 1].by_reference is not None
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(fits):
 
 def test_the_reason_is_told_and_no_law_is_assumed(fits):
     fit, alone = fits[0], "instruments: reference"
-    assert fit.iv.reason.startswith(alone)
+    assert fit.reason.startswith(alone)
     assert alone in fit_document(axis_signals()[0], fit).title
     line = fit.trust.line("fixed point")
     assert (line.level, alone in line.text) == ("ok", True)
@@ -93,7 +93,7 @@ def test_the_reason_is_told_and_no_law_is_assumed(fits):
     file = fit_file(fit)
     assert (file.status, file.reason, file.iterations[-1].instruments) == (
         "converged",
-        fit.iv.reason,
+        fit.reason,
         "reference",
     )
     assert file.pass_returned == len(file.iterations)

@@ -86,7 +86,7 @@ def ur5() -> Signals:
 def test_an_arm_with_speed_fed_forward_is_identified_without_its_bandwidth(ur5):
     fit, true = identify(ur5, Overrides()), truth(ur5)
     values = np.array([true[name] for name in fit.estimate.names])
-    assert fit.status == "converged", fit.iv.reason
+    assert fit.status == "converged", fit.reason
     assert fit.trust.verdict != "do not use", fit.trust.finding
     assert 2.5 < fit.settings.cutoff_hz < 5.0
     assert len(values) == 52

@@ -166,12 +166,12 @@ def test_a_surrogate_holds_a_vertical_axis_up():
     assert np.abs(signals.q - q_ref).max() < 1e-3
     measured = dataclasses.replace(signals, q_ref=None)
     fit = identify_iv(measured, Overrides(), Iteration())
-    assert (fit.status, fit.iv.reference, fit.iv.controller) == (
+    assert (fit.status, fit.reference, fit.controller) == (
         "converged",
         "surrogate",
         "surrogate",
     )
-    assert fit.iv.passes[-1].tracking_percent < 5
+    assert fit.passes[-1].tracking_percent < 5
     np.testing.assert_allclose(fit.beta, [20.0, 50.0], rtol=0.01)
     # So does a described PD, where the measured position, with the sag in it, stands
     # in for the reference.
@@ -184,7 +184,7 @@ def test_a_surrogate_holds_a_vertical_axis_up():
     )
     assert signals.q.mean() < -5e-3  # it sags
     fit = identify_iv(dataclasses.replace(signals, q_ref=None), Overrides(), Iteration())
-    assert (fit.status, fit.iv.passes[-1].tracking_percent < 20) == ("converged", True)
+    assert (fit.status, fit.passes[-1].tracking_percent < 20) == ("converged", True)
 
 
 def test_a_simulation_that_cannot_go_on_says_why_and_is_not_clipped():

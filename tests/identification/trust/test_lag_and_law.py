@@ -318,7 +318,7 @@ def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used(
         assert why in found.text
     fit = identify(bare, Overrides())
     assert fit.trust.verdict == "trust"
-    assert fit.iv.controller == "found"
+    assert fit.controller == "found"
     assert not [x for x in fit.trust.assumed if x.what == "control law"]
 
 

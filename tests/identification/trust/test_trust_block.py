@@ -482,7 +482,7 @@ def test_noise_of_the_position_biases_least_squares_and_is_told():
     assert (told.level, fit.trust.verdict) == ("caution", "caution")
     assert told.value > 1
     by_iv, _ = examined("iv", "emps", COARSE)
-    assert by_iv.iv.contrast > 1
+    assert by_iv.contrast[0] > 1
     assert examined("wls", "emps")[0].trust.line("position noise").level == "ok"
     for cutoff_hz in (0.0, 350.0):
         unseen = identify_ls(recorded("emps"), Overrides(cutoff_hz=cutoff_hz)).trust.line(

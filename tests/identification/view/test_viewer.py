@@ -95,7 +95,7 @@ def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
     file = written(made_up(), fit)
     assert file.is_complete()
     assert not any("simulated" in path for path in [*file.curves, *file.moving])
-    assert fit.iv.reason in file.static["/report"]["TextDocument:text"][0]
+    assert fit.reason in file.static["/report"]["TextDocument:text"][0]
 
 
 def test_titles_say_joint_and_unit(written):
