@@ -12,7 +12,7 @@ from typing import Any, Literal, ParamSpec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition.files import refuse_clash
+from acquisition.files import refuse_clash, write_text
 from acquisition.robot import Robot, parse_payload
 
 from . import design, export, methods, report, study
@@ -58,7 +58,7 @@ class Fit(AnyFit, methods.Fit):
         """Write the whole report: .md the tables, .html also the pictures."""
         path = Path(path)
         if path.suffix == ".md":
-            report.write_markdown(path, methods.fit_document(self.problem.signals, self))
+            write_text(path, report.to_markdown(methods.fit_document(self.problem.signals, self)))
         elif path.suffix == ".html":
             from .view import draw_fit, join_pictures, write_html
 

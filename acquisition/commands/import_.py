@@ -178,7 +178,7 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
     """Use the map of one table, after it was proposed if there is none; whether
     the user has to go on.
     """
-    from ..files import atomic_write
+    from ..files import write_text
     from ..importing import TORQUE_SENSORS, is_log, lines_to_fill_in, propose_map
 
     table: Path = options.tables[0]
@@ -188,8 +188,7 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
     if options.map.exists():
         return False
     text = propose_map(table, robot)
-    with atomic_write(options.map) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text(options.map, text)
     missing, sensors = lines_to_fill_in(text.encode()), TORQUE_SENSORS in text
     print(
         one_line(

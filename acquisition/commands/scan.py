@@ -27,7 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Scan the bus, print a table, and write `[bus]`."""
     from ..bus import SHARED, Uploads, open_link, scan_nodes
-    from ..files import atomic_write
+    from ..files import write_text
     from ..robot import BITRATES, FILL_IN, BusFile
     from .checking import table
     from .scanning import ARRAYS, OBJECTS, bus_lines, findings_of
@@ -73,6 +73,5 @@ def run(options: argparse.Namespace) -> None:
         )
     if out is not None:
         text = "\n".join([*bus_lines(file, nodes, uploads.heard), ""])
-        with atomic_write(out) as partial:
-            partial.write_text(text, encoding="utf-8")
+        write_text(out, text)
         print(one_line(f"{out}: to be filled in: {text.count(FILL_IN)} lines with {FILL_IN}"))

@@ -41,6 +41,12 @@ def atomic_write(path: Path) -> Iterator[Path]:
             partial.unlink()
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text, whole or not at all. Raises as `atomic_write`."""
+    with atomic_write(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
 def refuse_clash(
     inputs: Sequence[Path | None],
     *outputs: Path | None,

@@ -166,9 +166,11 @@ def write_pictures(
     report, rrd = options.report, getattr(options, "rrd", None)
     rrds = rrds or ([rrd] if rrd else [])
     if report is not None and report.suffix == ".md":
-        from ..report import write_markdown
+        from acquisition.files import write_text
 
-        write_markdown(report, document)
+        from ..report import to_markdown
+
+        write_text(report, to_markdown(document))
         report = None
     if report is None and not rrds:
         return

@@ -95,7 +95,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Write the description, and print its joints and the locked ones."""
-    from acquisition.files import atomic_write
+    from acquisition.files import write_text
     from acquisition.robot import marks_of_motion
 
     from ..export import FILL_IN, USES, chain_of_letters, describe, describe_rows, read_chain
@@ -139,8 +139,7 @@ def run(options: argparse.Namespace) -> None:
     if out is None:
         print(text, end="")
         return
-    with atomic_write(out) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text(out, text)
     marked = [(k, x) for k, x in enumerate(text.splitlines(), 1) if FILL_IN in x][1:]
     moving = marks_of_motion(text)
     needed = {

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from acquisition.files import atomic_write
+from acquisition.files import write_text
 from acquisition.robot import Robot
 
 from ..export import replace_in_tables
@@ -117,5 +117,4 @@ def write_friction(path: Path, choice: TermChoice) -> None:
     written = replace_in_tables(
         choice.robot.files["robot.toml"].decode(), "joint", values, str(path)
     )
-    with atomic_write(path) as partial:
-        partial.write_text(written, encoding="utf-8")
+    write_text(path, written)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from acquisition.errors import listed
+from acquisition.files import read_bytes
 
 from ..errors import BadInputError
 
@@ -150,10 +151,7 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     without fingers. Raises `BadInputError`: not a URDF, not one tree, floating or planar joints,
     two chains of equal length, invalid numbers, reversed limits.
     """
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
+    text = read_bytes(path)
     tree = _Tree(text, str(path))
     for i, name in enumerate(names):
         if name not in tree.movable or name in names[:i]:

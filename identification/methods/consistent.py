@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from acquisition.files import read_bytes
 from acquisition.robot import Robot, load_robot
 
 from ..arrays import Array
@@ -53,11 +54,7 @@ def read_prior(path: Path, robot: Robot) -> Robot:
     """
     if path.suffix.lower() == ".toml":
         return replace(load_robot(path), name=path.name)
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
-    return urdf_prior(robot, text, path.name)
+    return urdf_prior(robot, read_bytes(path).decode("utf-8", errors="replace"), path.name)
 
 
 @one_thread

@@ -54,4 +54,4 @@ from .parameters import (
     PhysicalWarning,
     StandardParameter,
 )
-from .renderers import print_whole, to_html, to_markdown, write_markdown
+from .renderers import print_whole, to_html, to_markdown

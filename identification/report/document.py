@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from acquisition.files import atomic_write
+from acquisition.files import write_text
 
 FORMAT = 1  # of all JSON files
 MAX_SHORT_ROWS = 20  # of a table that a terminal prints whole without `--all`
@@ -144,5 +144,4 @@ def write_json(path: Path, content: ResultFile | Mapping[str, Any]) -> None:
             enc_hook=lambda numbers: numbers.tolist(),
         )
     )
-    with atomic_write(path) as partial:
-        partial.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(plain, indent=1, ensure_ascii=False) + "\n")

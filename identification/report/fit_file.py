@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from acquisition.files import NAMES, kind_of
+from acquisition.files import NAMES, kind_of, read_bytes
 
 from ..errors import BadInputError
 from .document import FORMAT, ResultFile
@@ -296,10 +296,9 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
     Raises `BadInputError` where it cannot be read, or is not a fit of this
     format; `place` is the file.
     """
+    content = read_bytes(Path(path))
     try:
-        stored = msgspec.json.decode(Path(path).read_bytes(), type=FitFile)
-    except OSError as error:
-        raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
+        stored = msgspec.json.decode(content, type=FitFile)
     except msgspec.MsgspecError as error:
         other = kind_of(Path(path)).replace("json", "")
         text = (

@@ -6,7 +6,6 @@ import re
 import textwrap
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 
 from rich import box
 from rich.cells import cell_len
@@ -17,7 +16,6 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from acquisition.errors import one_line
-from acquisition.files import atomic_write
 
 from .document import Columns, Document, Section, Table, cell_text
 
@@ -220,9 +218,3 @@ def _html_row(tag: str, columns: Columns, texts: Sequence[str]) -> str:
 def _element(tag: str, text: str, kind: str = "") -> str:
     opened = f'<{tag} class="{kind}">' if kind else f"<{tag}>"
     return f"{opened}{escape(one_line(text))}</{tag}>"
-
-
-def write_markdown(path: Path, document: Document) -> None:
-    """Write a report as Markdown, complete or not at all."""
-    with atomic_write(path) as partial:
-        partial.write_text(to_markdown(document), encoding="utf-8")

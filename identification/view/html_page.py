@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from acquisition.errors import one_line
-from acquisition.files import atomic_write
+from acquisition.files import write_text
 
 from ..report import to_html, versions
 from .colors import CLASSES
@@ -44,8 +44,7 @@ def write_html(path: Path, picture: Picture) -> None:
         ),
         "</footer></main></body></html>\n",
     ]
-    with atomic_write(path) as partial:
-        partial.write_text("\n".join(parts), encoding="utf-8")
+    write_text(path, "\n".join(parts))
 
 
 def notebook_figure(panel: Panel) -> str:
