@@ -33,29 +33,22 @@ PARAMETERS = "parameters"  # title of the section of all values
 
 def fit_document(signals: Signals, fit: Fit) -> Document:
     """A fit as a report, the verdict first."""
+    held, notes, several = fit.held_out_error_percent, fit.notes, len(fit.recordings) > 1
     parameters = tuple(fitted_parameters(fit).parameters.values())
-    held, percents = fit.held_out_error_percent, shared.half_width_percents(parameters)
-    title = f"{signals.robot.name}: {first_line(fit, held, percents)}"
     settings = Section(
         title="settings and tests",
         lines=(
-            *(
-                shared.settings_lines(signals, fit.settings, used="fitted")
-                if len(fit.recordings) == 1
-                else ()
-            ),
+            *(() if several else shared.settings_lines(signals, fit.settings, used="fitted")),
             f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
             f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
             *(_iv_lines(fit) if fit.passes else ()),
-            *(shared.recording_lines(signals) if len(fit.recordings) == 1 else ()),
+            *(() if several else shared.recording_lines(signals)),
         ),
         short=HIDDEN,
     )
-    several = (
-        [shared.recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
-    )
+    percents = shared.half_width_percents(parameters)
     return Document(
-        title=title,
+        title=f"{signals.robot.name}: {first_line(fit, held, percents)}",
         badge=fit.trust.verdict,
         figures=shared.main_figures(
             fit.errors[-1].moving_relative_error_percent,
@@ -64,7 +57,7 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
             percents,
         ),
         sections=(
-            _verdict_section(fit),
+            _verdict_section(fit, notes),
             _trust_section(fit),
             *gain_sections(fit.gains, fit.cragg_donald),
             *payload_sections(fit.payloads, signals.robot.joints[-1].name),
@@ -72,7 +65,7 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
             *_consistent(fit),
             *(_iv_sections(fit) if fit.passes else ()),
             shared.errors_section(fit.errors, signals.robot.effort_units),
-            *several,
+            *([shared.recordings_section(fit.recordings, fit.own)] if several else []),
             settings,
             *_expressions(fit),
         ),
@@ -108,7 +101,7 @@ def _determined(percents: Mapping[str, float], of: int) -> str:
     )
 
 
-def _verdict_section(fit: Fit) -> Section:
+def _verdict_section(fit: Fit, notes: Sequence[str]) -> Section:
     reason = f": {fit.reason}" if fit.reason else ""
     lines = (
         [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"]
@@ -116,7 +109,7 @@ def _verdict_section(fit: Fit) -> Section:
         else []
     )
     status = f"status: {fit.status}{reason}"
-    lines += [status, shared.error_line(fit.errors), *(f"note: {text}" for text in fit.notes)]
+    lines += [status, shared.error_line(fit.errors), *(f"note: {text}" for text in notes)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
         lines.append(
@@ -322,6 +315,7 @@ def _iv_sections(fit: Fit) -> list[Section]:
 
 def _iv_lines(fit: Fit) -> tuple[str, ...]:
     """Tests of the instruments, and why a pass could not be simulated."""
+    used, (off, at) = fit.rows_used_percent, fit.contrast
     return (
         *(
             f"pass {k}: instruments {p.kind}: {p.reason}"
@@ -330,9 +324,8 @@ def _iv_lines(fit: Fit) -> tuple[str, ...]:
         ),
         f"instruments: smallest correlation with W {fit.strength:.3f}, first-stage F "
         f"{fit.data.first_stage_F:.3g}",
-        f"least squares differs by {fit.contrast[0]:.2g} half-widths, at {fit.contrast[1]}",
-        f"{fit.rows_used_percent:.1f} % of the rows used; reference {fit.reference}, controller "
-        f"{fit.controller}",
+        f"least squares differs by {off:.2g} half-widths, at {at}",
+        f"{used:.1f} % of the rows used; reference {fit.reference}, controller {fit.controller}",
     )
 
 

@@ -82,29 +82,29 @@ def payload_sections(payloads: Sequence[EstimatedPayload], joint: str) -> list[S
     found = list[Section]()
     heads = columns("", numbers=("value", "±95%")) + columns("unit", "mostly from")
     for one in payloads:
-        (x, y, z), of_center = one.center_of_mass_m
-        names = ("mass", "centre of mass x", "y", "z", *LINK[:6])
-        values, prior = (
-            (one.values[9], x, y, z, *one.values[:6]),
-            (*one.from_prior[[9, 6, 7, 8]], *one.from_prior[:6]),
-        )
-        weighed = one.payload.mass_half_width_kg or None if one.payload.mass_kg else one.half[9]
-        halves, units = (weighed, *of_center, *one.half[:6]), ("kg", "m", "m", "m", *["kg m²"] * 6)
-        stated = [
-            one.payload.mass_kg is not None,
-            *[one.payload.center_of_mass_m is not None] * 3,
-            *[False] * 6,
-        ]
+        names, units = ("mass", "centre of mass x", "y", "z", *LINK[:6]), ("kg", *["m"] * 3)
+        order = [MASS, *MOMENTS, *range(6)]
+        values, half, prior = one.values[order], one.half[order], one.from_prior[order]
+        values[1:4], half[1:4] = one.center_of_mass_m
+        if one.payload.mass_kg:
+            half[0] = one.payload.mass_half_width_kg or np.nan
+        known = (one.payload.mass_kg is not None, *[one.payload.center_of_mass_m is not None] * 3)
         rows: list[Row] = [
             (
                 name,
-                Number(float(v), ".4g"),
-                Number(half, ".2g"),
+                Number(float(value), ".4g"),
+                Number(float(width), ".2g"),
                 unit,
-                "stated" if s else "prior" if p else "recording",
+                "stated" if is_known else "prior" if from_prior else "recording",
             )
-            for name, v, half, unit, p, s in zip(
-                names, values, halves, units, prior, stated, strict=True
+            for name, value, width, unit, is_known, from_prior in zip(
+                names,
+                values,
+                half,
+                (*units, *["kg m²"] * 6),
+                (*known, *[False] * 6),
+                prior,
+                strict=True,
             )
         ]
         line = (

@@ -47,7 +47,7 @@ def least_squares_parameters(fit: Fit) -> ParameterSet:
 
 def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
     essential = essential_names(fit.essential, e, intervals)
-    known = true_parameters(fit.base, np.zeros(fit.base.b)).parameters
+    known = true_parameters(fit.base, np.zeros(len(fit.base.names))).parameters
     found = zip(e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True)
     return ParameterSet(
         label=label,

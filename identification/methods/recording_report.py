@@ -304,21 +304,21 @@ def gain_warnings(signals: Signals) -> tuple[str, ...]:
 
 def _known_lines(signals: Signals) -> list[str]:
     """Known torque and feed-forward, and their use."""
-    lines, joints, units = [], signals.robot.joints, signals.robot.effort_units
-    for values, text in (
+    lines, robot = [], signals.robot
+    for values, units, text in (
         (
             signals.known_torque,
+            robot.effort_units,
             "known torque, added to that of the drives and to the simulated robot",
         ),
-        (signals.feedforward, "feed-forward, added to the output of the simulated controller"),
+        (
+            signals.feedforward,
+            [motor.recorded_unit for motor in robot.motors],
+            "feed-forward, added to the output of the simulated controller",
+        ),
     ):
         if values is not None:
-            own = (
-                [m.recorded_unit for m in signals.robot.motors]
-                if values is signals.feedforward
-                else units
-            )
-            sizes = zip(joints, np.sqrt(np.mean(values**2, axis=0)), own, strict=True)
+            sizes = zip(robot.joints, np.sqrt(np.mean(values**2, axis=0)), units, strict=True)
             lines.append(
                 f"{text}: rms "
                 + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in sizes)
