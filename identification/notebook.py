@@ -58,15 +58,13 @@ class Fit(AnyFit, methods.Fit):
         """Write the whole report: .md the tables, .html also the pictures."""
         path = Path(path)
         if path.suffix == ".md":
-            write_text(path, report.to_markdown(methods.fit_document(self.problem.signals, self)))
+            write_text(path, report.to_markdown(methods.fit_document(self)))
         elif path.suffix == ".html":
             from .view import draw_fit, join_pictures, write_html
 
             write_html(
                 path,
-                join_pictures(
-                    [draw_fit(one.problem.signals, self.on(one)) for one in self.recordings]
-                ),
+                join_pictures([draw_fit(self.on(one)) for one in self.recordings]),
             )
         else:
             raise BadInputError(
@@ -82,7 +80,7 @@ class Fit(AnyFit, methods.Fit):
         path, several = Path(path), len(self.recordings) > 1
         for number, one in enumerate(self.recordings, start=1):
             own = path.with_stem(f"{path.stem}_{number}") if several else path
-            write_rrd(own, draw_fit(one.problem.signals, self.on(one)))
+            write_rrd(own, draw_fit(self.on(one)))
 
     def consistent(self, prior: File | None = None) -> "Fit":
         """The fit with the nearest physically possible parameters of all
@@ -101,8 +99,8 @@ class Fit(AnyFit, methods.Fit):
     def _repr_html_(self) -> str:
         from .view import draw_fit, notebook_figure
 
-        one, document = self.recordings[0], methods.fit_document(self.problem.signals, self).short
-        torque = draw_fit(one.problem.signals, self.on(one)).first
+        document = methods.fit_document(self).short
+        torque = draw_fit(self.on(self.recordings[0])).first
         return report.to_html(document, figures=notebook_figure(torque) if torque else "")
 
 

@@ -91,11 +91,11 @@ def run(options: argparse.Namespace) -> None:
         ls = identify_ls(signals, Overrides())
         law = Overrides(law=ls.problem.law)
         fits = {"ls": ls, "iv": identify_iv(signals, law, Iteration(), say=progress.say)}
-        reports = [fit_document(signals, fit) for fit in fits.values()]
+        reports = [fit_document(fit) for fit in fits.values()]
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(fit))
         progress.say("writing the Rerun file")
-        write_rrd(out / "demo.rrd", draw_fit(signals, fits["iv"], truth=true))
+        write_rrd(out / "demo.rrd", draw_fit(fits["iv"], truth=true))
     compared = truth_document(robot.name, list(fits.values()), true)
     if options.all:
         print_results(*reports, compared)

@@ -94,16 +94,14 @@ def run(options: argparse.Namespace) -> int:
             from ..methods import with_consistent
 
             fit = with_consistent(fit, prior)
-    document = fit_document(fit.problem.signals, fit)
+    document = fit_document(fit)
     try:
         if options.json:
             write_json(options.json, fit_file(fit))
         shared.write_pictures(
             options,
             document,
-            lambda view: [
-                view.draw_fit(one.problem.signals, fit.on(one)) for one in fit.recordings
-            ],
+            lambda view: [view.draw_fit(fit.on(one)) for one in fit.recordings],
             pictures,
         )
     finally:  # print the fit even if a file cannot be written

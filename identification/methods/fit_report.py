@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..data import Signals
 from ..estimation import relative_error_percent
 from ..regression import ROWS
 from ..report import (
@@ -31,9 +30,10 @@ HIDDEN = Section()  # the `short` of what only `--all` prints
 PARAMETERS = "parameters"  # title of the section of all values
 
 
-def fit_document(signals: Signals, fit: Fit) -> Document:
+def fit_document(fit: Fit) -> Document:
     """A fit as a report, the verdict first."""
     held, notes, several = fit.held_out_error_percent, fit.notes, len(fit.recordings) > 1
+    signals = fit.problem.signals
     parameters = tuple(fitted_parameters(fit).parameters.values())
     settings = Section(
         title="settings and tests",

@@ -20,7 +20,7 @@ from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, spectrum_charts
 
 
-def draw_fit(signals: Signals, fit: methods.Fit, *, truth: Array | None = None) -> Picture:
+def draw_fit(fit: methods.Fit, *, truth: Array | None = None) -> Picture:
     """A fit on one of its recordings. A fit by IV is shown together with its least squares.
 
     Times are seconds from the recording's first sample, on the timeline `time`. Measured curves
@@ -30,10 +30,10 @@ def draw_fit(signals: Signals, fit: methods.Fit, *, truth: Array | None = None) 
     the plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`,
     `column/<quantity>`, `events`, `health`, `report`.
     """
-    own = methods.fitted_parameters(fit)
+    signals, own = fit.problem.signals, methods.fitted_parameters(fit)
     others = [methods.least_squares_parameters(fit)] if fit.passes else []
     others += [methods.true_parameters(fit.base, truth)] if truth is not None else []
-    document = methods.fit_document(signals, fit).followed_by(
+    document = methods.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)

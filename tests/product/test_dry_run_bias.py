@@ -164,7 +164,7 @@ def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning():
     fit, told = identify_ls(signals, Overrides()), "torque (6074) is read once per SYNC"
     assert [note[: len(told)] for note in fit.notes] == [told]
     assert not [line for line in fit.warnings if "SYNC" in line]
-    verdict = fit_document(signals, fit).sections[0]
+    verdict = fit_document(fit).sections[0]
     for section in (verdict, verdict.short):
         assert f"note: {fit.notes[0]}" in section.lines
     assert identify_ls(replace(signals, provenance="tables"), Overrides()).notes == ()

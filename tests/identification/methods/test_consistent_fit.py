@@ -67,38 +67,35 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     assert c.prior == "the description: all links by [parameters]"
 
 
-def lines_of(signals, fit) -> list[str]:
-    return [line for section in fit_document(signals, fit).sections for line in section.lines]
+def lines_of(fit) -> list[str]:
+    return [line for section in fit_document(fit).sections for line in section.lines]
 
 
-def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40):
+def test_the_verdict_and_the_consistent_set_are_one_computation(consistent):
     """chi² and largest move of the verdict's line are those of `--consistent`; not with
     another prior, which is said.
     """
-    c, line, signals = (
-        consistent.consistent_set,
-        consistent.trust.line("consistent"),
-        signals_of(tx40),
-    )
+    c, line = consistent.consistent_set, consistent.trust.line("consistent")
     assert (line.level, line.value) == ("ok", c.chi2)
     assert f"{c.moved_most} moved by {c.largest_move:.2g} half-widths" in line.text
     other = with_consistent(
         consistent, dataclasses.replace(consistent.problem.signals.robot, parameters={})
     )
     assert other.consistent_set.chi2 != line.value
-    assert [
-        any("has its own" in x for x in lines_of(signals, fit)) for fit in (consistent, other)
-    ] == [False, True]
+    assert [any("has its own" in x for x in lines_of(fit)) for fit in (consistent, other)] == [
+        False,
+        True,
+    ]
 
 
-def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40):
-    c, signals = consistent.consistent_set, signals_of(tx40)
+def test_the_report_has_intervals_and_names_what_left_the_fits(consistent):
+    c = consistent.consistent_set
     base = [*c.base_parameters]
     base[3] = msgspec.structs.replace(base[3], move=1.7)
     far = dataclasses.replace(
         consistent, consistent_set=msgspec.structs.replace(c, base_parameters=base)
     )
-    sections = {s.title: s for s in fit_document(signals, far).sections}
+    sections = {s.title: s for s in fit_document(far).sections}
     standard = sections["physically consistent standard parameters"]
     heads = ["parameter", "value", "±95%", "unit", "mostly from"]
     assert [heading for heading, _ in standard.table.columns] == heads
@@ -110,7 +107,7 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40)
     assert [row[0] for row in of_base.rows] == [p.name for p in base]
     assert [row[2].value for row in of_base.rows] == [p.half_width for p in base]
     assert of_base.rows[3][-1].value == 1.7
-    assert not any("by more than one half-width" in line for line in lines_of(signals, consistent))
+    assert not any("by more than one half-width" in line for line in lines_of(consistent))
 
 
 def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():

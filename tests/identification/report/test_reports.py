@@ -30,8 +30,8 @@ def with_essential(fit, names, **figures):
 
 
 def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
-    signals, fit = signals_of(SCARA), with_essential(iv_of(SCARA), ("ZZ1R", "ZZ2"))
-    document = fit_document(signals, fit)
+    fit = with_essential(iv_of(SCARA), ("ZZ1R", "ZZ2"))
+    document = fit_document(fit)
     moving = fit.errors[-1].moving_relative_error_percent
     every = fit.errors[-1].relative_error_percent
     assert f"{moving:.3g}" != f"{every:.3g}", "here standing rows make a difference"
@@ -68,7 +68,7 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
     intervals = replace(fit.intervals, low=fit.beta - by, high=fit.beta + by)
     fit = replace(with_essential(fit, kept, F=1.0), intervals=intervals)
     expected = {name for name in kept if name not in wide}
-    document, file = fit_document(signals_of(SCARA), fit), fit_file(fit)
+    document, file = fit_document(fit), fit_file(fit)
     assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected
     flagged = [p for p in file.parameters if p.essential]
     assert {p.name for p in flagged} == set(file.essential.names) == expected
@@ -90,8 +90,8 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
 @pytest.mark.parametrize("everything", [False, True])
 def test_the_table_has_the_essential_parameters_or_all(everything):
     essential = ("ZZ1R", "Fc2")
-    signals, fit = signals_of(SCARA), with_essential(ls_of(SCARA), essential)
-    document = fit_document(signals, fit)
+    fit = with_essential(ls_of(SCARA), essential)
+    document = fit_document(fit)
     document = document if everything else document.short
     section = document.sections[2]
     rows = {row[0]: row for row in section.table.rows}
@@ -120,9 +120,7 @@ def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_
     fit = replace(
         fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6))
     )
-    verdict, trust, parameters, errors, *rest = (
-        s for s in fit_document(signals_of(SCARA), fit).short.sections
-    )
+    verdict, trust, parameters, errors, *rest = (s for s in fit_document(fit).short.sections)
     assert verdict.warnings == fit.warnings[:4]
     assert verdict.lines[-1] == "2 more warnings (--all)"
     assert not any(line.startswith("status") for line in verdict.lines), "the title has it"

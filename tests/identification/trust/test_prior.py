@@ -149,7 +149,7 @@ def test_without_gains_or_inertials_there_is_no_prior():
         signals = replace(recorded(), robot=robot)
         fit = fit_by_least_squares(signals)
         assert not any(line.test == "prior" for line in fit.trust.lines)
-        assert "| prior |" not in to_markdown(fit_document(signals, fit))
+        assert "| prior |" not in to_markdown(fit_document(fit))
         stored = fit_file(fit)
         assert {stored.prior_source, *(one.prior for one in stored.parameters)} == {msgspec.UNSET}
 

@@ -54,7 +54,7 @@ class Page(html.parser.HTMLParser):
 
 @cache
 def picture(record):
-    return draw_fit(signals_of(record), iv_of(record))
+    return draw_fit(iv_of(record))
 
 
 def page_of(picture, tmp_path):
@@ -129,7 +129,7 @@ def test_rerun_shows_what_is_over_time_and_html_all_but_the_robot(tmp_path):
 
 def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
     drawn = picture(SCARA)
-    both = join_pictures([drawn, draw_fit(signals_of(SCARA), ls_of(SCARA))])
+    both = join_pictures([drawn, draw_fit(ls_of(SCARA))])
     names = [page.name for page in both.pages]
     assert names[: len(drawn.pages)] == [page.name for page in drawn.pages]
     more = {name.split(":")[0] for name in names[len(drawn.pages) :]}

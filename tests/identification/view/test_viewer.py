@@ -18,7 +18,7 @@ from identification.view.curves import extremes
 @pytest.fixture
 def written(tmp_path):
     def write(signals, fit=None, name="fit.rrd", **others):
-        write_rrd(tmp_path / name, draw_fit(signals, fit or fitted(signals), **others))
+        write_rrd(tmp_path / name, draw_fit(fit or fitted(signals), **others))
         return Written(tmp_path / name)
 
     return write
@@ -117,7 +117,7 @@ def test_titles_say_joint_and_unit(written):
 def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
     signals = made_up(types=("revolute", "prismatic", "revolute"), reference=True)
     q_ref = signals.q + np.array([2e-3, 3e-5, 5e-6])
-    file = written(replace(signals, q_ref=q_ref), fitted(signals))
+    file = written(replace(signals, q_ref=q_ref))
     titles = [file.views[f"/error/joint\\ {j}.x"][1] for j in (1, 2, 3)]
     assert titles == [
         f"position error joint {j}.x [{unit}]" for j, unit in ((1, "mrad"), (2, "µm"), (3, "mrad"))
@@ -226,6 +226,6 @@ def test_each_fit_is_an_application_of_its_own(written):
 def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(rerun_panels, "_arrange", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
-        write_rrd(tmp_path / "fit.rrd", draw_fit(made_up(), fitted(made_up())))
+        write_rrd(tmp_path / "fit.rrd", draw_fit(fitted(made_up())))
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")

@@ -145,7 +145,7 @@ def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(
 def test_both_robots_stand_where_their_data_says(tmp_path):
     signals = scara()
     fit = fitted_iv(signals)
-    file, motion = written(tmp_path, draw_fit(signals, fit)), fit.simulated.motion
+    file, motion = written(tmp_path, draw_fit(fit)), fit.simulated.motion
     for key, t_s, q in (("measured", signals.t_s, signals.q), ("simulated", motion.t_s, motion.q)):
         first, second = (file.moving[f"/robot/{key}/joints/{j}"] for j in (1, 2))
         at = np.array([t.total_seconds() for t in first["time"]])
@@ -174,7 +174,7 @@ def test_events_and_counters_of_a_session_are_shown(tmp_path):
         "lost": (t_s, t_s * np.nan),
     }
     signals = replace(made_up(), events=tuple(events), health=health)
-    file = written(tmp_path, draw_fit(signals, fitted(made_up())))
+    file = written(tmp_path, draw_fit(fitted(signals)))
     assert file.is_complete()
     assert "TextLog" in {kind for kind, _ in file.views.values()}
     (log,), (plot,) = event_logs(signals), health_plots(signals)
@@ -278,7 +278,7 @@ def test_text_has_only_characters_of_the_viewers_font(tmp_path):
         msgspec.structs.replace(j, name=f"関節 {k}") for k, j in enumerate(signals.robot.joints)
     )
     signals = replace(signals, robot=replace(signals.robot, joints=tuple(joints)))
-    file = written(tmp_path, draw_fit(signals, fitted_iv(signals)))
+    file = written(tmp_path, draw_fit(fitted_iv(signals)))
     texts = [title for _, title in file.views.values()]
     texts += file.static["/report"]["TextDocument:text"]
     for columns in file.static.values():
