@@ -41,7 +41,7 @@ def _count(q: Array) -> tuple[Array, Array]:
     blocks = max(1, (len(q) - 5) // _BLOCK_ROWS)
     rows = (len(q) - 5) // blocks * blocks
     if rows < _BLOCK_ROWS // 4:
-        return np.zeros(4, dtype=int), np.zeros((n, 3), dtype=int)
+        return np.zeros(4), np.zeros((n, 3))
     around = np.stack([steps[k : k + rows] for k in (0, 1, 3, 4)])
     low, high = (of(around[:2], around[2:]) for of in (np.minimum, np.maximum))
     x, m = steps[2 : 2 + rows], 0.5 * (np.maximum(*low) + np.minimum(*high))  # the median of four

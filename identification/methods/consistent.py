@@ -2,11 +2,14 @@
 simulator accepts them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.files import read_bytes
 from acquisition.robot import Robot, load_robot
@@ -106,8 +109,13 @@ def consistent_set(
     expected = None if prior is None else InverseModel(prior)
     physical = physical_parameters(model, expected, power)
     found = consistent_parameters(known.beta, known.covariance, base.K, physical)
-    of_standard, of_base = parameter_certainty(found, known.covariance, base.K, physical)
-    moves = found.deviations / known.reach
+    (sigma, share), (base_sigma, base_share) = parameter_certainty(
+        found, known.covariance, base.K, physical
+    )
+    moves, reach = found.deviations / known.reach, known.reach
+    of_base = standard_parameters(
+        base.names, base.units, found.beta, reach * base_sigma, base_share > MIN_PRIOR_SHARE, moves
+    )
     return ConsistentFile(
         prior=f"{'the description' if prior is None else prior.name}: "
         f"{_in_words(expected_links(model, expected)[1])}",
@@ -115,28 +123,20 @@ def consistent_set(
         largest_move=float(np.abs(moves).max()),
         moved_most=base.names[int(np.abs(found.deviations).argmax())],
         certificate=found.decrement,
-        base_parameters=[
-            msgspec.structs.replace(one, move=move)
-            for one, move in zip(
-                _parameters(base.names, base.units, found.beta, of_base, known.reach),
-                moves.tolist(),
-                strict=True,
-            )
-        ],
-    ), _parameters(model.names, model.units, found.chi, of_standard, known.reach)
+        base_parameters=list(of_base),
+    ), standard_parameters(
+        model.names, model.units, found.chi, reach * sigma, share > MIN_PRIOR_SHARE
+    )
 
 
-def _parameters(
-    names: tuple[str, ...],
-    units: tuple[str, ...],
-    values: Array,
-    certainty: tuple[Array, Array],
-    reach: float,
+def standard_parameters(
+    names: Sequence[str], units: Sequence[str], values: Array, *columns: NDArray[Any]
 ) -> tuple[StandardParameter, ...]:
-    """Values (p,) with half-widths, and whether they are from the prior."""
-    (sigma, share), each = certainty, (names, values.tolist(), units)
-    from_prior, half = share > MIN_PRIOR_SHARE, reach * sigma
-    return tuple(map(StandardParameter, *each, from_prior.tolist(), half.tolist()))
+    """Parameters by values (p,), half-widths, whether they are from the prior and, of base
+    parameters, moves.
+    """
+    half, from_prior, *moves = (x.tolist() for x in columns)
+    return tuple(map(StandardParameter, names, values.tolist(), units, from_prior, half, *moves))
 
 
 def refuse_unknown_gain(robot: Robot) -> None:

@@ -13,6 +13,7 @@ from .. import report
 from ..model import LINK
 from ..regression import Law, Problem, forward_backward_3db_hz
 from ..trust import HeldOut
+from .consistent import standard_parameters
 from .fit import Fit
 from .gain_results import EstimatedPayload
 from .parameters import fitted_parameters
@@ -122,19 +123,14 @@ def _law(law: Law, robot: Robot) -> report.LawFile:
 
 def _payload(one: EstimatedPayload, fit: Fit) -> report.PayloadOfFit:
     units = (*["kg m²"] * 6, *["kg m"] * 3, "kg")
-    columns = zip(
-        LINK, one.values.tolist(), units, one.from_prior.tolist(), one.half.tolist(), strict=True
-    )
-    parameters = [report.StandardParameter(*column) for column in columns]
     found = next(
         p.known for r in fit.recordings if (p := r.arm.payload) and p.payload == one.payload
     )
-    added = dict(zip(fit.base.names, found.tolist(), strict=True))
     return report.PayloadOfFit(
         recording=one.recording,
         stated=one.payload.text,
-        parameters=parameters,
-        base_parameters=added,
+        parameters=list(standard_parameters(LINK, units, one.values, one.half, one.from_prior)),
+        base_parameters=dict(zip(fit.base.names, found.tolist(), strict=True)),
     )
 
 
