@@ -62,17 +62,15 @@ def read_prior(path: Path, robot: Robot) -> Robot:
 
 @one_thread
 def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
-    """The fit with the nearest physically consistent parameters and their torque errors; the
+    """The fit with the nearest physically consistent parameters and their torque error; the
     estimate stays the same.
 
     `prior` describes the a-priori links; None: the fitted description. Raises `BadInputError`: a
     drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
     problem, full, own = fit.problem, fit.least_squares.full, fit.recordings[0].arm.names
-    covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
     # of own parameters those of one recording
-    first = np.array([full.names.index(name) for name in own])
-    covariance = covariance[np.ix_(first, first)]
+    covariance = covariance_of_all(own, fit.estimate, fit.intervals, full)
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
     alike = [one.problem for one in fit.recordings if one.arm.names == own]
     power = recorded_power(alike, fit.beta)
@@ -83,12 +81,8 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
         [validated(of, beta + (payload.known if payload else 0.0)) for of, payload in carried]
     )
     error = errors[-1].relative_error_percent
-    return replace(
-        fit,
-        consistent_set=msgspec.structs.replace(found, relative_error_percent=error),
-        standard_parameters=standard,
-        consistent_errors=errors,
-    )
+    found = msgspec.structs.replace(found, relative_error_percent=error)
+    return replace(fit, consistent_set=found, standard_parameters=standard)
 
 
 @one_thread

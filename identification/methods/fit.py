@@ -217,7 +217,7 @@ class Fit:
         direct: errors of the direct model by joint; empty if the final estimate
             could not be simulated.
         consistent_set, standard_parameters: the nearest physically consistent parameters, if
-            requested; `consistent_errors`: their torque errors, as `errors`.
+            requested.
         data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
         gains: of the drives, if identified, with the smallest eigenvalue of the statistic of Cragg
             and Donald; `payloads`: of the recordings that have one.
@@ -248,7 +248,6 @@ class Fit:
     direct: tuple[DirectModelResidual, ...] = ()
     consistent_set: ConsistentFile | None = None
     standard_parameters: tuple[StandardParameter, ...] = ()
-    consistent_errors: tuple[TorqueResidual, ...] = ()
     own: FTest | None = None
     method_reason: str = "as requested"
     gains: tuple[DriveGain, ...] = ()

@@ -68,8 +68,8 @@ def test_the_truth_is_inside_and_no_test_warns(method, own):
 def test_consistent_parameters_take_the_same_terms():
     made = with_consistent(fit_of("wls"))
     assert {"mu1", "mu2"} < {p.name for p in made.standard_parameters}
-    errors = [one[-1].relative_error_percent for one in (made.consistent_errors, made.errors)]
-    assert errors[0] == pytest.approx(errors[1], rel=0.05)
+    error = made.errors[-1].relative_error_percent
+    assert made.consistent_set.relative_error_percent == pytest.approx(error, rel=0.05)
 
 
 def test_held_out_is_predicted_by_the_fit_of_the_others():
