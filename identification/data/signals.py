@@ -120,6 +120,11 @@ class Signals:
                 array.flags.writeable = False
                 release_pages(array)
 
+    def with_gains_of(self, robot: Robot) -> "Signals":
+        """The same efforts by the drive gains of another description of the robot."""
+        effort = robot.joint_effort(self.robot.motor_effort(self.effort))
+        return replace(self, robot=robot, effort=effort)
+
     @property
     def of_drives(self) -> bool:
         """Whether efforts are objects of drives, which have internal loops."""

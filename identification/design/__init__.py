@@ -5,4 +5,4 @@ terms by cross-validation.
 from .excitation import Excitation, ExcitationSettings, excitation_document, excite
 from .friction_report import friction_document, friction_file, write_friction
 from .information import prior_information
-from .selection import TermSet, select_friction, with_terms
+from .selection import select_friction, with_terms

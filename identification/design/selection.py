@@ -162,7 +162,9 @@ def select_friction(
     given = overrides or Overrides()
     if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
         gain = methods.identify(Recordings(sources=recordings), given, say=say).problem.robot.gain
-        recordings = tuple(_with_gain(one, gain) for one in recordings)
+        recordings = tuple(
+            one.with_gains_of(replace(one.robot, identified_gain=gain)) for one in recordings
+        )
         given = replace(given, gains=None)
     robot = recordings[0].robot
     low = (
@@ -196,13 +198,6 @@ def select_friction(
         usual=trials.of(at_all_joints(robot, ())),
         recommended=recommended,
         left_out=(*left_out, *trials.unpredicted.values()),
-    )
-
-
-def _with_gain(signals: Signals, gain: Array) -> Signals:
-    robot = replace(signals.robot, identified_gain=gain)
-    return replace(
-        signals, robot=robot, effort=robot.joint_effort(signals.robot.motor_effort(signals.effort))
     )
 
 

@@ -3,7 +3,6 @@
 from .confidence import (
     LEVEL,
     Intervals,
-    Scores,
     by_rows_alone,
     combined,
     covariance_of_all,

@@ -59,11 +59,11 @@ def are_moving(speed: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
-def autocorrelation(rho: Array, lag: int = 1) -> float | None:
-    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of `lag` rows;
-    None where they are zero.
+def autocorrelation(rho: Array) -> float | None:
+    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of one row; None where they are
+    zero.
     """
-    r, following = rho[:-lag].ravel(), rho[lag:].ravel()
+    r, following = rho[:-1].ravel(), rho[1:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
     return float(r @ following / size) if size > 0 else None
 

@@ -268,9 +268,7 @@ def signals_as_fitted(
 
     `chosen`: the user gave the description. `place` names the fit in the warnings.
     """
-    gained = with_stored_gains(stored, signals.robot)
-    effort = gained.joint_effort(signals.robot.motor_effort(signals.effort))
-    signals = replace(signals, robot=gained, effort=effort)
+    signals = signals.with_gains_of(with_stored_gains(stored, signals.robot))
     other = other_meaning(stored, base := base_parameters(InverseModel(signals.robot)))
     if not other:
         return signals, terms_without_fit(stored, base, place)
