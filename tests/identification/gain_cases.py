@@ -123,3 +123,8 @@ def robot_of(text: str) -> Robot:
 def gains_of(fit: Fit) -> tuple[Array, Array]:
     """The identified gains (m,) and their half-widths (m,)."""
     return np.array([one.value for one in fit.gains]), np.array([x.half_width for x in fit.gains])
+
+
+def off_in_half_widths(fit: Fit, true: Array) -> Array:
+    """Distances (m,) of the identified gains from the true ones, in their half-widths."""
+    return np.abs(gains_of(fit)[0] - true) / gains_of(fit)[1]

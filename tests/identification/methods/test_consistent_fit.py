@@ -51,8 +51,7 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     )
     free, held = consistent.errors[-1].relative_error_percent, c.relative_error_percent
     assert free < held < free + 0.1
-    beta = np.array([p.value for p in c.base_parameters])
-    moved = (beta - consistent.beta) / consistent.intervals.half
+    moved = ([p.value for p in c.base_parameters] - consistent.beta) / consistent.intervals.half
     assert c.largest_move == pytest.approx(np.abs(moved).max())
     assert c.moved_most == problem.base.names[int(np.abs(moved).argmax())]
     # Nothing is said of link 1 but its part of ZZ1R; friction and offsets come from
@@ -87,8 +86,10 @@ def test_the_verdict_and_the_consistent_set_are_one_computation(consistent):
 
 def test_the_report_has_intervals_and_names_what_left_the_fits(consistent):
     c = consistent.consistent_set
-    base = [*c.base_parameters]
-    base[3] = msgspec.structs.replace(base[3], move=1.7)
+    base = [
+        msgspec.structs.replace(p, move=1.7 if k == 3 else p.move)
+        for k, p in enumerate(c.base_parameters)
+    ]
     far = dataclasses.replace(
         consistent, consistent_set=msgspec.structs.replace(c, base_parameters=base)
     )

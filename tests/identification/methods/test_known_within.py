@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco_arm
 import numpy as np
 import pytest
-from gain_cases import GainCase, fit_with_gains, gains_of
+from gain_cases import GainCase, fit_with_gains, gains_of, off_in_half_widths
 from planned_pairs import planned_pair
 
 import identification
@@ -44,9 +44,8 @@ def test_what_is_stated_wrongly_of_a_payload_is_told(off_m, mass_kg, told):
     if told == "gains":
         assert "check the payload's mass" in fit.trust.line("gains").text
         return
-    gains, half = gains_of(fit)
-    assert (np.abs(gains - mujoco_arm.GAINS) <= 2 * half).all()
-    assert (half < 0.01 * mujoco_arm.GAINS).all()
+    assert (off_in_half_widths(fit, mujoco_arm.GAINS) <= 2).all()
+    assert (gains_of(fit)[1] < 0.01 * mujoco_arm.GAINS).all()
     ((_, value, half, _),) = fit.trust.line("centre of mass").figures
     # mm; by the noise no less than 0.03
     assert max(abs(value - 1e3 * np.linalg.norm(off_m)), 0.03) <= 2 * half < 1.0
@@ -112,5 +111,4 @@ def test_arrays_of_a_pair_give_its_gains():
     both, rate_hz, payload = (free, loaded), free.sample_rate_hz, (None, "2@0.05,0.02,0")
     arrays = [one.q for one in both], [one.effort for one in both], rate_hz, free.robot
     fit = identification.fit(*arrays, payload=payload, gains=("all",), torque_lag_s=0.0)
-    gains, half = gains_of(fit)
-    assert (np.abs(gains - SCARA.gains) <= 1.5 * half).all()
+    assert (off_in_half_widths(fit, SCARA.gains) <= 1.5).all()

@@ -68,8 +68,9 @@ def test_the_truth_is_inside_and_no_test_warns(method, own):
 def test_consistent_parameters_take_the_same_terms():
     made = with_consistent(fit_of("wls"))
     assert {"mu1", "mu2"} < {p.name for p in made.standard_parameters}
-    error = made.errors[-1].relative_error_percent
-    assert made.consistent_set.relative_error_percent == pytest.approx(error, rel=0.05)
+    assert made.consistent_set.relative_error_percent == pytest.approx(
+        made.errors[-1].relative_error_percent, rel=0.05
+    )
 
 
 def test_held_out_is_predicted_by_the_fit_of_the_others():
