@@ -83,17 +83,22 @@ def test_long_recordings_are_fitted_the_same_by_two_workers(tmp_path):
     assert again == pytest.approx(fit.recordings[1].errors[-1].relative_error_percent, rel=0.06)
 
 
-@pytest.mark.parametrize(("tracked", "block", "tolerance"), [(20, None, 1e-9), (0, 20_000, 0.01)])
-def test_long_recordings_are_fitted_as_short_ones(tracked, block, tolerance, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("concerns", "tracked", "block", "tolerance"),
+    [(CONCERNS, 20, None, 1e-9), (CONCERNS, 0, 20_000, 0.01), (["load"], 20, 20_000, 1e-9)],
+)
+def test_long_recordings_are_fitted_as_short_ones(
+    concerns, tracked, block, tolerance, tmp_path, monkeypatch
+):
     """R factors of spans in place of the rows, and samples read again where they are needed; with a
     simulated robot, and where none tracks, along the reference and with blocks of rows, the first
-    of which do not show a lag.
+    of which do not show a lag; and by least squares without a reference.
     """
     monkeypatch.setattr(TRACKED, tracked)
     monkeypatch.setattr(system, "FINE_SPANS", 24)
     monkeypatch.setattr(system, "SPANS", 24)
-    concerns = frozenset(CONCERNS)
-    paths = written(tmp_path, concerns, frozenset(COLUMNS), 10.0)
+    columns = frozenset(COLUMNS if concerns is CONCERNS else ())
+    paths = written(tmp_path, concerns := frozenset(concerns), columns, 10.0)
     short = fitted(paths, concerns, Work(), decimation=2)
     monkeypatch.setattr(system, "SHORT", 0)
     monkeypatch.setattr(problem, "_SERIES_BLOCK", block or problem._SERIES_BLOCK)
@@ -101,7 +106,8 @@ def test_long_recordings_are_fitted_as_short_ones(tracked, block, tolerance, tmp
     fit = fitted(paths, concerns, Work(), decimation=2)
     assert (len(problem.row_blocks(fit.problem)) > 1) == bool(block)
     assert len(fit.data.observed.system.Y) < 0.7 * len(short.data.observed.system.Y)
-    assert (fit.estimate.names, fit.status) == (short.estimate.names, "converged")
+    assert (fit.estimate.names, fit.status) == (short.estimate.names, short.status)
+    assert fit.status == ("converged" if columns else "solved")
     moved = np.abs(fit.estimate.beta - short.estimate.beta) / short.intervals.half
     assert moved.max() < tolerance
     np.testing.assert_allclose(fit.intervals.half, short.intervals.half, rtol=tolerance)
