@@ -1,7 +1,10 @@
-"""The array type of the package."""
+"""The array types of the package, of any shape; docstrings give the shape, time first: (N, n) is
+samples by joints.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""float64 of any shape; docstrings give the shape, time first: (N, n) is samples by joints."""
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.intp]

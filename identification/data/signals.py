@@ -10,14 +10,14 @@ from typing import Any, TypedDict, Unpack
 from weakref import WeakValueDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from acquisition.errors import Place
 from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL, Event, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import BadInputError
 
 NAME = "arrays"  # in place of a recording's name
@@ -81,7 +81,7 @@ class Signals:
     began: datetime | None = None
     off_grid: float = 0.0
     assumed: tuple[str, ...] = ()
-    measured: NDArray[np.bool_] | None = None
+    measured: Bools | None = None
     unmeasured: str = ""
     motion_hz: float | None = None
 

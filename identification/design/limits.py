@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import EffortLimits, FourierReference, Robot, effort_limits
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import BadInputError
 from ..model import DirectModel, torque_of_links, torque_without_sliding
 
@@ -163,7 +162,7 @@ class Limits:
             parts.append(shares + _sides(shares) * ((self.load * np.abs(rigid)) @ np.abs(scaled).T))
         return np.concatenate(parts, axis=1)
 
-    def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:
+    def jacobian(self, slopes: Array, basis: Motion, at: Ints) -> Array:
         """Derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients, of its
         basis and their slopes.
         """

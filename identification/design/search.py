@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import FourierReference, fourier_reference
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import NoFitError
 from ..model import Obstacles
 from .information import Information
@@ -184,7 +183,7 @@ class _Search:
         self._unit = 1 / (peaks[:, None] / problem.limits.maximum[..., None]).max(axis=0)
         # (L,) factors of the shares at the samples
         self._tight = np.ones(len(problem.limits.names))
-        self._last: tuple[Array, Array, Array, NDArray[np.intp]] | None = None
+        self._last: tuple[Array, Array, Array, Ints] | None = None
 
     def minimise(self, x: Array, iterations: int) -> Array:
         """Coefficients (n, K) after iterations from x."""
@@ -227,7 +226,7 @@ class _Search:
         )
         return self._value, (by_x * self._unit).ravel()
 
-    def _shares_at(self, z: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    def _shares_at(self, z: Array) -> tuple[Array, Array, Ints]:
         """Shares, their slopes, and the samples of their peaks; those of the last z are cached."""
         if self._last is None or not np.array_equal(self._last[0], z):
             shares, slopes = self._problem.limits.shares_and_slopes(self._motion_at(z))

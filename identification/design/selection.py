@@ -13,12 +13,11 @@ from itertools import combinations
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
 from .. import estimation, methods
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..data import Recordings, Signals
 from ..errors import BadInputError
 from ..model import JointTerm
@@ -288,7 +287,7 @@ class Trials:
             by_recording=self.by_recording,
         )
 
-        def percent(predicted: Array, part: NDArray[np.bool_]) -> float | None:
+        def percent(predicted: Array, part: Bools) -> float | None:
             among = moving & np.repeat(part, self.widths)[:, None]
             return estimation.relative_error_percent(rows.tau[among], (rows.tau - predicted)[among])
 

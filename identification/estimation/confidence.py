@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from .diagnostics import f_tail, t_quantile
 from .estimators import Estimate
 from .system import System
@@ -44,7 +43,7 @@ class Intervals:
     reach: float
     covariance: Array
 
-    def part(self, indices: NDArray[np.intp]) -> "Intervals":
+    def part(self, indices: Ints) -> "Intervals":
         """The intervals of some of the parameters."""
         of = {name: getattr(self, name)[indices] for name in ("low", "high", "sigma")}
         return replace(self, covariance=self.covariance[np.ix_(indices, indices)], **of)
@@ -55,9 +54,7 @@ class Intervals:
         return 0.5 * (self.high - self.low)
 
 
-def intervals_of(
-    system: System, estimate: Estimate, among: NDArray[np.bool_] | None = None
-) -> Intervals:
+def intervals_of(system: System, estimate: Estimate, among: Bools | None = None) -> Intervals:
     """Compute the 95 % intervals of an estimate from the rows of its system, equation (F).
 
         beta ± t sigma,     sigma² = (1/B) sum_b L_b²,     L_b = sum_t c_b(t) e(t)
@@ -147,7 +144,7 @@ Scores = tuple[Array, Array, int]
 
 
 def scores_of_recordings(
-    system: System, Q: Array, bread: Array, rho: Array, among: NDArray[np.bool_] | None = None
+    system: System, Q: Array, bread: Array, rho: Array, among: Bools | None = None
 ) -> list[Scores]:
     """Scores of the recordings of a system, from orthonormal Q (r, b) of its rows, `bread` and
     weighted residuals rho (r,); `among` some of the spans, by default all.
@@ -160,7 +157,7 @@ def scores_of_recordings(
 
 
 def _by_span(
-    system: System, among: NDArray[np.bool_] | None, *columns: Array
+    system: System, among: Bools | None, *columns: Array
 ) -> Iterator[tuple[int, list[tuple[Array, ...]]]]:
     """By recording its number of cosines and, of each of its spans of time, the rows of these
     columns, all joints together; `among` some of the spans, no recording without any.

@@ -17,9 +17,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import NoFitError
 
 # weight of the links' prior; with a generic prior, 0.1 or less is worse than
@@ -48,13 +47,13 @@ class PhysicalParameters:
         start: (p,) parameters that meet all conditions.
     """
 
-    links: NDArray[np.intp]
+    links: Ints
     prior: Array
     combinations: Array
     start: Array
     matrices: tuple[Array, ...] = ()
 
-    def within(self, K: Array) -> tuple[NDArray[np.intp], "PhysicalParameters"]:
+    def within(self, K: Array) -> tuple[Ints, "PhysicalParameters"]:
         """Columns (k,) of chi that K (b, p) or a link has, and the conditions on these: further
         friction terms, which a fit has left out, are zero.
         """

@@ -8,9 +8,8 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..report import FTest, TorqueResidual
 from .system import inverse_factor
 
@@ -22,7 +21,7 @@ def torque_errors(
     tau: Array,
     predicted: Array,
     speed: Array,
-    measured: NDArray[np.bool_],
+    measured: Bools,
     names: tuple[str, ...],
 ) -> tuple[TorqueResidual, ...]:
     """Torque errors of each of the joints `names` and, last and under the name `all`,
@@ -51,7 +50,7 @@ def torque_errors(
     )
 
 
-def are_moving(speed: Array) -> NDArray[np.bool_]:
+def are_moving(speed: Array) -> Bools:
     """Where joints move: faster than 2 % of their peak speed.
 
     `speed` and the result are (rows, n).

@@ -15,10 +15,9 @@ from typing import Any, TypeVar, cast
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import NoFitError
 from ..report import FTest
 from .diagnostics import f_test
@@ -85,7 +84,7 @@ class Estimate:
         """The same without Q, which is as large as W."""
         return replace(self, Q=self.Q[:0].copy())
 
-    def part(self, indices: NDArray[np.intp]) -> "Estimate":
+    def part(self, indices: Ints) -> "Estimate":
         """The estimate of some of the parameters, of which the others remain estimated."""
         return replace(
             self,
@@ -207,7 +206,7 @@ def essential_parameters(
     # Columns are dropped from the R factor: each pass costs b³, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
 
-    def solved(kept: NDArray[np.intp]) -> tuple[Array, Array, float, float]:
+    def solved(kept: Ints) -> tuple[Array, Array, float, float]:
         some = R[:, kept]
         return _solve(orthonormal(some), some, R[:, -1])
 

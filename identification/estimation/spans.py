@@ -9,9 +9,8 @@ other.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from .system import equal_spans, is_short, r_factor, spans_of
 
 
@@ -26,11 +25,9 @@ class SpanRows:
         self._short = is_short(instants) and not one
         self._rows, self._columns = np.zeros(n), 0
         # by joint and place: rows, and twice their span, one more for fast ones
-        self._parts = dict[tuple[int, int], tuple[Array, NDArray[np.intp]]]()
+        self._parts = dict[tuple[int, int], tuple[Array, Ints]]()
 
-    def add(
-        self, first: int, A: Array, share: Array, fast: NDArray[np.bool_] | None = None
-    ) -> None:
+    def add(self, first: int, A: Array, share: Array, fast: Bools | None = None) -> None:
         """Add the instants from `first` on: A (n, columns, T), and `share` (T, n), the weights, 0
         for rows that do not count. Rows that are `fast` (n, T) have factors of their own.
         """
@@ -49,7 +46,7 @@ class SpanRows:
                 R = _reduced(np.r_[before, rows[kind == k]])
                 self._parts[j, k] = R, np.full(len(R), k)
 
-    def rows(self) -> tuple[Array, NDArray[np.bool_], dict[str, Any]]:
+    def rows(self) -> tuple[Array, Bools, dict[str, Any]]:
         """The rows (r, columns), joint by joint in the order of time, which are fast (r,), and how
         they follow: the further attributes of a `System`. Once only.
         """

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..errors import NoFitError
 
 # Of a long recording: halves and fifths of its time end where spans do; 7.5 per half period of the
@@ -29,7 +28,7 @@ def is_short(instants: int) -> bool:
     return instants <= SHORT
 
 
-def equal_spans(instants: int) -> NDArray[np.intp]:
+def equal_spans(instants: int) -> Ints:
     """The first instant (count + 1,) of each of the spans of so many instants, and the end of the
     last: instant t is in span t count // instants. A span has an instant at least.
     """
@@ -54,16 +53,14 @@ class System:
 
     W: Array
     Y: Array
-    joint_of_row: NDArray[np.intp]
+    joint_of_row: Ints
     names: tuple[str, ...]
     rows: Array
-    span: NDArray[np.intp]
-    spans: tuple[NDArray[np.intp], ...]
+    span: Ints
+    spans: tuple[Ints, ...]
 
     @classmethod
-    def whole(
-        cls, W: Array, Y: Array, joint_of_row: NDArray[np.intp], names: tuple[str, ...]
-    ) -> "System":
+    def whole(cls, W: Array, Y: Array, joint_of_row: Ints, names: tuple[str, ...]) -> "System":
         """A system of samples, one instant after the other at each joint."""
         rows = np.bincount(joint_of_row)
         spans = equal_spans(int(rows.max()))
@@ -78,12 +75,12 @@ class System:
             spans=(spans,),
         )
 
-    def part(self, rows: NDArray[np.bool_]) -> "System":
+    def part(self, rows: Bools) -> "System":
         """The system of some of its rows (r,)."""
         of = {name: getattr(self, name)[rows] for name in ("W", "Y", "joint_of_row", "span")}
         return replace(self, **of)
 
-    def with_columns(self, columns: NDArray[np.intp]) -> "System":
+    def with_columns(self, columns: Ints) -> "System":
         """The same system for some of its parameters."""
         if len(columns) == len(self.names):
             return self
@@ -101,7 +98,7 @@ def spans_of(parts: Sequence[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-def by_joint(systems: Sequence[System]) -> NDArray[np.intp]:
+def by_joint(systems: Sequence[System]) -> Ints:
     """The places (r,) of the rows of recordings one after the other, stacked joint by joint."""
     return np.argsort(np.concatenate([s.joint_of_row for s in systems]), kind="stable")
 
@@ -113,7 +110,7 @@ def stacked(systems: Sequence[System]) -> System:
     if len(systems) == 1:
         return systems[0]
     order, before = by_joint(systems), 0
-    spans = list[NDArray[np.intp]]()
+    spans = list[Ints]()
     for one in systems:
         spans.append(one.span + before)
         before += sum(len(own) - 1 for own in one.spans)

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Payload
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..model import LINK
 from ..report import DriveGain, Number, Row, Section, Table, columns
 
@@ -32,7 +31,7 @@ class EstimatedPayload:
     payload: Payload
     values: Array
     half: Array
-    from_prior: NDArray[np.bool_]
+    from_prior: Bools
     near: bool
 
     @property

@@ -6,10 +6,9 @@ from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import regression
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..data import RecordingFile, Recordings, Signals, Work, check_one_robot
 from ..estimation import Estimate, System, combined
 from ..regression import (
@@ -85,7 +84,7 @@ class Model:
         return tuple(equation_of(one, self.unknowns, k) for k, one in enumerate(each))
 
     @cached_property
-    def load(self) -> NDArray[np.intp]:
+    def load(self) -> Ints:
         """Places of the parameters of load friction in x."""
         names, of = self.problem.base.names, self.equations[0].load
         places = [self.names.index(names[place]) for term in of for place in term.places]

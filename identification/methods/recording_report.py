@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import ON_GRID, Signals
@@ -343,5 +342,5 @@ def _percent(x: float | None) -> str:
     return Number(x, ".3g", most=1000).text
 
 
-def _ends(x: NDArray[np.float64]) -> tuple[Number, Number]:
+def _ends(x: Array) -> tuple[Number, Number]:
     return Number(float(x.min()), ".4g"), Number(float(x.max()), ".4g")

@@ -19,9 +19,8 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import BadInputError, NoFitError
 from ..estimation import (
     Estimate,
@@ -192,7 +191,7 @@ def solution_of(model: Model, found: Pass, *, essential: bool) -> LeastSquares:
     )
 
 
-def refuse_without_scale(model: Model, rows: Rows, arm: NDArray[np.intp]) -> None:
+def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
     """Refuse recordings whose known torques are no more than the robot's parameters could give."""
     of, system = model.unknowns, rows.system
     size, typical = np.linalg.norm(system.Y), np.linalg.norm(rows.tau * rows.share)

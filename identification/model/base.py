@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..errors import BadInputError
 from .inverse import InverseModel
 from .joint_terms import SHAPES, JointTerm
@@ -40,11 +39,11 @@ class BaseParameters:
     names: tuple[str, ...]
     expressions: tuple[str, ...]
     units: tuple[str, ...]
-    columns: NDArray[np.intp]
+    columns: Ints
     K: Array
 
-    masses: NDArray[np.intp]
-    links: NDArray[np.bool_]
+    masses: Ints
+    links: Bools
 
     @cached_property
     def b(self) -> int:

@@ -15,12 +15,11 @@ from itertools import product
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from acquisition.errors import listed
 from acquisition.robot import Robot
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..errors import BadInputError
 from .joint_terms import SLIDING, JointTerm, joint_terms
 
@@ -76,11 +75,11 @@ class InverseModel:
         ]
         self.coulomb_directions = np.array(list(dict.fromkeys(map(tuple, along)))).reshape(-1, n)
 
-    def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
+    def entries(self, columns: Ints) -> Ints:
         """Entries (E, 2) of the regressor that can be non-zero: (joint, place in `columns`)."""
         return np.argwhere(self.nonzero[:, columns])
 
-    def series(self, q: Array, dq: Array, ddq: Array, columns: NDArray[np.intp]) -> Array:
+    def series(self, q: Array, dq: Array, ddq: Array, columns: Ints) -> Array:
         """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n)."""
         entries = self.entries(columns)
         out = np.empty((len(entries), len(q)))
@@ -245,7 +244,7 @@ class InverseModel:
             [joint - 1 for joint in joints if joint > 0] for joints in list(self.model.supports)[1:]
         ]
 
-    def _structure(self) -> NDArray[np.bool_]:
+    def _structure(self) -> Bools:
         """Which entries (n, p) of the regressor can be non-zero: joint j carries link i."""
         nonzero = np.zeros((self.robot.n, self.p), dtype=bool)
         for c, source in enumerate(self.sources):

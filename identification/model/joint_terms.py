@@ -26,11 +26,10 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import FrictionTerm, Robot
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 
 Kind = Literal["rotor"] | FrictionTerm
 ROOT_ROUNDING = 1e-3  # rad/s or m/s, added to the speed under a rounded root
@@ -113,7 +112,7 @@ class JointTerm:
     speed: float = np.inf
 
     @property
-    def rows(self) -> NDArray[np.intp]:
+    def rows(self) -> Ints:
         """Joints whose torque the parameter can change."""
         return np.flatnonzero(self.matrix.any(axis=1) | (self.direction != 0))
 

@@ -11,9 +11,8 @@ exact. With further friction terms, the power at recorded speeds must be positiv
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import BadInputError
 from ..estimation import (
     Consistent,
@@ -79,13 +78,13 @@ def base_prior(
     return found, "URDF" if "URDF" in sources else "[parameters]"
 
 
-def link_columns(idm: InverseModel) -> NDArray[np.intp]:
+def link_columns(idm: InverseModel) -> Ints:
     """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
     place = {source: c for c, source in enumerate(idm.sources) if not isinstance(source, JointTerm)}
     return np.array([[place[j, i] for i in range(len(LINK))] for j in range(idm.robot.n)])
 
 
-def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load: Array) -> Array:
+def friction_power(idm: InverseModel, columns: Ints, dq: Array, load: Array) -> Array:
     """Power (k, b) dissipated per unit of the parameters `columns` (b,), divided by sum |dq|;
     zero for constant offsets.
 
@@ -100,9 +99,7 @@ def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load
     return np.asarray(G / np.abs(dq).sum(axis=1)[:, None])
 
 
-def friction_alone(
-    idm: InverseModel, columns: NDArray[np.intp], j: int, v: Array, load: Array
-) -> Array:
+def friction_alone(idm: InverseModel, columns: Ints, j: int, v: Array, load: Array) -> Array:
     """Friction (k, b) without offsets of joint j per unit of the parameters `columns` (b,),
     if only joint j moves.
 

@@ -16,7 +16,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..errors import BadInputError, NoFitError
 
 BUTTERWORTH_ORDER = 4
@@ -143,7 +143,7 @@ class Decimation:
         """The samples of x (N, n) at the decimated instants, unfiltered."""
         return x[self.instants(len(x))]
 
-    def instants(self, N: int) -> NDArray[np.intp]:
+    def instants(self, N: int) -> Ints:
         """Indices of the decimated instants in N samples: the last one, and every
         `factor`-th before it.
         """
@@ -337,7 +337,7 @@ def _fast_size(least: int) -> int:
     return next(size for size in count(least) if pow(30, size.bit_length(), size) == 0)
 
 
-def nearby(x: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+def nearby(x: Bools, reach: int) -> Bools:
     """Whether any of x (N,) is true within `reach` samples."""
     before = np.cumsum(np.pad(x, (reach + 1, reach)))
     return np.asarray(before[2 * reach + 1 :] > before[: -2 * reach - 1])

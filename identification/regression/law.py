@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace as replace_keys
-from numpy.typing import NDArray
 
 from acquisition.robot import Controller, Robot
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..estimation import System, intervals_of, ordinary_least_squares
 from .motor_paths import MAX_RESIDUAL_PERCENT, Found, MotorPaths, motor_paths, scaled_solution
@@ -74,7 +73,7 @@ class Law:
     rival: str | None
     velocity_estimate: str
     period_s: float
-    used: NDArray[np.bool_]
+    used: Bools
     gains: Array
     gains_half: Array
     delay_s: Array
@@ -82,7 +81,7 @@ class Law:
     lag_s: Array
     lag_sd_s: Array
     residual_percent: Array
-    clear: NDArray[np.bool_]
+    clear: Bools
     described: Array | None
 
     def controller(self, described: Controller) -> Controller:
@@ -230,11 +229,11 @@ def described_gains(controller: Controller) -> Array | None:
     return np.array([kp * cascade, kd, ki[0] * cascade if ki else 0.0 * kp])
 
 
-def _is_clear(name: str, percent: dict[str, Array]) -> NDArray[np.bool_]:
+def _is_clear(name: str, percent: dict[str, Array]) -> Bools:
     """By motor whether a structure is better than those that it is no part of, and no worse than
     those that contain it.
     """
-    own, found = _floored(percent[name]), list[NDArray[np.bool_]]()
+    own, found = _floored(percent[name]), list[Bools]()
     for other in LAWS.keys() - {name}:
         letters, left = set(LAWS[other]), _floored(percent[other])
         contained = set(LAWS[name]) <= letters | set("f" if {"v", "w"} <= letters else "")

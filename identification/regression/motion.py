@@ -4,11 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.files import release_pages
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..data import Signals
 from .filtering import lowpass, lowpass_reach
 
@@ -87,7 +86,7 @@ def sampled_at(at: Array, x: Array) -> Array:
     return on_spline(i, (at - i)[:, None], spline_coefficients(x))
 
 
-def on_spline(i: NDArray[np.intp], u: Array, c: Array) -> Array:
+def on_spline(i: Ints, u: Array, c: Array) -> Array:
     """The cubic spline of coefficients c (N + 3, n) at u, 0 to 1, behind the samples i (K,); u is
     () or (K, 1).
     """

@@ -8,9 +8,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from .filtering import lowpass
 from .motion import differentiate, on_spline, spline_coefficients
 from .settings import KnownLag
@@ -151,7 +150,7 @@ def motor_paths(problem: "Problem", known: KnownLag, period_s: float) -> list[Mo
     assert s.q_ref is not None
     u, first = s.robot.motor_effort(s.effort[used]), s.q_ref[used.start] @ R.T
     limits = SATURATED * np.array([motor.saturation or np.inf for motor in s.robot.motors])
-    saturated: NDArray[np.intp] = np.cumsum(
+    saturated: Ints = np.cumsum(
         (np.abs(u) >= limits) | ~problem.measured_samples()[used, None],  # neither follows the law
         axis=0,
     )
@@ -191,7 +190,7 @@ def _paths(x: Array, fs: float, step: int) -> list[Array]:
     return [spline_coefficients(series[:, j]) for j in range(x.shape[1])]
 
 
-def _path(c: Array, places: NDArray[np.intp], rate_hz: float) -> Path:
+def _path(c: Array, places: Ints, rate_hz: float) -> Path:
     """The path of these coefficients, at places that are counted in its samples."""
 
     @lru_cache(_REMEMBERED)  # structures and steps share most of their lags and delays

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Payload
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..estimation import (
     Estimate,
@@ -95,9 +94,7 @@ class PayloadColumns:
         """(b,) base parameters of the payload by an estimate."""
         return self.known + self.columns @ estimate.values_of(self.names)
 
-    def nearest_body(
-        self, phi: Array, covariance: Array | None
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def nearest_body(self, phi: Array, covariance: Array | None) -> tuple[Array, Array, Bools]:
         """The body of positive density nearest to phi_f (f,) of this covariance (f, f),
         by the prior of a ball.
 

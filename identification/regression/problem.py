@@ -8,12 +8,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.files import release_pages
 from acquisition.robot import Robot
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
@@ -129,7 +128,7 @@ class Problem:
             return settings.cutoff_hz
         return rule_cutoff_hz(self.signals)
 
-    def measured_samples(self, beside: int = 0) -> NDArray[np.bool_]:
+    def measured_samples(self, beside: int = 0) -> Bools:
         """Which samples (N,) are far from all that were not measured: by half a period of the
         low-pass, which smears their positions, by what the lag may move their torques, and by
         `beside` samples.
@@ -143,7 +142,7 @@ class Problem:
             ~self.signals.measured, beside + round(max(0.5 * fs / self.slip_cutoff_hz, moved))
         )
 
-    def measured_rows(self) -> NDArray[np.bool_]:
+    def measured_rows(self) -> Bools:
         """Which decimated rows (rows,) have only measured samples within the rows in which the
         filter rings by more than a thousandth; all rows, if that leaves none.
         """

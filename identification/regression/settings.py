@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import robot
 from acquisition.errors import BadInputError, NoFitError
 from acquisition.files import release_pages
 from acquisition.robot import Edges, Joint, LowSpeed
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..data import Signals
 from ..estimation import MOVING
 from ..options import Overrides, Span
@@ -100,7 +99,7 @@ class Settings:
         return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
 
     @property
-    def instants(self) -> NDArray[np.intp]:
+    def instants(self) -> Ints:
         """The samples (rows,) of the decimated rows: the last of the span, every n_d-th before."""
         return self.start + self.decimator.instants(self.stop - self.start)
 

@@ -5,9 +5,8 @@ which joints are fast.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..model import SHAPES, friction_power, shaped_states
 from .blocks import MotionBlock, motion_blocks
 from .problem import Problem
@@ -19,7 +18,7 @@ LAG_ORDER = 6
 STATES = 300  # rows of a recording to evaluate friction at
 
 
-def row_states(problem: Problem) -> tuple[NDArray[np.intp], Array, Array, Array]:
+def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:
     """About 300 rows (k,) of a recording, evenly spaced; q, dq, ddq (k, n) at their instants."""
     problem, parts = problem.with_samples(), list[tuple[Array, ...]]()
     rows = len(problem.settings.instants)
@@ -63,7 +62,7 @@ def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     return dq, torque_of_links(problem, beta, q, dq, ddq)
 
 
-def fast_for_lag(motion: MotionBlock, peak: Array) -> NDArray[np.bool_]:
+def fast_for_lag(motion: MotionBlock, peak: Array) -> Bools:
     """Rows (n, T) of a motion in which a lag shows, by the `peak` speeds (c,) along the
     directions of Coulomb friction.
     """
@@ -71,7 +70,7 @@ def fast_for_lag(motion: MotionBlock, peak: Array) -> NDArray[np.bool_]:
     return fast[:, motion.inside]
 
 
-def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> NDArray[np.bool_]:
+def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> Bools:
     """Rows (n, T) in which a lag shows, by their speeds (T, n): no direction of Coulomb friction
     that acts on the joint is slower than a share of its peak.
     """

@@ -10,9 +10,8 @@ friction and payload stands in `unknowns`.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..model import direct_model
 from .blocks import MotionBlock
 from .problem import Problem
@@ -30,7 +29,7 @@ class Drives:
         lag: place of L in x, in s; positive: the torque is recorded late.
     """
 
-    gains: NDArray[np.intp]
+    gains: Ints
     lag: int
 
     def factors(self, x: Array) -> Array | None:

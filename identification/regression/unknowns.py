@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import BadInputError
 from ..estimation import Estimate
 from .blocks import MotionBlock
@@ -28,7 +27,7 @@ from .problem import Problem
 KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
 
 
-def base_places(names: Sequence[str]) -> NDArray[np.intp]:
+def base_places(names: Sequence[str]) -> Ints:
     """Places of the base parameters in names, some of which may be of payloads and
     gains: MX:loaded, K:motor_1.
     """
@@ -139,12 +138,12 @@ class Unknowns:
         return self.arms[0].unknowns
 
     @property
-    def lags(self) -> NDArray[np.intp]:
+    def lags(self) -> Ints:
         """Places (K,) of the lags, by group."""
         return np.arange(len(self.all) - len(self.groups), len(self.all))
 
     @property
-    def arm(self) -> NDArray[np.intp]:
+    def arm(self) -> Ints:
         """Places of the free unknowns but gains."""
         return np.arange(self.gains.start)
 
@@ -280,7 +279,7 @@ def _arm(
     return Arm(names=names, unknowns=x, P=P, known=known, payload=payload)
 
 
-def _places(x: tuple[str, ...], names: Sequence[str]) -> NDArray[np.intp]:
+def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
     return np.array([x.index(name) for name in names], dtype=np.intp)
 
 

@@ -18,9 +18,8 @@ from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..data import Signals
 from ..errors import NoFitError
 from .bandwidth import LOOP_PER_MOTION
@@ -47,7 +46,7 @@ class SampleWeights:
         of_rows: (rows, n) weights of the decimated rows, 0 for those that do not count.
     """
 
-    def __init__(self, problem: Problem, moves: NDArray[np.bool_]) -> None:
+    def __init__(self, problem: Problem, moves: Bools) -> None:
         settings, n = problem.settings, moves.shape[1]
         self._measured, self.ramps = problem.measured_samples(), (settings.ramp_rows,) * n
         self.moves = moves
@@ -62,7 +61,7 @@ class SampleWeights:
             )
             self._set_rows(problem, moving)
 
-    def _set_rows(self, problem: Problem, moving: NDArray[np.bool_]) -> None:
+    def _set_rows(self, problem: Problem, moving: Bools) -> None:
         """1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain
         below 1 at frequency 0.
         """
@@ -138,7 +137,7 @@ def refuse_standing_joints(share: Array, recordings: Sequence[Signals]) -> None:
             )
 
 
-def _moves(problem: Problem) -> NDArray[np.bool_]:
+def _moves(problem: Problem) -> Bools:
     """Which joints (N, n) move, in samples that were measured: no Coulomb direction that acts on a
     joint is slow within half a period of the cut-off.
 
@@ -193,7 +192,7 @@ def _speed_cutoff_hz(problem: Problem) -> float:
     return min(LOOP_PER_MOTION * problem.slip_cutoff_hz, highest_hz)
 
 
-def _ramped(moves: NDArray[np.bool_], L: int) -> Array:
+def _ramped(moves: Bools, L: int) -> Array:
     """w (N,) of a joint: Hann ramps of 2 L samples inside its moves, zero where it stands.
 
     Beyond the ends nothing changes.

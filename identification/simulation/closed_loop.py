@@ -9,11 +9,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Payload, Robot
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import BadInputError
 from ..model import (
     DirectModel,
@@ -89,7 +88,7 @@ class Friction:
         self._slope, self._creep = (own((S.T * x) @ S) for x in (slope, slope * stuck))
         self._stuck, self._slopes = bool(stuck.any()), bool(slope.any())
 
-    def step(self, q: Any, v: Any, tau: Any, held: NDArray[np.bool_] | None = None) -> Any:
+    def step(self, q: Any, v: Any, tau: Any, held: Bools | None = None) -> Any:
         """Return the speed (n,), rad/s or m/s, after a step from q, v under the torque tau, (n,)
         each, with brakes on the joints `held`.
 
@@ -246,7 +245,7 @@ class RigidBodyPlant:
         """None: it moves as its drives command."""
         return None
 
-    def step(self, effort: Array, held: NDArray[np.bool_], duration_s: float) -> None:
+    def step(self, effort: Array, held: Bools, duration_s: float) -> None:
         """Simulate `duration_s` under constant `effort`, with brakes on the joints `held`."""
         self._dq = np.where(held, 0.0, self._dq)
         if held.all():

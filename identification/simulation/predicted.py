@@ -11,11 +11,10 @@ along it are exogenous by construction. What sticks is not predicted: there they
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.files import allocate, release_pages
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..data import Signals
 from ..estimation import r_factor
 from ..regression import FilteredMotion, Problem, differentiate, lowpass_reach, rule_cutoff_hz
@@ -57,7 +56,7 @@ def _positions(signals: Signals, r: Array, within: range) -> Array:
     used = np.array(within[::every])
     peak = np.abs(differentiate(r[used], fs / every)).max(axis=0)
 
-    def columns(at: NDArray[np.intp]) -> Array:  # (K, p) at samples (K,), in order
+    def columns(at: Ints) -> Array:  # (K, p) at samples (K,), in order
         low = max(0, at[0] - late[-1] - EDGE)
         now = _terms(r[low : at[-1] + 1 + EDGE], peak, fs)
         return np.concatenate(

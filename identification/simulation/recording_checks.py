@@ -5,12 +5,11 @@ at their limits.
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.files import release_pages
 from acquisition.robot import Joint
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import BadInputError
 from ..regression import BLOCK_SAMPLES, Problem, largest_of_type
 
@@ -24,7 +23,7 @@ MIN_SATURATED_PERCENT = 5.0  # of saturated samples that explains a deviation fr
 MIN_HELD, MIN_HELD_RATIO, HELD_WIDTHS = 0.01, 3.0, np.array([20, 40, 80])
 
 
-def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDArray[np.bool_]]:
+def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, Bools]:
     """Return scales (n,) of position errors, from the `travel` (n,) of the reference; and
     which joints are held.
     """

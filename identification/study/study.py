@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Payload, Robot, robot_from_files
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..data import Signals, Work
 from ..errors import RobotIdimError
 from ..estimation import one_thread
@@ -74,7 +73,7 @@ class RunFit:
     low: Array
     high: Array
     verdict: str
-    essential: NDArray[np.bool_]
+    essential: Bools
     positive: bool
 
     def half_widths_off(self, true: Array) -> Array:

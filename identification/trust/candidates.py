@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Robot
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..model import DirectModel, direct_model, inertia_unit, torque_of_links
 from ..regression import MotionBlock, Problem, smooth
 
@@ -148,7 +147,7 @@ class Candidates:
         return tuple(found)
 
     @cached_property
-    def weighs(self) -> NDArray[np.intp]:
+    def weighs(self) -> Ints:
         """(g,) places of the base parameters of links that weigh."""
         idm, columns = self.problem.model, self.problem.base.columns
         q = np.sin(np.outer(np.arange(1, 6), np.arange(1, idm.robot.n + 1)))  # some poses

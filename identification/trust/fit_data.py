@@ -5,18 +5,17 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Robot
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
 from ..report import Method
 from .candidates import Candidates
 from .lines import HeldOut, TrustLine
 
-Part = NDArray[np.bool_]  # of the time: which spans, counted through all recordings
+Part = Bools  # of the time: which spans, counted through all recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,13 +91,13 @@ class FitData:
         return tuple(name for name in self.estimate.names if name.startswith("K:"))
 
     @cached_property
-    def edges(self) -> NDArray[np.intp]:
+    def edges(self) -> Ints:
         """(S + 1,) the first instant of each span of time, and the end of the last."""
         of_recordings = [np.diff(own) for own in self.observed.system.spans]
         return np.cumsum(np.r_[0, np.concatenate(of_recordings)])
 
     @property
-    def ends(self) -> NDArray[np.intp]:
+    def ends(self) -> Ints:
         """The first instant of the recordings, and the end of each."""
         return np.cumsum([0, *(own[-1] for own in self.observed.system.spans)])
 
@@ -118,7 +117,7 @@ class FitData:
         low, high = (int(np.abs(self.edges - at).argmin()) for at in (start, stop))
         return np.isin(np.arange(len(self.edges) - 1), range(low, high))
 
-    def instants(self, part: Part) -> NDArray[np.bool_]:
+    def instants(self, part: Part) -> Bools:
         """(T,) the instants of some spans of time."""
         return np.repeat(part, np.diff(self.edges))
 
@@ -137,7 +136,7 @@ class FitData:
         return np.asarray(self.estimate.weights[self.observed.system.joint_of_row])
 
     @cached_property
-    def places(self) -> NDArray[np.intp]:
+    def places(self) -> Ints:
         """(b,) places of the estimated parameters in the system."""
         return np.array([self.observed.system.names.index(name) for name in self.estimate.names])
 

@@ -15,10 +15,9 @@ links have positive density. `fit --consistent` and `export` use the same requir
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import estimation
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, poses_of, requirements
 from ..regression import friction_states, recorded_power
@@ -119,7 +118,7 @@ def _worst(
 
 def _driving_findings(
     evidence: FitData,
-    arms: Sequence[NDArray[np.bool_]],
+    arms: Sequence[Bools],
     estimate: estimation.Estimate,
     found: estimation.Intervals,
 ) -> list[Finding]:
@@ -156,7 +155,7 @@ def _driving_findings(
 
 def _inertia_findings(
     evidence: FitData,
-    own: NDArray[np.bool_],
+    own: Bools,
     estimate: estimation.Estimate,
     found: estimation.Intervals,
     q: Array,

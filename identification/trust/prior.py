@@ -11,9 +11,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import NoFitError
 from ..estimation import MIN_COLUMN_NORM, Estimate, instrumental_variables, intervals_of
 from ..model import base_prior, direct_model
@@ -98,7 +97,7 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     )
 
 
-def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
+def _known_and_free(evidence: FitData) -> tuple[Array, Ints]:
     """(p,) values of the system's parameters by the prior, zero where it has none; places of those
     that are fitted instead.
     """

@@ -5,11 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Robot
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..data import Signals
 from ..design import Excitation
 from ..methods import Fit
@@ -120,7 +119,7 @@ def model_stride(signals: Signals, settings: Settings) -> int:
     return max(1, int(signals.sample_rate_hz / (SAMPLES_PER_PERIOD * settings.cutoff_hz)))
 
 
-def extremes(x: Array, step: int) -> NDArray[np.intp]:
+def extremes(x: Array, step: int) -> Ints:
     """Indices of the minimum and maximum of every `step` samples of x (N,); of all
     samples if `step` is 1.
     """
