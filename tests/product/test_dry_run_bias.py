@@ -104,14 +104,12 @@ def test_loops_of_a_bandwidth_are_cascades_of_the_motors():
     """Kd (w e + de) (1 + w / s) at each motor, Kd being 4 w times the inertia that turns with it;
     joint 6 hangs on both.
     """
-    robot = load_robot(REPLAY / "tx40" / "robot.toml")
-    loops = cascaded_loops(robot, np.arange(1.0, 7.0))
+    loops = cascaded_loops(load_robot(REPLAY / "tx40" / "robot.toml"), np.arange(1.0, 7.0))
     inertia = np.array([1 / 32**2, 2 / 32**2, 3 / 45**2, 4 / 48**2, (5 + 6) / 45**2, 6 / 32**2])
     assert loops.velocity == pytest.approx(4 * W * inertia)
     assert loops.position / loops.velocity == pytest.approx(np.full(6, W + W))
     assert loops.integral / loops.velocity == pytest.approx(np.full(6, W * W))
-    scara = load_robot(REPLAY / "scara" / "robot.toml")
-    described = drive_loops(scara, np.ones(2))
+    described = drive_loops(load_robot(REPLAY / "scara" / "robot.toml"), np.ones(2))
     assert (described.position.tolist(), described.velocity.tolist()) == (
         [3700.0, 60.0],
         [190.0, 3.1],

@@ -55,8 +55,7 @@ class Row:
 
 
 def row(command: str, shows: str, status: int = 0, **more):
-    made = Row(command=command, shows=shows, status=status, **more)
-    return pytest.param(made, id=command)
+    return pytest.param(Row(command=command, shows=shows, status=status, **more), id=command)
 
 
 # Fits that other rows read, and the commands that write them.

@@ -86,8 +86,7 @@ def test_a_command_that_is_run_again_replaces_its_own_files(
     for _ in range(2):
         assert program.main(command.split()) == 0, capsys.readouterr().err
     for path in tmp_path.iterdir():
-        content = path.read_bytes()
-        assert content
+        assert path.read_bytes()
         path.write_bytes(b"")
         assert program.main(command.split()) == 0
         assert kind_of(path) in command or path.suffix in (".md", ".html", "")

@@ -31,8 +31,7 @@ unit = "N m"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    rng = np.random.default_rng(0)
-    np.savetxt(tmp_path / "a.csv", rng.normal(size=(300, 4)), delimiter=",")
+    np.savetxt(tmp_path / "a.csv", np.random.default_rng(0).normal(size=(300, 4)), delimiter=",")
     (tmp_path / "map.toml").write_text(MAP)
     return tmp_path
 

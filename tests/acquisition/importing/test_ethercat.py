@@ -384,8 +384,7 @@ def test_samples_of_the_real_capture_are_its_masters(tmp_path):
 
 
 def test_fit_of_the_real_capture(tmp_path):
-    robot = robot_of(robot_text(1, drive="station = 1002\n"))
-    imported(tmp_path, real().read_bytes(), robot)
+    imported(tmp_path, real().read_bytes(), robot_of(robot_text(1, drive="station = 1002\n")))
     fit = identify_iv(load_signals(tmp_path / "a.mcap"), Overrides(), Iteration())
     values = dict(zip(fit.base.names, fit.beta, strict=True))
     assert values["ZZ1R"] == pytest.approx(0.016689, rel=0.01)

@@ -158,8 +158,7 @@ def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
 @pytest.mark.parametrize("rate_hz", [5000.0, 3.0, 44.1, 999.5])
 def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((2000, 4)), np.arange(2000) / rate_hz)
-    out = run(tmp_path, two, with_time("s"), table).out
-    assert read_recording(out).sample_rate_hz == rate_hz
+    assert read_recording(run(tmp_path, two, with_time("s"), table).out).sample_rate_hz == rate_hz
 
 
 def test_a_short_record_with_jitter_keeps_its_own_rate_and_times_before_0_begin_at_0(tmp_path, two):

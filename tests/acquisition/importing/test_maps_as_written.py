@@ -251,8 +251,7 @@ def test_speeds_of_angles_that_jump_in_the_first_rows(tmp_path, monkeypatch):
     speed = np.gradient(q, PERIOD_S, axis=0)
     table = csv(T, wrapped(q, -np.pi), speed, U, header=",".join(["t", *names]))
     (tmp_path / "x.csv").write_bytes(table)
-    samples = imported(tmp_path, monkeypatch, "x.csv", NM)
-    assert np.abs(samples["velocity"] - speed).max() < 1e-9
+    assert np.abs(imported(tmp_path, monkeypatch, "x.csv", NM)["velocity"] - speed).max() < 1e-9
 
 
 def burst(size: int, inside_s: float = 1e-4):

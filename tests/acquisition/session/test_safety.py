@@ -89,8 +89,7 @@ def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
 
 
 def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
-    bus = bus_of(robot_of(bus_text(1, extra='sync_producer = "other"')))
-    master = Master(Answering(), bus)
+    master = Master(Answering(), bus_of(robot_of(bus_text(1, extra='sync_producer = "other"'))))
     master.start()
     for _ in range(10):
         master.dispatch(Frame(0, 0x80, b""))

@@ -374,5 +374,4 @@ def test_a_scan_takes_answers_without_a_size(monkeypatch):
     run, _ = connected(robot_of(bus_text(2)))
     nodes = scan_nodes(Uploads(run, bus_file()), OBJECTS, ARRAYS)
     assert nodes[2] == nodes[1]
-    rows = findings_of(nodes, {})
-    assert [row.found for row in rows if not row.ok] == []
+    assert [row.found for row in findings_of(nodes, {}) if not row.ok] == []

@@ -488,8 +488,7 @@ def test_without_inertials_of_bodies_there_are_no_a_priori_values_and_a_note(
     assert (dict(robot.parameters), robot.n) == ({}, 3)
     direct = read_robot("arm.urdf", joints=ARM, acceleration=(8, 8, 2), bandwidth_hz=5)
     assert (dict(direct.parameters), direct.n) == ({}, 3)
-    example = (here / "robot.toml").read_text().replace("\n#: ", "\n")
-    (here / "cell.toml").write_text(example)
+    (here / "cell.toml").write_text((here / "robot.toml").read_text().replace("\n#: ", "\n"))
     cell = load_robot("cell.toml")
     assert "no [parameters]" in driven_plant(cell, resolve(cell, "cell.toml")).warning
     for command in (["study", "robot.toml", "--runs", "1"], ["simulate", "robot.toml", "-o", "a"]):

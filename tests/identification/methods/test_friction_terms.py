@@ -412,8 +412,7 @@ def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
         dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides()
     )
     assert fit.errors[2].moving_relative_error_percent < 3.2
-    mu = fit.estimate.names.index("mu3")
-    assert fit.beta[mu] == pytest.approx(0.32, abs=0.01)
+    assert fit.beta[fit.estimate.names.index("mu3")] == pytest.approx(0.32, abs=0.01)
     assert fit.trust.line("physical").level == "ok"
 
 

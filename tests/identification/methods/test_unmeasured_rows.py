@@ -183,8 +183,7 @@ def test_a_recording_with_gaps_is_fitted(arm, robot, measured, tmp_path):
 def test_weights_are_zero_wherever_a_sample_was_not_measured(robot, measured):
     for overrides in WEIGHTS.values():
         signals = signals_from_arrays(*(without(x, GAPS) for x in measured), RATE_HZ, robot)
-        problem = make_problem(signals, overrides)
-        w = sample_weights(problem).between(0, N)
+        w = sample_weights(make_problem(signals, overrides)).between(0, N)
         assert not w[:, GAPS].any()
         assert (w[:, 3200:4700] > 0).any()
 

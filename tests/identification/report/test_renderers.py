@@ -75,8 +75,7 @@ def test_markdown_takes_no_text_for_markup():
     assert "| a\\|b\\\\ | 1.2346 |" in text
     assert "| \\|rho\\| |" in text.replace("| name ", "", 1)
     assert "- x \\* y \\< 2 \\`z\\`" in text
-    rule = next(line for line in text.splitlines() if line.startswith("|--"))
-    assert rule == "|---|--:|--:|--:|"
+    assert next(line for line in text.splitlines() if line.startswith("|--")) == "|---|--:|--:|--:|"
 
 
 def test_a_row_has_a_cell_for_each_column():

@@ -305,6 +305,5 @@ def test_a_step_has_several_instants_while_the_fastest_speed_loop_allows(
     loop = replace(
         free(2, 4000.0), R=R, Kd=np.array(Kd), G=np.ones(2), computed_torque=computed_torque
     )
-    M = np.stack([np.diag([2.0, 2.0]), np.diag([3.0, 0.5])])
-    slower = loop.slower(M, 1000.0)
+    slower = loop.slower(np.stack([np.diag([2.0, 2.0]), np.diag([3.0, 0.5])]), 1000.0)
     assert (slower.periods, slower.period_s) == (periods, pytest.approx(periods / 4000))

@@ -114,8 +114,7 @@ def test_noise_that_is_fed_back_or_missing_friction_do_not_pass_for_a_lag(cell, 
 def test_data_that_contradict_what_is_known_count_alone():
     """A torque two samples late that is said to be a mean, without a controller to replay."""
     signals = replace(late_scara(), effort_timing="mean")
-    bare = with_controller(signals, **NO_LAW, bandwidth_hz=signals.robot.bandwidth_hz)
-    fit = fitted(bare)
+    fit = fitted(with_controller(signals, **NO_LAW, bandwidth_hz=signals.robot.bandwidth_hz))
     (found,) = fit.lags
     assert (found.source, 1e3 * found.value_s) == ("data", pytest.approx(1.5, abs=0.2))
     assert "contradicts it and is not used" in fit.trust.line("lag").text

@@ -146,8 +146,7 @@ def test_without_gains_or_inertials_there_is_no_prior():
         robot_of(six_joints(), NAMES, joint=lambda toml: toml.replace('"N m"', '"A"')),
         robot_of(six_joints((0,) * 6), NAMES),
     ):
-        signals = replace(recorded(), robot=robot)
-        fit = fit_by_least_squares(signals)
+        fit = fit_by_least_squares(replace(recorded(), robot=robot))
         assert not any(line.test == "prior" for line in fit.trust.lines)
         assert "| prior |" not in to_markdown(fit_document(fit))
         stored = fit_file(fit)

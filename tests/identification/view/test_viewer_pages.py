@@ -37,8 +37,7 @@ def written(folder, picture):
 @pytest.mark.parametrize("name", ["tx40", "emps"])
 def test_a_robot_is_drawn_from_its_table(name):
     robot = robot_named(name)
-    rng = np.random.default_rng(1)
-    q = 0.2 * np.cumsum(rng.standard_normal((400, robot.n)), axis=0) / 20
+    q = 0.2 * np.cumsum(np.random.default_rng(1).standard_normal((400, robot.n)), axis=0) / 20
     signals = replace(
         made_up(),
         t_s=np.arange(400) / 1000.0,
