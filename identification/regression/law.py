@@ -156,9 +156,12 @@ def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: fl
     ways = {one: solved(STRUCTURES[name], one) for one in SPEED_DELAYS}
     estimate = _estimate(ways, motors[0], controller.velocity_estimate)
     late_s, known = SPEED_DELAYS[estimate] * period_s, repeat(None) if stated is None else stated.T
+    # a step further: the search ends once steps are small
+    near = zip(motors, ways[estimate], strict=True)
+    found = [motor.solve(STRUCTURES[name], late_s, one) for motor, one in near]
     each = [
         _values(motor, x, gains, name, late_s)
-        for motor, (_, x), gains in zip(motors, ways[estimate], known, strict=False)
+        for motor, (_, x), gains in zip(motors, found, known, strict=False)
     ]
     gains, half, times = np.split(np.array(each).T, [3, 6])
     half[0] = np.hypot(half[0], unknown_s * gains[2])
@@ -185,7 +188,7 @@ def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: fl
         delay_half_s=times[1],
         lag_s=times[2],
         lag_sd_s=times[3],
-        residual_percent=_percents(ways[estimate]),
+        residual_percent=_percents(found),
         clear=clear[name],
         described=stated,
     )
