@@ -2,6 +2,7 @@
 
 from .confidence import (
     LEVEL,
+    WHITE_COSINES,
     Intervals,
     by_rows_alone,
     combined,

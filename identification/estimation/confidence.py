@@ -21,6 +21,7 @@ LEVEL = 0.95
 MIN_COSINES = 4
 # with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
 MAX_COSINES = 16
+WHITE_COSINES = 48  # of rows that were whitened
 MIN_VARIANCE_SHARE = 0.1  # of a very short recording
 
 
@@ -54,7 +55,9 @@ class Intervals:
         return 0.5 * (self.high - self.low)
 
 
-def intervals_of(system: System, estimate: Estimate, among: Bools | None = None) -> Intervals:
+def intervals_of(
+    system: System, estimate: Estimate, among: Bools | None = None, most: int = MAX_COSINES
+) -> Intervals:
     """Compute the 95 % intervals of an estimate from the rows of its system, equation (F).
 
         beta ± t sigma,     sigma² = (1/B) sum_b L_b²,     L_b = sum_t c_b(t) e(t)
@@ -64,6 +67,7 @@ def intervals_of(system: System, estimate: Estimate, among: Bools | None = None)
     system : the rows W, Y that it was estimated from, not weighted.
     estimate : with its weights and Q; `stated` values add their deviations.
     among : the spans of time that the rows are of; by default all.
+    most : cosines of a recording.
 
     Returns
     -------
@@ -71,8 +75,11 @@ def intervals_of(system: System, estimate: Estimate, among: Bools | None = None)
     the number B of cosines, summed over the recordings.
     """
     rho = system.Y - system.W @ estimate.values_of(system.names)
-    weighted = rho * estimate.weights[system.joint_of_row]
-    found = scores_of_recordings(system, estimate.Q, estimate.bread, weighted, among)
+    weighted, Q = rho * estimate.weights[system.joint_of_row], estimate.Q
+    found = list[Scores]()
+    for B, spans in _by_span(system, among, most):
+        scores = np.array([Q[at].T @ weighted[at] for at in spans]) @ estimate.bread.T
+        found.append((scores, np.array([Q[at].T @ Q[at] for at in spans]), B))
     sigma, freedom = estimate_deviations(estimate.bread, found)
     return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
 
@@ -143,37 +150,20 @@ def differs(off: Array, covariance: Array, freedom: int) -> bool:
 Scores = tuple[Array, Array, int]
 
 
-def scores_of_recordings(
-    system: System, Q: Array, bread: Array, rho: Array, among: Bools | None = None
-) -> list[Scores]:
-    """Scores of the recordings of a system, from orthonormal Q (r, b) of its rows, `bread` and
-    weighted residuals rho (r,); `among` some of the spans, by default all.
-    """
-    found = list[Scores]()
-    for B, spans in _by_span(system, among, Q, rho[:, None]):
-        scores = np.array([q.T @ r[:, 0] for q, r in spans]) @ bread.T
-        found.append((scores, np.array([q.T @ q for q, _ in spans]), B))
-    return found
-
-
 def _by_span(
-    system: System, among: Bools | None, *columns: Array
-) -> Iterator[tuple[int, list[tuple[Array, ...]]]]:
-    """By recording its number of cosines and, of each of its spans of time, the rows of these
-    columns, all joints together; `among` some of the spans, no recording without any.
+    system: System, among: Bools | None = None, most: int = MAX_COSINES
+) -> Iterator[tuple[int, list[Ints]]]:
+    """By recording its number of cosines, at `most`, and the rows of each of its spans of time, of
+    all joints together; `among` some of the spans, no recording without any.
     """
-    order = np.argsort(system.span, kind="stable")
-    columns, last = tuple(x[order] for x in columns), 0
+    order, last = np.argsort(system.span, kind="stable"), 0
     ends = np.searchsorted(system.span[order], np.arange(sum(map(len, system.spans))))
     for own in system.spans:
         first, last = last, last + len(own) - 1
         spans = np.arange(first, last)
         spans = spans if among is None else spans[among[spans]]
         if (instants := int(np.diff(own)[spans - first].sum())) > 0:
-            yield (
-                cosines(instants),
-                [tuple(x[ends[k] : ends[k + 1]] for x in columns) for k in spans],
-            )
+            yield cosines(instants, most), [order[ends[k] : ends[k + 1]] for k in spans]
 
 
 def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:
@@ -237,10 +227,12 @@ def deviations_of_sums(system: System, z: Array, rho: Array, Q: Array) -> Array:
     """
     own = z - Q @ (Q.T @ z)  # the direction that a column adds to Q
     own, each = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), []
-    for B, spans in _by_span(system, None, z, z * rho, z**2, Q, z * own):
-        scores, squares, by_own = (np.array([x[i].sum(axis=0) for x in spans]) for i in (1, 2, 4))
-        cosine = _family(B, len(spans))
-        along = np.tensordot(cosine, np.array([x[0].T @ x[3] for x in spans]), axes=1)
+    for B, spans in _by_span(system):
+        cosine, each_Q = _family(B, len(spans)), np.array([z[at].T @ Q[at] for at in spans])
+        scores, squares, by_own = (
+            np.array([(z[at] * x[at]).sum(axis=0) for at in spans]) for x in (rho, z, own)
+        )
+        along = np.tensordot(cosine, each_Q, axes=1)
         lost = (along**2).sum(axis=-1) + (cosine @ by_own) ** 2
         share = _share((cosine**2 @ squares - lost).mean(axis=0), squares.sum(axis=0))
         each.append(deviations(scores, B) / np.sqrt(share))
@@ -278,8 +270,8 @@ def _family(B: int, T: int) -> Array:
     return np.asarray(np.sqrt(2) * np.cos(np.pi * k * (t + 0.5) / T))
 
 
-def cosines(T: int) -> int:
+def cosines(T: int, most: int = MAX_COSINES) -> int:
     """Number of cosines for T instants: enough to measure the spread, few enough to
-    stay at low frequencies.
+    stay at low frequencies, at `most` as many.
     """
-    return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, MAX_COSINES))
+    return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, most))

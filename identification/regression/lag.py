@@ -20,6 +20,7 @@ from ..arrays import Array
 from ..errors import NoFitError
 from ..estimation import (
     LEVEL,
+    WHITE_COSINES,
     SpanRows,
     System,
     autoregression,
@@ -143,7 +144,7 @@ def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> li
     with suppress(NoFitError):  # the rows do not determine them
         if system.Y.any():  # else the fit is exact
             step = instrumental_variables(system, Z, weights_of(system, system.Y))
-            within = intervals_of(system, step)
+            within = intervals_of(system, step, most=WHITE_COSINES)
             values, sd = (now_s + step.beta[-K:]).tolist(), within.sigma[-K:].tolist()
             found = [(*one, within.freedom) for one in zip(values, sd, strict=True)]
     return [

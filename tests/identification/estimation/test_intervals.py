@@ -30,10 +30,11 @@ def _as_a_long_recording(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("T", "B"), [(10, 4), (63, 6), (100, 8), (252, 15), (253, 16), (10**6, 16)]
+    ("T", "most", "B"),
+    [(10, 16, 4), (63, 16, 6), (252, 16, 15), (253, 16, 16), (10**6, 16, 16), (10**6, 48, 48)],
 )
-def test_how_many_cosines(T, B):
-    assert cosines(T) == B
+def test_how_many_cosines(T, most, B):
+    assert cosines(T, most) == B
 
 
 @pytest.mark.parametrize(("T", "B"), [(120, 9), (300, 16)])
