@@ -63,7 +63,8 @@ def _positions(signals: Signals, r: Array, within: range) -> Array:
             [np.ones((len(at), 1)), *(now[np.maximum(at - d, 0) - low] for d in late)], axis=1
         )
 
-    blocks = (used[k : k + DESIGN_SAMPLES] for k in range(0, len(used), DESIGN_SAMPLES))
+    few = max(1, DESIGN_SAMPLES // every)  # of that many samples the terms are made
+    blocks = (used[k : k + few] for k in range(0, len(used), few))
     R = r_factor(np.concatenate([r_factor(np.c_[columns(at), q[at] - r[at]]) for at in blocks]))
     size = np.maximum(np.linalg.norm(R[:, :-n], axis=0), np.finfo(float).tiny)
     effects = np.linalg.lstsq(R[:, :-n] / size, R[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
