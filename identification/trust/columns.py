@@ -140,11 +140,12 @@ def _scored(
     Q, bread, rho, rows = estimate.Q, estimate.bread, Y - W @ estimate.beta, np.ones(1)
     if fast:
         rows = (observed.fast | ~acts[:, 0]).astype(float)  # so that no product is a further copy
-        if terms[0].kind == candidates.CLOCKS:
-            lags = observed.L[:, observed.L.shape[1] - len(evidence.lags) :]
-            W = np.c_[W, -lags.sum(axis=1) * evidence.weight]
-            Q = np.c_[Q, W[:, -1]]
-        Q = orthonormal(Q * rows[:, None])
+        common = observed.L[:, observed.L.shape[1] - len(evidence.lags) :].sum(
+            axis=1, keepdims=True
+        )
+        common = common[:, : int(terms[0].kind == candidates.CLOCKS)] * -weight
+        Q = orthonormal(np.c_[Q, common] * rows[:, None])
+        W = np.c_[W, common] if common.size else W
         bread = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
         rho = rows * (Y - W @ (bread @ (Q.T @ Y)))
     z = C - Q @ (bread.T @ (W.T @ C))  # orthogonal to W
