@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..arrays import Array, Ints
+from ..arrays import Array
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .motion import Motion, differentiate, smooth
@@ -75,7 +76,9 @@ class MotionBlock(Motion):
             return np.zeros_like(self.share)
         return self.weighted(self.problem.known(self.t_s).T)
 
-    def weighted(self, x: Array, joints: Sequence[int] | Ints | slice = slice(None)) -> Array:
+    def weighted(
+        self, x: Array, joints: Sequence[int] | NDArray[np.intp] | slice = slice(None)
+    ) -> Array:
         """Return F[w x] (k, rows) of series x (k, N), one for each of some joints."""
         return self.filtered(self.weights[joints] * x)
 
@@ -95,20 +98,15 @@ class MotionBlock(Motion):
         """Return the samples of x (N, n) that no other block has."""
         return x[self.decimation.samples(self.inside, len(x))]
 
-    def predicted(self, beta: Array, at: slice = slice(None)) -> Array:
-        """Return the torque (N, n) that base parameters beta (b,) predict at samples of the block,
-        undecimated.
-        """
-        problem = self.problem
-        stride = self.decimation.factor // DRIVES_A_ROW if problem.settings.filtered else 1
-        return predicted_torque(self.part(at), problem.model, problem.base, beta, stride)
-
     def with_torque_of(self, beta: Array) -> "MotionBlock":
         """Return the same motion with the torque of the drives that base parameters beta (b,)
         predict, equation (1), which has no noise and is never late.
         """
+        problem = self.problem
+        stride = self.decimation.factor // DRIVES_A_ROW if problem.settings.filtered else 1
+        tau = predicted_torque(self, problem.model, problem.base, beta, stride)
         found = copy(self)  # with its W
-        vars(found).update(tau=self.predicted(beta) - self.problem.known(self.t_s), recorded=False)
+        vars(found).update(tau=tau - problem.known(self.t_s), recorded=False)
         return found
 
 
@@ -173,9 +171,9 @@ def _series(
     motion: Motion,
     dynamics: InverseModel,
     base: BaseParameters,
-    places: Ints,
+    places: NDArray[np.intp],
     spans: Sequence[slice],
-) -> tuple[Ints, list[Array]]:
+) -> tuple[NDArray[np.intp], list[Array]]:
     """Entries (E, 2), joint and place in `base`, and their series (E, N) in spans of a motion."""
     columns = base.columns[places]
     entries = dynamics.entries(columns)

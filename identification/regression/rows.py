@@ -16,10 +16,11 @@ from itertools import pairwise, repeat
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..arrays import Array, Bools, Ints
+from ..arrays import Array
 from ..estimation import SpanRows, System, by_joint, one_thread, release_memory, stacked
-from .blocks import MotionBlock, motion_blocks
+from .blocks import MotionBlock, motion_blocks, predicted_torque
 from .lag import LagCollector
 from .problem import Problem
 from .states import fast_for_lag
@@ -126,7 +127,7 @@ class Rows:
     L: Array
     at_rest: System | None
     C: Array
-    fast: Bools
+    fast: NDArray[np.bool_]
     Z: Array
     share: Array
     tau: Array
@@ -140,11 +141,11 @@ class Rows:
         return tuple(int(spans[-1]) for spans in self.system.spans)
 
     @cached_property
-    def counts(self) -> Bools:
+    def counts(self) -> NDArray[np.bool_]:
         """(T, n) whether a decimated sample counts."""
         return self.share > 0
 
-    def of(self, places: Ints) -> System:
+    def of(self, places: NDArray[np.intp]) -> System:
         """The system of some of the free unknowns; the others are held at x."""
         system, held = self.system, np.delete(np.arange(len(self.system.names)), places)
         if not len(held):
@@ -306,7 +307,7 @@ def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Ar
     Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
     """
     problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
-    parts, settings = list[tuple[Array, ...]](), problem.settings
+    parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)
     rows, fs = len(settings.instants), problem.signals.sample_rate_hz
     # as spans of time end
     edges = settings.stop - settings.decimation * (
@@ -317,7 +318,7 @@ def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Ar
         cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
         predicted = np.concatenate(
             [
-                motion.predicted(beta, slice(first, last))
+                predicted_torque(motion.part(slice(first, last)), *of, beta)
                 for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
                 if first < last
             ]
