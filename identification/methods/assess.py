@@ -21,7 +21,15 @@ from ..estimation import (
     spans_of,
     torque_errors,
 )
-from ..regression import ROWS, Lag, Problem, Rows, base_name, lag_by_law, sample_weights
+from ..regression import (
+    ROWS,
+    Lag,
+    Problem,
+    Rows,
+    base_name,
+    lag_by_law,
+    sample_weights,
+)
 from ..report import FTest, Method, Status
 from ..simulation import ControllerKind, Simulated
 from ..trust import (
@@ -30,7 +38,7 @@ from ..trust import (
     trust_in,
     with_predictions,
 )
-from .fit import Fit, FittedRecording, LeastSquares, Pass, essential_names
+from .fit import Fit, FittedRecording, Pass, essential_names
 from .gains import held_and_counted, results_of
 from .iteration import Loop
 from .model import Model
@@ -48,17 +56,18 @@ MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 def evidence_of(
     model: Model,
     method: Method,
-    solved: LeastSquares,
-    rows: Rows,
+    solved: Pass,
     x: Array,
-    lags: Sequence[Lag],
+    full: Estimate,
+    essential: FTest,
 ) -> FitData:
-    """Inputs of the trust tests of an estimate and its x (p,) from its rows, with the columns of
-    candidates.
+    """Inputs of the trust tests of a solution and its x (p,), with the columns of candidates in
+    its rows; `full`, `essential`: least squares of all parameters, and those essential by it.
     """
-    estimate, unknowns = solved.estimate, model.unknowns
+    estimate, unknowns, rows = solved.estimate, model.unknowns, solved.rows
+    assert rows is not None
     candidates, *_ = model.candidates(x, rows.speed, simulated=not rows.recorded)
-    lags = counted_lags(model, lags, rows, estimate)
+    lags = counted_lags(model, solved.lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
     return FitData(
         problems=model.concluded(x),
@@ -69,10 +78,10 @@ def evidence_of(
         estimate=estimate,
         predicted=solved.tau_predicted,
         intervals=within,
-        least_squares=solved.full,
+        least_squares=full,
         candidates=candidates,
         lags=lags,
-        essential=essential_names(solved.essential, estimate, within),
+        essential=essential_names(essential, estimate, within),
     )
 
 
@@ -98,11 +107,12 @@ def fit_of(
     model: Model,
     evidence: FitData,
     x: Array,
-    ls: LeastSquares,
+    ls: Pass,
+    essential: FTest,
     z: Sequence[Simulated] = (),
 ) -> Fit:
-    """The fit of an estimate and its x (p,), and its assessment; `ls`: least squares; `z`: the
-    robot simulated in each recording, if it was.
+    """The fit of an estimate and its x (p,), and its assessment; `ls`: least squares, and the
+    `essential` parameters by it; `z`: the robot simulated in each recording, if it was.
     """
     rows, predicted, predict = evidence.observed, evidence.predicted, partial(model.predicted, x)
     release_memory(rows.C)
@@ -140,7 +150,8 @@ def fit_of(
         status="solved",
         estimate=evidence.estimate,
         intervals=evidence.intervals,
-        least_squares=ls.of_base(),
+        least_squares=ls,
+        essential=essential,
         t_s=np.concatenate([one.problem.row_times_s() for one in model.equations]),
         tau=rows.tau,
         tau_predicted=predicted,
@@ -155,22 +166,21 @@ def fit_of(
         warnings=warnings,
         trust=trust_in(evidence),
         data=evidence,
-        own=own_test(model, x, ls),
+        own=own_test(model, x, evidence.least_squares),
     )
     if model.unknowns.plain:
         return fit
-    fit = replace(fit, **results_of(model, evidence))
+    fit = replace(fit, **results_of(model, evidence, ls, essential))
     far = [one.recording for one in fit.payloads if not one.near]
     text = "no body of positive density is near: its values are stated or a ball's"
     return replace(fit, warnings=(*fit.warnings, *(f"payload of {name}: {text}" for name in far)))
 
 
-def own_test(model: Model, x: Array, ls: LeastSquares) -> FTest | None:
+def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:
     """F test, by least squares, of the recordings' own parameters against shared ones;
     None if there are none.
     """
-    full, own = ls.full, model.unknowns.own
-    if not own:
+    if not (own := model.unknowns.own):
         return None
     names, x = full.names, model.x_of(full, x)
     rows = model.rows(x)
@@ -221,12 +231,12 @@ def assess_iv(
     """The fit of the pass that is returned, how the passes `ended`, and the `tests` of its
     instruments; the robot simulated with its estimate validates the direct model.
     """
-    model, ls, estimate, z, rows = loop.model, loop.ls, best.estimate, best.confirmed_by, best.rows
+    model, estimate, z, rows = loop.model, best.estimate, best.confirmed_by, best.rows
     assert rows is not None
     x = model.x_of(estimate, best.x)
     tau, predicted, _ = model.torques(x)
-    solved = replace(ls, estimate=estimate, tau_predicted=predicted)
-    evidence = evidence_of(model, "iv", solved, replace(rows, tau=tau, late=None), x, best.lags)
+    solved = replace(best, rows=replace(rows, tau=tau, late=None), tau_predicted=predicted)
+    evidence = evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
     (status, reason), (strength, F) = ended, tests
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
@@ -237,7 +247,7 @@ def assess_iv(
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         by_reference=reason if status == "converged" else None,
     )
-    fit = fit_of(model, evidence, x, ls, z)
+    fit = fit_of(model, evidence, x, loop.ls, loop.essential, z)
     warnings = (*fit.warnings, *_iv_warnings(model, z, F))
     return replace(
         fit,

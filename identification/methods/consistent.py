@@ -68,7 +68,7 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     `prior` describes the a-priori links; None: the fitted description. Raises `BadInputError`: a
     drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
-    problem, full, own = fit.problem, fit.least_squares.full, fit.recordings[0].arm.names
+    problem, full, own = fit.problem, fit.full, fit.recordings[0].arm.names
     # of own parameters those of one recording
     covariance = covariance_of_all(own, fit.estimate, fit.intervals, full)
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import msgspec
 import numpy as np
 
 from acquisition.robot import ripple_notes
@@ -45,7 +44,7 @@ class Pass:
     Attributes:
         x: (p,) values before it, with the lags found.
         rows: about x, with the instruments; `z`: by recording, the robot simulated for them.
-        estimate: of the free unknowns; `covariance`: (f, f) corrected for correlation.
+        estimate: of the free unknowns, and its `intervals`.
         lags: found, with what is known.
         asked: values (p,) simulated, and their covariance (f, f), None for a regular start; None
             along the reference.
@@ -61,15 +60,16 @@ class Pass:
         failure: why the next pass gave no estimate; None if it did, or there was none.
         confirmed_by: by recording, the robot simulated with the estimate, or with the values that
             it settled at; only of the pass that is returned.
+        tau_predicted: (rows, n) decimated torque of the estimate; of least squares alone.
     """
 
     x: Array
     rows: Rows | None
     estimate: Estimate
+    intervals: Intervals
     parameters_settled: bool
     lags: tuple[Lag, ...]
     z: tuple[Simulated, ...] = ()
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     asked: tuple[Array, Array | None] | None = None
     about: bool = False
     change_sigma: float = 0.0
@@ -81,6 +81,7 @@ class Pass:
     by_reference: str | None = None
     failure: str | None = None
     confirmed_by: tuple[Simulated, ...] = ()
+    tau_predicted: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def without_rows(self) -> "Pass":
         """The same without arrays as large as W."""
@@ -122,47 +123,6 @@ class Pass:
         return self.settled and self.about
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LeastSquares:
-    """The least squares solution that every fit has.
-
-    Attributes:
-        of_full: intervals of `full`.
-        estimate: `full`, or that of the essential parameters if only these were requested.
-        full: the estimate of all base parameters.
-        essential: names of the essential ones, and the F test of leaving out the others.
-        tau_predicted: (rows, n) decimated torque that `estimate` predicts.
-    """
-
-    estimate: Estimate
-    intervals: Intervals
-    full: Estimate
-    of_full: Intervals
-    essential: FTest
-    tau_predicted: Array
-
-    def of_base(self) -> "LeastSquares":
-        """The same of the base parameters alone, without those of payloads."""
-        one, all_ = (base_places(e.names) for e in (self.estimate, self.full))
-        if len(all_) == len(self.full.names):
-            return self
-        names = self.essential.names
-        names = tuple(names[i] for i in base_places(names))
-        return replace(
-            self,
-            estimate=self.estimate.part(one),
-            intervals=self.intervals.part(one),
-            full=self.full.part(all_),
-            of_full=self.of_full.part(all_),
-            essential=msgspec.structs.replace(self.essential, names=names),
-        )
-
-    def without_rows(self) -> "LeastSquares":
-        """The same without the Q of the estimates, each as large as W."""
-        estimate, full = self.estimate.without_rows(), self.full.without_rows()
-        return replace(self, estimate=estimate, full=full)
-
-
 def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
     reduced, narrow = set(essential.names), found.half < np.abs(estimate.beta)
@@ -201,7 +161,8 @@ class Fit:
         estimate: of the base parameters, fewer than `base` has if only the
             essential ones were requested.
         least_squares: that of the fit itself, or weighted least squares of the same recording and
-            settings if the method is `iv`.
+            settings if the method is `iv`; `essential`: the essential parameters by it, and the
+            test of leaving out the others.
         t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the
             order of their digests.
         tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
@@ -229,7 +190,8 @@ class Fit:
     status: Status
     estimate: Estimate
     intervals: Intervals
-    least_squares: LeastSquares
+    least_squares: Pass
+    essential: FTest
     t_s: Array
     tau: Array
     tau_predicted: Array
@@ -296,14 +258,15 @@ class Fit:
         return self.problem.base
 
     @property
-    def essential(self) -> FTest:
-        """The essential parameters, by least squares, and the test of leaving out the others."""
-        return self.least_squares.essential
-
-    @property
     def essential_names(self) -> tuple[str, ...]:
         """The essential parameters whose 95 % interval is narrower than their value."""
         return essential_names(self.essential, self.estimate, self.intervals)
+
+    @property
+    def full(self) -> Estimate:
+        """Least squares of all base parameters, without those of payloads."""
+        full = self.data.least_squares
+        return full.part(base_places(full.names)) if self.payloads else full
 
     @property
     def beta(self) -> Array:

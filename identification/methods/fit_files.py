@@ -23,7 +23,7 @@ from .recording_report import Validated, errors_on
 def fit_file(fit: Fit) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
     e, signals, lines, prior = fit.estimate, fit.problem.signals, fit.trust.lines, fit.data.prior
-    full = fit.least_squares.full
+    full = fit.full
     each = [_recording(one.problem, one.errors[-1], one.held_out) for one in fit.recordings]
     return report.FitFile(
         **_on_recording(fit.problem, fit.errors, fit.warnings),

@@ -83,7 +83,7 @@ def first_line(fit: Fit, held: float | None, percents: Mapping[str, float]) -> s
     )
     return (
         f"{fit.method.upper()} ({fit.method_reason}), {fit.status}{alone}, "
-        f"{verdict}; {figures}; {_determined(percents, len(fit.least_squares.full.names))}"
+        f"{verdict}; {figures}; {_determined(percents, len(fit.full.names))}"
     )
 
 
@@ -152,7 +152,7 @@ def _essential_line(fit: Fit) -> str:
     reduction, count, of = (
         fit.essential,
         len(fit.essential_names),
-        len(fit.least_squares.full.names),
+        len(fit.full.names),
     )
     by, kept = " (by least squares)" if fit.passes else "", len(reduction.names)
     line = f"{count} of {of} parameters determined{by}"

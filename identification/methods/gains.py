@@ -7,16 +7,19 @@ count.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from .. import estimation
 from ..arrays import Array
 from ..estimation import Estimate, Intervals, System
 from ..regression import Lag, Rows, base_places
-from ..report import DriveGain
+from ..report import DriveGain, FTest
 from ..trust import FitData
+from .fit import Pass
 from .gain_results import EstimatedPayload
 from .model import Model
 
@@ -62,12 +65,13 @@ def smallest_cragg_donald(system: System, Z: Array, weights: Array, gains: slice
     return float(np.linalg.eigvalsh(half @ half.T)[0] / m)
 
 
-def results_of(model: Model, evidence: FitData) -> dict[str, Any]:
-    """The estimate of the base parameters alone, and the results of gains and
-    payloads, which it includes.
+def results_of(model: Model, evidence: FitData, ls: Pass, essential: FTest) -> dict[str, Any]:
+    """The estimates of the base parameters alone, with their essential ones, and the results of
+    gains and payloads, which they include.
     """
     of, estimate, found = model.unknowns, evidence.estimate, evidence.intervals
-    base, robot = base_places(estimate.names), model.problem.signals.robot
+    base, of_ls = base_places(estimate.names), base_places(ls.estimate.names)
+    robot, kept = model.problem.signals.robot, base_places(essential.names)
     payloads, gains, cragg_donald = [], list[DriveGain](), None
     for one in of.payloads:
         own = np.array(
@@ -110,6 +114,12 @@ def results_of(model: Model, evidence: FitData) -> dict[str, Any]:
     return {
         "estimate": estimate.part(base),
         "intervals": found.part(base),
+        "least_squares": replace(
+            ls, estimate=ls.estimate.part(of_ls), intervals=ls.intervals.part(of_ls)
+        ),
+        "essential": msgspec.structs.replace(
+            essential, names=tuple(essential.names[k] for k in kept)
+        ),
         "gains": tuple(gains),
         "cragg_donald": cragg_donald,
         "payloads": tuple(payloads),

@@ -10,7 +10,7 @@ from typing import Literal
 
 from ..data import Recordings, Signals
 from ..errors import BadInputError, NoFitError
-from ..estimation import one_thread
+from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
 from . import iteration as iv
@@ -22,6 +22,7 @@ from .observation import Say, position_noise_line
 from .start import (
     at_gains,
     least_squares,
+    reduced,
     solution_of,
     step_of,
     with_best_ramps,
@@ -173,13 +174,15 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     assert found.rows is not None
     x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
     rows = model.rows(x, model.candidates(x, found.rows.speed))
-    # of these very rows
-    found = replace(found, x=x, rows=rows, estimate=step_of(model, rows, method))
-    x = model.x_of(found.estimate, x)
-    solved = ls = solution_of(model, at_gains(model, found), essential=essential)
+    estimate = step_of(model, rows, method)  # of these very rows
+    intervals = intervals_of(rows.system, estimate)
+    found = replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
+    x = model.x_of(estimate, x)
+    full, kept = solution_of(model, at_gains(model, found))
+    solved = ls = reduced(model, full, kept) if essential else full
     if gains:
-        solved = replace(ls, estimate=found.estimate, tau_predicted=model.torques(x)[1])
-    evidence = evidence_of(model, method, solved, rows, x, model.lags)
+        solved = replace(found, tau_predicted=model.torques(x)[1])
+    evidence = evidence_of(model, method, solved, x, full.estimate, kept)
     if gains:
         why = "with these" if model.exogenous else "without a recorded reference"
         text = f"drive gains by the measured motion: no robot is simulated {why}"
@@ -188,9 +191,9 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
         # Once, of the first recording: it looks at the beginning of a long one anyway.
         first = model.equations[0].problem.with_samples()
         alone = model.unknowns.plain and not len(model.load)
-        noise = position_noise_line(first, method, solved, alone=alone)
+        noise = position_noise_line(first, method, ls, kept, alone=alone)
         evidence = replace(evidence, position_noise=noise)
-    return fit_of(model, evidence, x, ls)
+    return fit_of(model, evidence, x, ls, kept)
 
 
 def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
@@ -215,7 +218,7 @@ def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
             passes[-1] = replace(passes[-1], failure=text)
             break
         x = iv.next_values(model, passes)
-        asked = x, passes[-1].covariance
+        asked = x, loop.covariance(passes[-1])
     best = iv.conclude(loop, passes)
     tests = tests_of(best)
     ended = status_of(model, passes[-1], best, tests[1])

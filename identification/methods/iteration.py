@@ -24,7 +24,7 @@ from ..report import Status
 from ..simulation import Simulated
 from .fit import Pass, join_reasons
 from .model import Asked, Model
-from .start import solution_of
+from .start import reduced, solution_of
 from .status import MIN_F, tests_of
 
 # samples; the column of the lag is of first order, not exact for many
@@ -60,7 +60,8 @@ class Loop:
 
     Attributes:
         model: recordings and unknowns.
-        start: least squares; `ls`: its results, whose weights are used; `x`: (p,) its values.
+        start: least squares, whose weights are used; `x`: (p,) its values; `ls`: the same, or
+            that of the essential parameters if only these are estimated; `essential`: their test.
         iteration: settings of the passes.
         robots: prepared for simulations.
         speed: (rows, n) measured, of all recordings.
@@ -72,8 +73,10 @@ class Loop:
         """From least squares; `essential`: only such parameters are estimated."""
         assert start.rows is not None
         self.model, self.speed, self.iteration = model, start.rows.speed, iteration
-        self.ls = solution_of(model, start, essential=essential).without_rows()
-        self.start, self.x = start.without_rows(), model.x_of(start.estimate, start.x)
+        start, self.essential = solution_of(model, start)
+        ls = reduced(model, start, self.essential) if essential else start
+        self.start, self.ls = start.without_rows(), ls.without_rows()
+        self.x = model.x_of(start.estimate, start.x)
         stored, names = model.problem.signals.robot.identification, model.names
         self.most = iteration.max_iterations or stored.max_iterations
         self.tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
@@ -82,7 +85,7 @@ class Loop:
         self.fitted = np.arange(len(names))
         if essential:
             others = np.delete(self.fitted, base_places(names))
-            kept = [names.index(name) for name in self.ls.essential.names]
+            kept = [names.index(name) for name in self.essential.names]
             self.fitted = np.union1d(kept, others)
 
     def step(self, rows: Rows) -> Estimate:
@@ -94,7 +97,7 @@ class Loop:
         """
         system = rows.system.with_columns(self.fitted)
         Z = rows.Z if len(self.fitted) == len(self.model.names) else rows.Z[:, self.fitted]
-        estimate = instrumental_variables(system, Z, self.ls.full.weights)
+        estimate = instrumental_variables(system, Z, self.start.estimate.weights)
         return self.model.combined(system, estimate)
 
     @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
@@ -132,7 +135,6 @@ class Loop:
         except NoFitError as error:
             reason = join_reasons([(one.recording, one.reason) for one in z])
             raise NoFitError("; ".join(filter(None, [str(error), reason]))) from error
-        found = intervals_of(rows.system, estimate)  # C = D R D
         # Compared with the values asked for, not with the consistent ones simulated instead.
         # Parameters near zero never settle in percent: half a deviation is enough.
         tolerance, system = 0.01 * self.tolerance_percent, rows.system
@@ -148,7 +150,7 @@ class Loop:
             z=z,
             rows=rows,
             estimate=estimate,
-            covariance=covariance_of_all(self.model.names, estimate, found, self.ls.full),
+            intervals=intervals_of(rows.system, estimate),
             lags=lags,
             asked=asked,
             about=settled and not other,
@@ -163,6 +165,10 @@ class Loop:
             number=number,
         )
 
+    def covariance(self, one: Pass) -> Array:
+        """C = D R D (f, f) of a pass, of what it did not estimate that of least squares."""
+        return covariance_of_all(self.model.names, one.estimate, one.intervals, self.start.estimate)
+
 
 def start_values(loop: Loop) -> Asked:
     """Return the values (p,) that are simulated first, and their covariance (f, f).
@@ -173,10 +179,9 @@ def start_values(loop: Loop) -> Asked:
     problem, repeated = loop.model.problem, partial(loop.model.unknowns.repeated, loop.x)
     if loop.iteration.start == "regular" and loop.iteration.values is None:
         return repeated(regular_start(problem.model, problem.base, loop.iteration.inertias)), None
-    full = loop.ls.full
-    C = covariance_of_all(loop.model.names, full, loop.ls.of_full, full)
     values = loop.iteration.values
-    return (loop.x if values is None else repeated(values(problem.base))), C
+    x = loop.x if values is None else repeated(values(problem.base))
+    return x, loop.covariance(loop.start)
 
 
 def next_values(model: Model, passes: Sequence[Pass]) -> Array:
@@ -239,21 +244,19 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     if last.is_last:
         return replace(last, confirmed_by=last.z)
 
-    def confirmed(estimate: Estimate, covariance: Array) -> tuple[Simulated, ...]:
-        x = model.x_of(estimate, last.x)
-        return model.along(loop.robots, x, (x, covariance))[0]
+    def confirmed(one: Pass) -> tuple[Simulated, ...]:
+        x = model.x_of(one.estimate, last.x)
+        return model.along(loop.robots, x, (x, loop.covariance(one)))[0]
 
-    after = confirmed(last.estimate, last.covariance)
+    after = confirmed(last)
     tracked = [_tracking(one.z) for one in passes[2:]] + [_tracking(after)]
     best = passes[int(np.argmin(tracked)) + 1 if min(tracked) < np.inf else -1]
     if best is last and last.rows is not None and last.rows.C.size:
         return replace(last, confirmed_by=after)
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
     z, rows = model.along(loop.robots, x, best.asked, loop.speed)
-    estimate = loop.step(rows)
-    if best is not last:
-        after = confirmed(estimate, best.covariance)
-    return replace(best, x=x, z=z, rows=rows, estimate=estimate, lags=last.lags, confirmed_by=after)
+    found = replace(best, x=x, z=z, rows=rows, estimate=loop.step(rows), lags=last.lags)
+    return replace(found, confirmed_by=after if best is last else confirmed(found))
 
 
 def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pass | None:

@@ -27,9 +27,9 @@ from ..regression import (
     Settings,
     law_of,
 )
-from ..report import Method
+from ..report import FTest, Method
 from ..trust import TrustLine
-from .fit import LeastSquares
+from .fit import Pass
 
 Say = Callable[[str], None]
 
@@ -87,7 +87,7 @@ def settings_at(equation: Equation, overrides: Overrides) -> Settings:
 
 
 def position_noise_line(
-    problem: Problem, method: Method, ls: LeastSquares, *, alone: bool
+    problem: Problem, method: Method, ls: Pass, essential: FTest, *, alone: bool
 ) -> TrustLine:
     """Bias of least squares by position noise, in half-widths.
 
@@ -98,7 +98,7 @@ def position_noise_line(
 
     `alone`: `ls` has only this recording, without load friction.
     """
-    settings, reason = problem.settings, _reason_against(problem)
+    settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
     if reason is not None:
         return TrustLine(NAME, "cannot tell", f"{reason}: {ADVICE}")
     assert settings.cutoff_hz is not None
@@ -106,17 +106,15 @@ def position_noise_line(
     noise = _noise_like(problem)
     try:
         plain = (
-            ls.estimate
+            asked
             if alone and problem.settings is settings
-            else _least_squares(problem, method, ls)
+            else _least_squares(problem, method, asked)
         )
-        both = [_least_squares(_with_noise(problem, way * noise), method, ls) for way in (1, -1)]
+        both = [_least_squares(_with_noise(problem, way * noise), method, asked) for way in (1, -1)]
     except NoFitError as error:
         return TrustLine(NAME, "cannot tell", f"{error.args[0]}: {ADVICE}")
-    names = [
-        name for name in ls.essential.names if name in plain.names and name in ls.estimate.names
-    ]
-    indices = np.array([ls.estimate.names.index(name) for name in names])
+    names = [name for name in essential.names if name in plain.names and name in asked.names]
+    indices = np.array([asked.names.index(name) for name in names])
     beta, half = plain.values_of(tuple(names)), ls.intervals.half[indices]
     off = np.abs(0.5 * (both[0].values_of(tuple(names)) + both[1].values_of(tuple(names))) - beta)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -182,10 +180,10 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
     return regression.with_weights_of(noisy, problem)
 
 
-def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
-    """Least squares of the recording with the parameters of `ls`, without load friction."""
+def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
+    """Least squares of the recording with the parameters `of` another, without load friction."""
     system = regression.rows_of_recording(*regression.equation_alone(problem)).system
-    asked = set(map(regression.base_name, ls.estimate.names))
+    asked = set(map(regression.base_name, of.names))
     columns = np.array(
         [k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()]
     )

@@ -36,8 +36,8 @@ from ..estimation import (
 )
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, refuse_standing_joints, sample_weights
-from ..report import Method
-from .fit import LeastSquares, Pass
+from ..report import FTest, Method
+from .fit import Pass
 from .model import Model
 from .observation import solver_of
 
@@ -102,7 +102,8 @@ def at_gains(model: Model, found: Pass) -> Pass:
     rows = model.rows(x)
     system = rows.of(model.unknowns.arm)
     estimate = model.combined(system, weighted_least_squares(system))
-    return replace(found, x=x, rows=rows, estimate=estimate)
+    intervals = intervals_of(system, estimate)
+    return replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
 
 
 def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
@@ -153,7 +154,14 @@ def settle(model: Model, x: Array, rows: Rows, method: Method) -> Pass:
         x, rows, estimate = x + share * step, tried, found
     else:
         settled = not model.unknowns.motors
-    return Pass(x=x, rows=rows, estimate=estimate, parameters_settled=settled, lags=model.lags)
+    return Pass(
+        x=x,
+        rows=rows,
+        estimate=estimate,
+        intervals=intervals_of(rows.system, estimate),
+        parameters_settled=settled,
+        lags=model.lags,
+    )
 
 
 def _torque(rows: Rows, step: Array, weights: Array) -> float:
@@ -162,33 +170,31 @@ def _torque(rows: Rows, step: Array, weights: Array) -> float:
     return float(np.linalg.norm(W @ step[: W.shape[1]]))
 
 
-def solution_of(model: Model, found: Pass, *, essential: bool) -> LeastSquares:
-    """Reduce a solution to its essential parameters, and compute its intervals and torque.
+def solution_of(model: Model, found: Pass) -> tuple[Pass, FTest]:
+    """Complete a solution by its torque, and find its essential parameters.
 
     They are computed from the rows before the last step, which is small or, of linear terms, the
-    only one. `essential`: the estimate is that of the essential parameters alone.
+    only one.
     """
     rows, full = found.rows, found.estimate
     assert rows is not None
-    x = model.x_of(full, found.x)
-    predicted = model.torques(x)[1]
+    predicted = model.torques(model.x_of(full, found.x))[1]
     rho = (rows.tau - predicted) * full.weights * rows.counts
     system = rows.of(np.arange(len(full.names)))
-    of_full = intervals_of(system, full)
     kept = essential_parameters(system, full, correlation=autocorrelation(rho) or 0.0)
-    estimate, intervals = full, of_full
-    if essential:
-        system = system.with_columns(np.flatnonzero(np.isin(full.names, kept.names)))
-        estimate = model.combined(system, weighted_least_squares(system, full.weights))
-        intervals, predicted = intervals_of(system, estimate), model.predicted(x, estimate)
-    return LeastSquares(
-        estimate=estimate,
-        intervals=intervals,
-        full=full,
-        of_full=of_full,
-        essential=kept,
-        tau_predicted=predicted,
-    )
+    return replace(found, tau_predicted=predicted), kept
+
+
+def reduced(model: Model, found: Pass, kept: FTest) -> Pass:
+    """Solve for the essential parameters alone, with the weights of the solution of all."""
+    rows, full = found.rows, found.estimate
+    assert rows is not None
+    system = rows.of(np.arange(len(full.names)))
+    system = system.with_columns(np.flatnonzero(np.isin(full.names, kept.names)))
+    estimate = model.combined(system, weighted_least_squares(system, full.weights))
+    predicted = model.predicted(model.x_of(full, found.x), estimate)
+    intervals = intervals_of(system, estimate)
+    return replace(found, estimate=estimate, intervals=intervals, tau_predicted=predicted)
 
 
 def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:

@@ -233,7 +233,7 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
 def test_the_file_holds_what_an_essential_fit_leaves_out():
     path = REPLAY / "tx40" / "session.mcap"
     fit = identify_ls(signals_of(path), Overrides(), essential=True)
-    full, names = fit.least_squares.full, fit.estimate.names
+    full, names = fit.full, fit.estimate.names
     sigma = np.sqrt(np.diag(full.covariance))
     left_out = [
         LeftOut(name=n, sigma=float(s))

@@ -77,7 +77,7 @@ def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(fits):
     assert all(map(stands_alone, fits))
     true = description(REPLAY / "emps" / "robot.toml").parameters["M1"]
     M = np.array([fit.beta[0] for fit in fits]) / true - 1
-    by_ls = np.array([fit.least_squares.full.beta[0] for fit in fits]) / true - 1
+    by_ls = np.array([fit.full.beta[0] for fit in fits]) / true - 1
     assert abs(M.mean()) < 0.01
     assert (by_ls < -0.05).all()
     assert np.mean([off(fit) < 1 for fit in fits]) > 0.85

@@ -25,8 +25,7 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 def with_essential(fit, names, **figures):
     essential = msgspec.structs.replace(fit.essential, names=names, **figures)
-    least_squares = replace(fit.least_squares, essential=essential)
-    return replace(fit, least_squares=least_squares, warnings=("a wrong gain",))
+    return replace(fit, essential=essential, warnings=("a wrong gain",))
 
 
 def test_the_verdict_comes_first_and_is_of_the_rows_that_move():

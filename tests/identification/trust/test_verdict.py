@@ -17,7 +17,7 @@ from identification.report import DirectModelResidual
 
 def verdict(tracking, errors, first_stage_F=500.0):
     settled = Pass(
-        x=None, z=(), rows=None, estimate=None, asked=(None, None), covariance=None,
+        x=None, z=(), rows=None, estimate=None, asked=(None, None), intervals=None,
         lags=(), about=True,
         change_sigma=0.1, change_percent=0.1, changed="M1",
         residual_percent=0.1, residual_settled=True, parameters_settled=True,
