@@ -39,7 +39,7 @@ from ..trust import (
     with_predictions,
 )
 from .fit import Fit, FittedRecording, Pass, essential_names
-from .gains import held_and_counted, results_of
+from .gains import held_and_counted, with_gains_and_payloads
 from .iteration import Loop
 from .model import Model
 from .recording_report import gain_warnings, recording_warnings
@@ -49,7 +49,6 @@ SURROGATE = (
     "surrogate reference: none recorded, the measured position is used instead; the instruments "
     "are not strictly exogenous"
 )
-CONTROLLERS = ("described", "found", "surrogate")  # the last is the worst
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 
 
@@ -168,12 +167,7 @@ def fit_of(
         data=evidence,
         own=own_test(model, x, evidence.least_squares),
     )
-    if model.unknowns.plain:
-        return fit
-    fit = replace(fit, **results_of(model, evidence, ls, essential))
-    far = [one.recording for one in fit.payloads if not one.near]
-    text = "no body of positive density is near: its values are stated or a ball's"
-    return replace(fit, warnings=(*fit.warnings, *(f"payload of {name}: {text}" for name in far)))
+    return fit if model.unknowns.plain else with_gains_and_payloads(model, fit)
 
 
 def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:

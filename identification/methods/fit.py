@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from acquisition.robot import ripple_notes
+from acquisition.robot import Payload, ripple_notes
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..estimation import Estimate, Intervals
 from ..model import BaseParameters
 from ..regression import Arm, Lag, Problem, Rows, Settings, base_places
@@ -24,7 +24,6 @@ from ..report import (
 )
 from ..simulation import InstrumentKind, Simulated
 from ..trust import FitData, HeldOut, Trust
-from .gain_results import EstimatedPayload
 
 WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
 
@@ -150,6 +149,26 @@ class FittedRecording:
     errors: tuple[TorqueResidual, ...]
     held_out: HeldOut | None
     simulated: Simulated | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EstimatedPayload:
+    """What a recording's robot carried, in the frame of the last joint.
+
+    Attributes:
+        recording: the first one with it; `payload`: as stated.
+        values, half: (10,) XX XY XZ YY YZ ZZ MX MY MZ M of the nearest body of positive
+            density, and half-widths.
+        from_prior: (10,) whether a value is not from the recordings.
+        near: whether there is such a body; without one the values are what is stated, or a ball's.
+    """
+
+    recording: str
+    payload: Payload
+    values: Array
+    half: Array
+    from_prior: Bools
+    near: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -14,8 +14,7 @@ from ..model import LINK
 from ..regression import Law, Problem, forward_backward_3db_hz
 from ..trust import HeldOut
 from .consistent import standard_parameters
-from .fit import Fit
-from .gain_results import EstimatedPayload
+from .fit import EstimatedPayload, Fit
 from .parameters import fitted_parameters
 from .recording_report import Validated, errors_on
 

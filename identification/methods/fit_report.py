@@ -22,7 +22,7 @@ from ..report import (
 from ..trust import LEVELS
 from . import recording_report as shared
 from .fit import Fit
-from .gain_results import gain_sections, payload_sections
+from .gains import gain_sections, payload_sections
 from .parameters import fitted_parameters
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
