@@ -235,11 +235,6 @@ class Fit:
     cragg_donald: float | None = None
     payloads: tuple[EstimatedPayload, ...] = ()
 
-    @property
-    def lags(self) -> tuple[Lag, ...]:
-        """Of the recorded torques, corrected; the intervals include their deviations."""
-        return self.data.lags
-
     def on(self, one: FittedRecording) -> "Fit":
         """The fit restricted to one of its recordings: rows, errors and simulated robot."""
         rows = {
@@ -258,13 +253,6 @@ class Fit:
     def problem(self) -> Problem:
         """That of the first recording; all have the same robot, model and base parameters."""
         return self.recordings[0].problem
-
-    @property
-    def simulated(self) -> Simulated | None:
-        """The robot simulated in the first recording with the estimate; None after least
-        squares.
-        """
-        return self.recordings[0].simulated
 
     @property
     def settings(self) -> Settings:

@@ -49,7 +49,7 @@ def fit_file(fit: Fit) -> report.FitFile:
                     effort_timing=signals.effort_timing,
                     effort_object=signals.effort_object,
                 )
-                for lag in fit.lags
+                for lag in fit.data.lags
                 if signals.recording in lag.recordings
             ),
             UNSET,

@@ -58,7 +58,7 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
     if signals.q_ref is not None:
         for quantity, x in (("q", signals.q_ref), ("error", signals.q_ref - signals.q)):
             lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
-    simulated = None if fit is None else fit.simulated
+    simulated = None if fit is None else fit.recordings[0].simulated
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         # m.t_s is index / rate
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]

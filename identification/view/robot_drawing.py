@@ -32,7 +32,7 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
     fs, N = signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
     robots = [Moving(key="measured", t_s=signals.t_s[k], q=signals.q[k])]
-    simulated = None if fit is None else fit.simulated
+    simulated = None if fit is None else fit.recordings[0].simulated
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         k = np.arange(0, len(m.t_s), pose_stride(len(m.t_s), 1 / (m.t_s[1] - m.t_s[0])))
         t_s = signals.t_s[np.rint(m.t_s[k] * fs).astype(int)]

@@ -85,7 +85,8 @@ def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the
     assert all(p.kind == "simulated" for p in updated.passes)
     assert updated.passes[0].tracking_percent < 5
     # Nor are the gains updated for the last simulation, that of the result.
-    assert not np.array_equal(fit.simulated.motion.q, updated.simulated.motion.q)
+    first, second = (one.recordings[0].simulated.motion.q for one in (fit, updated))
+    assert not np.array_equal(first, second)
 
 
 # Simulated robots

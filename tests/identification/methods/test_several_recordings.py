@@ -423,10 +423,10 @@ def test_lags_are_in_samples_of_the_first_recording():
         replace(one, effort=np.roll(one.effort, k, axis=0)) for one, k in ((fast, 4), (slow, 2))
     ]
     fit = identify_iv(several(*map(not_stated, late)), Overrides(), Iteration())
-    assert [lag.recordings for lag in fit.lags] == [("r1.mcap",), ("r6.mcap",)], (
+    assert [lag.recordings for lag in fit.data.lags] == [("r1.mcap",), ("r6.mcap",)], (
         "of two rates, each has its own"
     )
-    np.testing.assert_allclose([1e3 * lag.value_s for lag in fit.lags], 4.0, atol=0.3)
+    np.testing.assert_allclose([1e3 * lag.value_s for lag in fit.data.lags], 4.0, atol=0.3)
     assert fit.trust.line("lag").value == pytest.approx(4.0, abs=0.3)
 
 

@@ -74,7 +74,7 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     stated = identify(
         signals, Overrides(torque_lag_s=1e-3 * (lag - 0.5), ramp_rows=fit.settings.ramp_rows)
     )
-    (found,) = fit.lags
+    (found,) = fit.data.lags
     assert found.found is not None
     assert 1e3 * found.value_s == pytest.approx(lag - 0.5, abs=0.12)
     assert abs(1e3 * found.value_s - (lag - 0.5)) < 1.5 * 1e3 * found.half_width_s
@@ -91,7 +91,7 @@ def test_what_a_lag_moves_is_the_difference_of_two_fits():
     signals = recorded("emps", lag=3)
     by = partial(Overrides, ramp_rows=2.0)
     fits = [identify(signals, by(torque_lag_s=lag_s), method="wls") for lag_s in (-1e-4, 1e-4)]
-    lag = identify(signals, by(), method="wls").lags[0]
+    lag = identify(signals, by(), method="wls").data.lags[0]
     moves, half = np.abs(fits[1].beta - fits[0].beta) / 2e-4, fits[0].intervals.half
     # Of a millisecond; the fits differ in the weights of their joints too.
     np.testing.assert_array_less(
@@ -104,7 +104,7 @@ def test_what_a_lag_moves_is_the_difference_of_two_fits():
     [({"lag": 1, "noise": 2e-5}, 1.25, 0.8), ({"stribeck": 0.5}, 1.5, np.inf)],
 )
 def test_noise_that_is_fed_back_or_missing_friction_do_not_pass_for_a_lag(cell, within, most_ms):
-    (found,) = fitted(recorded("emps", **cell)).lags
+    (found,) = fitted(recorded("emps", **cell)).data.lags
     assert found.value_s == pytest.approx(
         (cell.get("lag", 0) - 0.5) * 1e-3, abs=within * found.half_width_s
     )
@@ -115,7 +115,7 @@ def test_data_that_contradict_what_is_known_count_alone():
     """A torque two samples late that is said to be a mean, without a controller to replay."""
     signals = replace(late_scara(), effort_timing="mean")
     fit = fitted(with_controller(signals, **NO_LAW, bandwidth_hz=signals.robot.bandwidth_hz))
-    (found,) = fit.lags
+    (found,) = fit.data.lags
     assert (found.source, 1e3 * found.value_s) == ("data", pytest.approx(1.5, abs=0.2))
     assert "contradicts it and is not used" in fit.trust.line("lag").text
 
@@ -132,18 +132,18 @@ def test_data_beside_a_lag_that_is_stated():
 def test_without_a_reference_the_lag_is_not_found_but_counted():
     bare = replace(recorded("scara"), q_ref=None)
     fit = identify(bare, Overrides())
-    (found,) = fit.lags
+    (found,) = fit.data.lags
     assert (fit.method, found.found, found.value_s, found.sd_s) == ("wls", None, 0.0, 0.002)
     assert fit.trust.line("lag").text.startswith("not known, 0 ± 2 ms: ±")
     exact = fitted(bare, method="wls", torque_lag_s=0.0)
     half = fit.intervals.reach * np.hypot(exact.intervals.sigma, found.moved)
     np.testing.assert_allclose(fit.intervals.half, half, rtol=1e-9)
-    assert identify(bare, Overrides(), method="iv").lags[0].found is None
+    assert identify(bare, Overrides(), method="iv").data.lags[0].found is None
 
 
 def test_the_delay_behind_the_command_and_a_torque_before_it():
     signals = recorded("scara")
-    assert fitted(signals).lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
+    assert fitted(signals).data.lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
     _, evidence = looked_at("iv", signals)
     (lag,) = evidence.lags
     late, early = (
@@ -158,7 +158,7 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
     first, second = recorded("scara"), late_scara()
     first = replace(first, recording="A", sha256="a")
     both = Recordings(sources=(first, replace(second, recording="B", sha256="b")))
-    (one,) = identify(both, Overrides()).lags
+    (one,) = identify(both, Overrides()).data.lags
     assert one.recordings == ("A", "B")
     slow = replace(
         both.sources[1],
@@ -167,7 +167,7 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
         **{name: getattr(second, name)[::2] for name in ("t_s", "q", "q_ref", "effort")},
     )
     two = identify(Recordings(sources=(first, slow)), Overrides())
-    found = {lag.recordings: 1e3 * lag.value_s for lag in two.lags}
+    found = {lag.recordings: 1e3 * lag.value_s for lag in two.data.lags}
     assert found == {("A",): pytest.approx(-0.5, abs=0.2), ("B",): pytest.approx(1.5, abs=0.3)}
     # in samples of its recordings
     assert two.trust.line("lag").value == pytest.approx(0.5 * found[("B",)])
@@ -330,7 +330,7 @@ def test_the_real_emps(emps):
     found = fit.trust.line("control law")
     assert found.level == "ok"
     assert found.value == pytest.approx(1.0, abs=1e-3)
-    (lag,) = fit.lags
+    (lag,) = fit.data.lags
     assert 1e3 * lag.value_s == pytest.approx(-0.77, abs=0.08)
     assert lag.delay_s is not None
     assert 1e3 * lag.delay_s[0] == pytest.approx(0.27, abs=0.08)

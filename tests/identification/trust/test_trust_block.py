@@ -285,7 +285,7 @@ def test_a_column_is_solved_with_the_others(method):
     decimation = evidence.problem.settings.decimator
     motion = next(motion_blocks(evidence.problem))
     if method == "iv":
-        motion = fit.simulated.motion
+        motion = fit.recordings[0].simulated.motion
         decimation = replace(decimation, factor=round(len(motion.q) / len(fit.tau)))
     drift = np.linspace(0, 1, len(motion.q))[:, None] * [1.0, 0.0]
     column = decimation.filtered(weights_at(evidence.problem, motion.t_s) * drift.T)
@@ -553,7 +553,7 @@ def test_tests_of_spans_are_near_those_of_instants(method):
         [x.test for x in one.trust.lines if x.level == "not made"] for one in (fit, whole)
     )
     assert (made, fit.trust.verdict) == (wanted, whole.trust.verdict)
-    lag, other = fit.lags[0], whole.lags[0]
+    lag, other = fit.data.lags[0], whole.data.lags[0]
     assert lag.value_s == pytest.approx(other.value_s, abs=2e-5)
     moved, wanted = (x.moved / x.sd_s for x in (lag, other))
     np.testing.assert_allclose(moved, wanted, rtol=10 * REL[method], atol=1e-4 * wanted.max())

@@ -63,7 +63,7 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
         == ["3D", "TextDocument"] + ["TimeSeries"] * 6 * n
     )
     assert file.is_complete()
-    simulated, name = fit.simulated.motion, signals.robot.joints[0].name
+    simulated, name = fit.recordings[0].simulated.motion, signals.robot.joints[0].name
     k, x = file.curve("q", name, "simulated")
     np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
     np.testing.assert_allclose(x, simulated.q[:, 0])
@@ -72,7 +72,7 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
         titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit
     )
     k, x = file.curve("error", name, "simulated")
-    np.testing.assert_allclose(x / per_unit, fit.simulated.error[:, 0])
+    np.testing.assert_allclose(x / per_unit, fit.recordings[0].simulated.error[:, 0])
     np.testing.assert_allclose(
         signals.q[k, 0] + x / per_unit, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0])
     )
@@ -91,7 +91,7 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
 
 def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
     fit = fitted_iv(made_up())
-    assert (fit.status, fit.simulated.by_joint) == ("not_confirmed", ())
+    assert (fit.status, fit.recordings[0].simulated.by_joint) == ("not_confirmed", ())
     file = written(made_up(), fit)
     assert file.is_complete()
     assert not any("simulated" in path for path in [*file.curves, *file.moving])

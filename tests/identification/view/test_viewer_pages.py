@@ -144,7 +144,7 @@ def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(
 def test_both_robots_stand_where_their_data_says(tmp_path):
     signals = scara()
     fit = fitted_iv(signals)
-    file, motion = written(tmp_path, draw_fit(fit)), fit.simulated.motion
+    file, motion = written(tmp_path, draw_fit(fit)), fit.recordings[0].simulated.motion
     for key, t_s, q in (("measured", signals.t_s, signals.q), ("simulated", motion.t_s, motion.q)):
         first, second = (file.moving[f"/robot/{key}/joints/{j}"] for j in (1, 2))
         at = np.array([t.total_seconds() for t in first["time"]])
