@@ -14,7 +14,7 @@ from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
 from . import iteration as iv
-from .assess import assess_iv, evidence_of, fit_of
+from .assess import assess_iv, evidence_of, fit_of, status_of
 from .fit import Fit, Pass
 from .iteration import Iteration
 from .model import Model, read_model
@@ -27,7 +27,6 @@ from .start import (
     step_of,
     with_best_ramps,
 )
-from .status import status_of, tests_of
 
 
 @one_thread
@@ -220,10 +219,10 @@ def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
         x = iv.next_values(model, passes)
         asked = x, loop.covariance(passes[-1])
     best = iv.conclude(loop, passes)
-    tests = tests_of(best)
+    tests = iv.tests_of(best)
     ended = status_of(model, passes[-1], best, tests[1])
     if (alone := iv.by_reference(loop, best, ended)) is not None:
         best = replace(alone, number=len(passes))
-        passes, tests = [*passes, best], tests_of(best)
+        passes, tests = [*passes, best], iv.tests_of(best)
         ended = status_of(model, best, best, tests[1])
     return assess_iv(loop, best, [one.without_rows() for one in passes[1:]], ended, tests)

@@ -14,6 +14,7 @@ from ..errors import BadInputError, NoFitError
 from ..estimation import (
     Estimate,
     covariance_of_all,
+    first_stage,
     instrumental_variables,
     intervals_of,
     weighted_least_squares,
@@ -25,12 +26,12 @@ from ..simulation import Simulated
 from .fit import Pass, join_reasons
 from .model import Asked, Model
 from .start import reduced, solution_of
-from .status import MIN_F, tests_of
 
 # samples; the column of the lag is of first order, not exact for many
 MAX_LAST_LAG = 0.25
 # passes; later ones simulate the mean of the last two values, which damps oscillation
 MAX_FULL_STEPS = 4
+MIN_F = 1.0  # of the first stage: with less, instruments explain nothing of W
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,8 +286,16 @@ def _tracking(z: Sequence[Simulated]) -> float:
     """
     if any(one.kind != "simulated" for one in z):
         return np.inf
-    joints = [joint.position_error_percent for one in z for joint in one.by_joint]
-    return max((x for x in joints if x is not None), default=0.0)
+    return max(joint.position_error_percent or 0.0 for one in z for joint in one.by_joint)
+
+
+def tests_of(one: Pass) -> tuple[float, float]:
+    """Return strength and first-stage F of the instruments of a pass."""
+    assert one.rows is not None
+    system, estimate = one.rows.system, one.estimate
+    indices = np.array([system.names.index(name) for name in estimate.names])
+    W, _ = system.with_columns(indices).weighted(estimate.weights)
+    return first_stage(estimate.Q, W, estimate.rows)
 
 
 def inertia_prior(model: Model, x: Array) -> Array:

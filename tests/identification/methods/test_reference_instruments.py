@@ -32,7 +32,7 @@ from identification.simulation.predicted import predicted_motion
 HELD = Overrides(torque_lag_s=-0.0005)  # the command of a tick, held until the next
 
 
-NO_TRACKING = "identification.methods.status.MAX_TRACKING_PERCENT", 0.0
+NO_TRACKING = "identification.methods.assess.MAX_TRACKING_PERCENT", 0.0
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from conftest import REPLAY
 
 from identification.data import load_signals
 from identification.methods import Iteration, Pass, identify_iv
-from identification.methods.status import status_of
+from identification.methods.assess import status_of
 from identification.regression import Overrides
 from identification.report import DirectModelResidual
 
