@@ -22,7 +22,6 @@ from .observation import Say, position_noise_line
 from .start import (
     at_gains,
     least_squares,
-    reduced,
     solution_of,
     step_of,
     with_best_ramps,
@@ -177,10 +176,8 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     intervals = intervals_of(rows.system, estimate)
     found = replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
     x = model.x_of(estimate, x)
-    full, kept = solution_of(model, at_gains(model, found))
-    solved = ls = reduced(model, full, kept) if essential else full
-    if gains:
-        solved = replace(found, tau_predicted=model.torques(x)[1])
+    full, ls, kept = solution_of(model, at_gains(model, found), essential=essential)
+    solved = replace(found, tau_predicted=model.torques(x)[1]) if gains else ls
     evidence = evidence_of(model, method, solved, x, full.estimate, kept)
     if gains:
         why = "with these" if model.exogenous else "without a recorded reference"

@@ -25,7 +25,7 @@ from ..report import Status
 from ..simulation import Simulated
 from .fit import Pass, join_reasons
 from .model import Asked, Model
-from .start import reduced, solution_of
+from .start import solution_of
 
 # samples; the column of the lag is of first order, not exact for many
 MAX_LAST_LAG = 0.25
@@ -74,8 +74,7 @@ class Loop:
         """From least squares; `essential`: only such parameters are estimated."""
         assert start.rows is not None
         self.model, self.speed, self.iteration = model, start.rows.speed, iteration
-        start, self.essential = solution_of(model, start)
-        ls = reduced(model, start, self.essential) if essential else start
+        start, ls, self.essential = solution_of(model, start, essential=essential)
         self.start, self.ls = start.without_rows(), ls.without_rows()
         self.x = model.x_of(start.estimate, start.x)
         stored, names = model.problem.signals.robot.identification, model.names

@@ -170,31 +170,27 @@ def _torque(rows: Rows, step: Array, weights: Array) -> float:
     return float(np.linalg.norm(W @ step[: W.shape[1]]))
 
 
-def solution_of(model: Model, found: Pass) -> tuple[Pass, FTest]:
+def solution_of(model: Model, found: Pass, *, essential: bool) -> tuple[Pass, Pass, FTest]:
     """Complete a solution by its torque, and find its essential parameters.
 
     They are computed from the rows before the last step, which is small or, of linear terms, the
-    only one.
+    only one. Returns the solution of all parameters; if only `essential` ones are asked for theirs,
+    with the same weights, else the same again; and which they are.
     """
     rows, full = found.rows, found.estimate
     assert rows is not None
-    predicted = model.torques(model.x_of(full, found.x))[1]
+    x = model.x_of(full, found.x)
+    predicted = model.torques(x)[1]
     rho = (rows.tau - predicted) * full.weights * rows.counts
     system = rows.of(np.arange(len(full.names)))
     kept = essential_parameters(system, full, correlation=autocorrelation(rho) or 0.0)
-    return replace(found, tau_predicted=predicted), kept
-
-
-def reduced(model: Model, found: Pass, kept: FTest) -> Pass:
-    """Solve for the essential parameters alone, with the weights of the solution of all."""
-    rows, full = found.rows, found.estimate
-    assert rows is not None
-    system = rows.of(np.arange(len(full.names)))
-    system = system.with_columns(np.flatnonzero(np.isin(full.names, kept.names)))
-    estimate = model.combined(system, weighted_least_squares(system, full.weights))
-    predicted = model.predicted(model.x_of(full, found.x), estimate)
-    intervals = intervals_of(system, estimate)
-    return replace(found, estimate=estimate, intervals=intervals, tau_predicted=predicted)
+    found = solved = replace(found, tau_predicted=predicted)
+    if essential:
+        system = system.with_columns(np.flatnonzero(np.isin(full.names, kept.names)))
+        estimate = model.combined(system, weighted_least_squares(system, full.weights))
+        intervals, predicted = intervals_of(system, estimate), model.predicted(x, estimate)
+        solved = replace(found, estimate=estimate, intervals=intervals, tau_predicted=predicted)
+    return found, solved, kept
 
 
 def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
