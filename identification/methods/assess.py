@@ -196,10 +196,10 @@ def _warnings(model: Model) -> tuple[str, ...]:
     of_settings = [
         [*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems
     ]
-    if len(problems) == 1:
-        return (*of_settings[0], *recording_warnings(problems[0].signals))
     named = [
-        f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)
+        f"{p.signals.recording}: " * (len(problems) > 1) + text
+        for p in problems
+        for text in recording_warnings(p.signals)
     ]
     return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
 
@@ -357,15 +357,13 @@ def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
     """Largest errors of the simulated robot in any recording, by joint; none if one
     could not be simulated.
     """
-    if any(not one.by_joint for one in z):
-        return ()
     return tuple(
         DirectModelResidual(
             name=joint[0].name,
             position_error_percent=largest([d.position_error_percent for d in joint]),
             torque_error_percent=largest([d.torque_error_percent for d in joint]),
         )
-        for joint in zip(*(one.by_joint for one in z), strict=True)
+        for joint in zip(*(one.by_joint for one in z), strict=False)
     )
 
 

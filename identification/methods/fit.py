@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from ..report import (
 )
 from ..simulation import InstrumentKind, Simulated
 from ..trust import FitData, HeldOut, Trust
-
-WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
 
 
 def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
@@ -92,8 +90,10 @@ class Pass:
 
     @property
     def kind(self) -> InstrumentKind:
-        """The kind of its instruments, as of `Simulated`: of several recordings the worst."""
-        return min((one.kind for one in self.z), key=WORST_FIRST.index)
+        """The kind of its instruments, as of `Simulated`: of several recordings the worst, which
+        is the last.
+        """
+        return max((one.kind for one in self.z), key=get_args(InstrumentKind).index)
 
     @property
     def reason(self) -> str | None:
