@@ -156,7 +156,6 @@ def fit_of(
         t_s=np.concatenate([one.problem.row_times_s() for one in model.equations]),
         tau=rows.tau,
         tau_predicted=predicted,
-        speed=rows.speed,
         errors=torque_errors(
             measured,
             of_model,

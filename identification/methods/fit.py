@@ -184,7 +184,7 @@ class Fit:
             test of leaving out the others.
         t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the
             order of their digests.
-        tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
+        tau, tau_predicted: (rows, n) torques there.
         errors: one entry per joint and, last, all joints together.
         passes: of the instrumental variable method, in order, from a `start` as of `Iteration`;
             none after least squares. `returned` is the number, counted from 1, of the one whose
@@ -214,7 +214,6 @@ class Fit:
     t_s: Array
     tau: Array
     tau_predicted: Array
-    speed: Array
     errors: tuple[TorqueResidual, ...]
     warnings: tuple[str, ...]
     trust: Trust
@@ -237,9 +236,7 @@ class Fit:
 
     def on(self, one: FittedRecording) -> "Fit":
         """The fit restricted to one of its recordings: rows, errors and simulated robot."""
-        rows = {
-            name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")
-        }
+        rows = {name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted")}
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(
             self,

@@ -141,7 +141,7 @@ def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_
 
 def test_a_validation_and_a_recording_say_what_they_are():
     signals, fit = signals_of(SCARA), ls_of(SCARA)
-    validated = [Validated(fit.problem, fit.tau, fit.tau_predicted, fit.speed)]
+    validated = [Validated(fit.problem, fit.tau, fit.tau_predicted, fit.data.observed.speed)]
     document = validation_document(validated, "fit.json", fit.errors, ("another robot",))
     assert document.title.startswith("fit.json on session.mcap: ")
     assert document.sections[0].warnings == ("another robot",)
