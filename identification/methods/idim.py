@@ -177,7 +177,7 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     found = replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
     x = model.x_of(estimate, x)
     full, ls, kept = solution_of(model, at_gains(model, found), essential=essential)
-    solved = replace(found, tau_predicted=model.torques(x)[1]) if gains else ls
+    solved = replace(found, tau_predicted=model.predicted(x)) if gains else ls
     evidence = evidence_of(model, method, solved, x, full.estimate, kept)
     if gains:
         why = "with these" if model.exogenous else "without a recorded reference"

@@ -84,9 +84,8 @@ class Loop:
         self.robots = model.robots(prior, gain_update=iteration.gain_update)
         self.fitted = np.arange(len(names))
         if essential:
-            others = np.delete(self.fitted, base_places(names))
             kept = [names.index(name) for name in self.essential.names]
-            self.fitted = np.union1d(kept, others)
+            self.fitted = np.delete(self.fitted, np.setdiff1d(base_places(names), kept))
 
     def step(self, rows: Rows) -> Estimate:
         """Estimate the free unknowns from rows about x, with instruments along a simulated motion.
@@ -126,8 +125,7 @@ class Loop:
         of_lag = self.model.exogenous and not other
         # The first pass is not the last one where a lag is looked for, and needs no tests.
         tests = not of_lag or number > 1 or all(lag.prior.stated for lag in before[-1].lags)
-        # q_s, dq_s, ddq_s, with (E), and (6)
-        speed = self.speed if tests else None
+        speed = self.speed if tests else None  # q_s, dq_s, ddq_s, with (E), and (6)
         z, rows = self.model.along(self.robots, x, asked, speed, of_lag=of_lag)
         rows, lags, settled = with_lags_found(rows, before[-1].lags, first=number == 1)  # (G)
         try:

@@ -180,7 +180,7 @@ def solution_of(model: Model, found: Pass, *, essential: bool) -> tuple[Pass, Pa
     rows, full = found.rows, found.estimate
     assert rows is not None
     x = model.x_of(full, found.x)
-    predicted = model.torques(x)[1]
+    predicted = model.predicted(x)
     rho = (rows.tau - predicted) * full.weights * rows.counts
     system = rows.of(np.arange(len(full.names)))
     kept = essential_parameters(system, full, correlation=autocorrelation(rho) or 0.0)
