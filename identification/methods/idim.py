@@ -17,8 +17,8 @@ from . import iteration as iv
 from .assess import assess_iv, evidence_of, fit_of, status_of
 from .fit import Fit, Pass
 from .iteration import Iteration
-from .model import Model, read_model
-from .observation import Say, position_noise_line
+from .model import Model, Say, read_model
+from .position_noise import position_noise_line
 from .start import (
     at_gains,
     least_squares,

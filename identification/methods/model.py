@@ -1,4 +1,8 @@
-"""The model of a fit: its recordings, each with its equation of motion, and their unknowns x."""
+"""The model of a fit: its recordings, each with its equation of motion, and their unknowns x.
+
+What is read of each is a task: its settings and its control law, at a rate of rows that is common
+to all.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,8 +14,9 @@ import numpy as np
 from .. import regression
 from ..arrays import Array, Ints
 from ..data import RecordingFile, Recordings, Signals, Work, check_one_robot
-from ..estimation import Estimate, System, combined
+from ..estimation import Estimate, System, combined, one_thread
 from ..regression import (
+    MAX_CACHED_NUMBERS,
     Candidate,
     Equation,
     Lag,
@@ -22,20 +27,15 @@ from ..regression import (
     Unknowns,
     equation_of,
     lag_without_fit,
+    law_of,
     rows_of_recording,
     stacked_rows,
     torque_of_recording,
 )
 from ..simulation import Simulated, SimulatedRecording, simulate
 from ..trust import Candidates
-from .observation import (
-    Say,
-    observe,
-    observe_all,
-    settings_at,
-    with_common_rate,
-)
 
+Say = Callable[[str], None]
 # by recording, what prepares it at a rate per period of the bandwidth
 Robots = Sequence[Callable[[float], SimulatedRecording]]
 # values of x (p,) to simulate, and their covariance (f, f), None for a regular start
@@ -273,6 +273,51 @@ def model_of(
         unknowns=unknowns,
         lags=tuple(lag_without_fit([problems[k] for k in group]) for group in unknowns.groups),
     )
+
+
+@one_thread
+def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Problem:
+    """Read a recording with its control law; without samples if there are more than `most`
+    numbers.
+    """
+    signals = source.load() if isinstance(source, RecordingFile) else source
+    problem = regression.make_problem(signals, overrides)
+    law = problem.law if problem.law is not None else law_of(problem)
+    problem = replace(problem, law=law, source=source)
+    return problem.without_samples() if signals.q.size > most else problem
+
+
+def observe_all(given: Recordings, overrides: Sequence[Overrides]) -> list[Problem]:
+    """`observe` of each of `given`, with its overrides."""
+    most = [MAX_CACHED_NUMBERS / len(given.sources)] * len(given.sources)
+    return list(given.work.run(observe, list(zip(given.sources, overrides, most, strict=True))))
+
+
+def with_common_rate(
+    given: Recordings, found: list[Problem], overrides: Overrides
+) -> list[Problem]:
+    """The same with common cut-off and rate of rows; only those that change are read again."""
+    settings = [problem.settings for problem in found]
+    rates = [problem.signals.sample_rate_hz for problem in found]
+    cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
+    row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
+    common = [max(1, round(fs / row_hz)) for fs in rates]
+    again = [
+        k for k, s in enumerate(settings) if (s.cutoff_hz, s.decimation) != (cutoff_hz, common[k])
+    ]
+    if not again:
+        return found
+    some = replace(given, sources=tuple(given.sources[k] for k in again))
+    of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
+    changed = dict(zip(again, observe_all(some, of), strict=True))
+    return [changed.get(k, one) for k, one in enumerate(found)]
+
+
+@one_thread
+def settings_at(equation: Equation, overrides: Overrides) -> Settings:
+    """Settings of a recording with other overrides."""
+    problem = equation.problem.with_samples()
+    return regression.make_settings(problem.signals, overrides, problem.motion)
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> Model:

@@ -14,7 +14,7 @@ of least squares with noisy positions say little of instrumental variables, whos
 from instruments along the reference, which need no simulation.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import replace
 
@@ -29,6 +29,7 @@ from ..estimation import (
     essential_parameters,
     instrumental_variables,
     intervals_of,
+    ordinary_least_squares,
     r_factor,
     relative_residual,
     weighted_least_squares,
@@ -39,7 +40,6 @@ from ..regression import RAMPS, ROWS, Problem, Rows, refuse_standing_joints, sam
 from ..report import FTest, Method
 from .fit import Pass
 from .model import Model
-from .observation import solver_of
 
 # share of the norm of an identifiable column that is independent of the others
 MIN_INDEPENDENT_NORM = 0.01
@@ -104,6 +104,11 @@ def at_gains(model: Model, found: Pass) -> Pass:
     estimate = model.combined(system, weighted_least_squares(system))
     intervals = intervals_of(system, estimate)
     return replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
+
+
+def solver_of(method: Method) -> Callable[[System], Estimate]:
+    """Least squares by the method, with rows weighted by joint unless it is `ols`."""
+    return ordinary_least_squares if method == "ols" else weighted_least_squares
 
 
 def step_of(model: Model, rows: Rows, method: Method) -> Estimate:

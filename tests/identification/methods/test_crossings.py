@@ -102,7 +102,7 @@ def test_long_recordings_are_fitted_as_short_ones(
     short = fitted(paths, concerns, Work(), decimation=2)
     monkeypatch.setattr(system, "SHORT", 0)
     monkeypatch.setattr(problem, "_SERIES_BLOCK", block or problem._SERIES_BLOCK)
-    monkeypatch.setattr("identification.methods.observation.MAX_CACHED_NUMBERS", 100)
+    monkeypatch.setattr("identification.methods.model.MAX_CACHED_NUMBERS", 100)
     fit = fitted(paths, concerns, Work(), decimation=2)
     assert (len(problem.row_blocks(fit.problem)) > 1) == bool(block)
     assert len(fit.data.observed.system.Y) < 0.7 * len(short.data.observed.system.Y)

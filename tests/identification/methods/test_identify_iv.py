@@ -266,7 +266,7 @@ def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
 
 
 def test_a_robot_whose_law_nobody_tells_is_simulated_with_a_surrogate(monkeypatch):
-    monkeypatch.setattr("identification.methods.observation.law_of", lambda problem: None)
+    monkeypatch.setattr("identification.methods.model.law_of", lambda problem: None)
     robot = robot_named("scara")
     law = dict.fromkeys(("structure", "position_gain", "velocity_gain", "sample_rate_hz"))
     bare = dataclasses.replace(robot, controller=msgspec.structs.replace(robot.controller, **law))

@@ -6,7 +6,6 @@ import pytest
 from conftest import REPLAY
 
 import identification.methods.iteration as iteration
-import identification.methods.observation as observation
 import identification.methods.start as start
 import identification.regression.motion as motion
 from identification.commands import main
@@ -36,11 +35,7 @@ def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solut
 
     monkeypatch.setattr(InverseModel, "__init__", counted("model", InverseModel.__init__))
     monkeypatch.setattr(motion, "lowpass", counted("filter", motion.lowpass))
-    for room in (
-        start,
-        observation,
-        iteration,
-    ):  # that chooses the ramps, and that names the solver
+    for room in (start, iteration):  # the former names the solver
         monkeypatch.setattr(
             room, "weighted_least_squares", counted("least squares", room.weighted_least_squares)
         )

@@ -71,7 +71,7 @@ def test_coverage_spread_and_bias_are_those_of_the_printed_intervals():
 def test_a_run_has_the_intervals_and_verdicts_of_its_fits(monkeypatch):
     study, laws = Study(noise=Noise(effort_percent=1.0), duration_s=4.0), []
     monkeypatch.setattr(
-        "identification.methods.observation.law_of",
+        "identification.methods.model.law_of",
         lambda problem: laws.append(law_of(problem)) or laws[-1],
     )
     files = robot_named("scara").files

@@ -1,37 +1,24 @@
-"""What is read of each recording, as a task: its settings and its control law, at a rate of rows
-that is common to all; and the test of least squares for position noise.
-"""
+"""The test of least squares for position noise, by simulation and extrapolation."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from .. import regression
 from ..arrays import Array
-from ..data import ON_GRID, RecordingFile, Recordings, Signals
+from ..data import ON_GRID
 from ..errors import NoFitError
 from ..estimation import (
     Estimate,
-    System,
-    one_thread,
-    ordinary_least_squares,
-    weighted_least_squares,
 )
 from ..regression import (
-    MAX_CACHED_NUMBERS,
-    Equation,
     FilteredMotion,
-    Overrides,
     Problem,
-    Settings,
-    law_of,
 )
 from ..report import FTest, Method
 from ..trust import TrustLine
 from .fit import Pass
-
-Say = Callable[[str], None]
+from .start import solver_of
 
 NAME, FINDING = "position noise", "least squares biased by position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
@@ -39,51 +26,6 @@ BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
 MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
 MAX_BIAS, MAX_BIAS_PERCENT = 1.0, 1.0  # in half-widths, and in percent of the value
 ADVICE = "use --method iv (needs a recorded reference)"
-
-
-@one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Problem:
-    """Read a recording with its control law; without samples if there are more than `most`
-    numbers.
-    """
-    signals = source.load() if isinstance(source, RecordingFile) else source
-    problem = regression.make_problem(signals, overrides)
-    law = problem.law if problem.law is not None else law_of(problem)
-    problem = replace(problem, law=law, source=source)
-    return problem.without_samples() if signals.q.size > most else problem
-
-
-def observe_all(given: Recordings, overrides: Sequence[Overrides]) -> list[Problem]:
-    """`observe` of each of `given`, with its overrides."""
-    most = [MAX_CACHED_NUMBERS / len(given.sources)] * len(given.sources)
-    return list(given.work.run(observe, list(zip(given.sources, overrides, most, strict=True))))
-
-
-def with_common_rate(
-    given: Recordings, found: list[Problem], overrides: Overrides
-) -> list[Problem]:
-    """The same with common cut-off and rate of rows; only those that change are read again."""
-    settings = [problem.settings for problem in found]
-    rates = [problem.signals.sample_rate_hz for problem in found]
-    cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
-    row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
-    common = [max(1, round(fs / row_hz)) for fs in rates]
-    again = [
-        k for k, s in enumerate(settings) if (s.cutoff_hz, s.decimation) != (cutoff_hz, common[k])
-    ]
-    if not again:
-        return found
-    some = replace(given, sources=tuple(given.sources[k] for k in again))
-    of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
-    changed = dict(zip(again, observe_all(some, of), strict=True))
-    return [changed.get(k, one) for k, one in enumerate(found)]
-
-
-@one_thread
-def settings_at(equation: Equation, overrides: Overrides) -> Settings:
-    """Settings of a recording with other overrides."""
-    problem = equation.problem.with_samples()
-    return regression.make_settings(problem.signals, overrides, problem.motion)
 
 
 def position_noise_line(
@@ -188,8 +130,3 @@ def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
         [k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()]
     )
     return solver_of(method)(system.with_columns(columns))
-
-
-def solver_of(method: Method) -> Callable[[System], Estimate]:
-    """Least squares by the method, with rows weighted by joint unless it is `ols`."""
-    return ordinary_least_squares if method == "ols" else weighted_least_squares
