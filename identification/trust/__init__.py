@@ -1,8 +1,7 @@
 """Tests of an estimate against the recording, and one verdict."""
 
 from .candidates import Candidates
-from .fit_data import FitData
+from .evidence import LEVELS, FitData, HeldOut, Trust, TrustLine
 from .held_out import predictions_by_others
-from .lines import LEVELS, HeldOut, Trust, TrustLine
 from .prior import with_predictions
 from .solution import MIN_FIRST_STAGE_F, trust_in

@@ -19,8 +19,7 @@ from ..arrays import Array
 from ..estimation import deviations_of_sums, orthonormal
 from ..report import Assumed
 from . import candidates
-from .fit_data import FitData
-from .lines import TrustLine, first_case
+from .evidence import FitData, TrustLine, first_case
 
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 # share of a column's norm outside the span of W, for a usable coefficient

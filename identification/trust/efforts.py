@@ -18,9 +18,8 @@ from ..arrays import Array
 from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
-from .control_law import law_line
-from .fit_data import FitData
-from .lines import LEVELS, TrustLine, first_case
+from .drives import law_line
+from .evidence import LEVELS, FitData, TrustLine, first_case
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it

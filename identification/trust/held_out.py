@@ -13,8 +13,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..estimation import undetermined_parameters
-from .fit_data import FitData
-from .lines import HeldOut, TrustLine, figures_of, first_case
+from .evidence import FitData, HeldOut, TrustLine, figures_of, first_case
 
 NAME = "held-out blocks"
 BLOCKS = 5

@@ -22,8 +22,7 @@ from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, poses_of, requirements
 from ..regression import friction_states, recorded_power
 from ..report import Level
-from .fit_data import FitData
-from .lines import LEVELS, TrustLine, first_case
+from .evidence import LEVELS, FitData, TrustLine, first_case
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero

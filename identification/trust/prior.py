@@ -17,9 +17,8 @@ from ..errors import NoFitError
 from ..estimation import MIN_COLUMN_NORM, Estimate, instrumental_variables, intervals_of
 from ..model import base_prior, direct_model
 from ..regression import base_name, row_states
-from .fit_data import FitData
+from .evidence import FitData, TrustLine, figures_of, first_case
 from .held_out import Predict, held_out
-from .lines import TrustLine, figures_of, first_case
 
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors

@@ -18,12 +18,9 @@ from ..model import JointTerm
 from ..regression import Problem, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
-from .control_law import control_law_test
+from .drives import centre_of_mass_test, control_law_test, gains_test, lag_test, payload_assumptions
 from .efforts import effort_test, positions_test, saturation_test, signs_and_order_test
-from .fit_data import FitData, Part
-from .gains import centre_of_mass_test, gains_test, payload_assumptions
-from .lag import lag_test
-from .lines import LEVELS, Trust, TrustLine, first_case
+from .evidence import LEVELS, FitData, Part, Trust, TrustLine, first_case
 from .physical import consistent_test, physical_test
 from .prior import prior_test
 
