@@ -22,7 +22,7 @@ from .drives import centre_of_mass_test, control_law_test, gains_test, lag_test,
 from .efforts import effort_test, positions_test, saturation_test, signs_and_order_test
 from .evidence import LEVELS, FitData, Part, Trust, TrustLine, first_case
 from .physical import consistent_test, physical_test
-from .prior import prior_test
+from .predictions import prior_test
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
