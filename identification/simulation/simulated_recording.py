@@ -129,8 +129,11 @@ class SimulatedRecording:
         self.substeps = max(1, math.ceil(loop.period_s * step_hz - 1e-9))
         duration_s = (self.N - 1) * self.stride / fs
         refuse_instants(problem, loop.period_s, duration_s, self.substeps)
-        surrogate = self.controller == "surrogate"
-        self.loop = loop if surrogate or why_not_positive(M) else loop.slower(M, FINE * hz)
+        self.loop = (
+            loop
+            if self.controller == "surrogate" or why_not_positive(M)
+            else loop.slower(M, FINE * hz)
+        )
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
         # of a short recording made once
         self._whole = self.reference(0, self.instants) if self.instants <= CHUNK else None
