@@ -11,7 +11,7 @@ Columns have the weights of W.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, groupby
 
 import numpy as np
 
@@ -104,9 +104,7 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth
         the sign of the speed.
     """
-    kinds = dict[str, list[candidates.MissingTerm]]()
-    for term in evidence.candidates.terms:
-        kinds.setdefault(term.kind, []).append(term)
+    kinds = {kind: list(of) for kind, of in groupby(evidence.candidates.terms, lambda x: x.kind)}
     clocks, each = kinds.pop(candidates.CLOCKS), list(kinds.values())
     at_once = max(1, MAX_NUMBERS // (evidence.Y.size * evidence.robot.n))
     found = [

@@ -153,13 +153,18 @@ def with_predictions(evidence: FitData, predict: Predict) -> FitData:
     the held-out error of its links: all else is fitted to the others.
     """
     line, by_others = _held_out(evidence, predict)
-    evidence = replace(evidence, held_out=line, by_others=by_others)
     problem, system = evidence.problem, evidence.observed.system
-    values, source = base_prior(problem.model, problem.base)
-    if not values or not evidence.robot.gain_known:
-        return evidence
-    evidence = replace(evidence, prior=values, prior_source=source)
-    if line is None or line.level == "not made" or evidence.gains:
+    values, source = (
+        base_prior(problem.model, problem.base) if evidence.robot.gain_known else ({}, "")
+    )
+    evidence = replace(
+        evidence,
+        held_out=line,
+        by_others=by_others,
+        prior=values,
+        prior_source=source * bool(values),
+    )
+    if not values or line is None or line.level == "not made" or evidence.gains:
         return evidence
     known, free = _known_and_free(evidence)
 
