@@ -201,10 +201,9 @@ class FitData:
         return tuple(name for name in self.estimate.names if name.startswith("K:"))
 
     @cached_property
-    def edges(self) -> Ints:
-        """(S + 1,) the first instant of each span of time, and the end of the last."""
-        of_recordings = [np.diff(own) for own in self.observed.system.spans]
-        return np.cumsum(np.r_[0, np.concatenate(of_recordings)])
+    def lengths(self) -> Ints:
+        """(S,) numbers of instants of the spans of time."""
+        return np.concatenate([np.diff(own) for own in self.observed.system.spans])
 
     @property
     def ends(self) -> Ints:
@@ -224,12 +223,12 @@ class FitData:
 
     def between(self, start: int, stop: int) -> Part:
         """The spans of time from an instant to before another, rounded to the nearest borders."""
-        low, high = (int(np.abs(self.edges - at).argmin()) for at in (start, stop))
-        return np.isin(np.arange(len(self.edges) - 1), range(low, high))
+        middle = np.cumsum(self.lengths) - 0.5 * self.lengths
+        return (start <= middle) & (middle < stop)
 
     def instants(self, part: Part) -> Bools:
         """(T,) the instants of some spans of time."""
-        return np.repeat(part, np.diff(self.edges))
+        return np.repeat(part, self.lengths)
 
     def count(self, part: Part) -> float:
         """Number of rows of some spans of time: the sum of the squares of their weights."""
