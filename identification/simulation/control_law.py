@@ -83,28 +83,13 @@ FLOATS = Numbers(
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Encoder:
-    """An imperfect encoder: `noise` (N, n) at the controller's instants and `step`, 0 for none, in
-    rad or m at the joints.
-    """
-
-    noise: Array
-    step: float
-
-    def seen(self, q: Array, at: int | slice = slice(None)) -> Array:
-        """Readings (N, n) of positions q, or (n,) of one instant."""
-        q = q + self.noise[at]
-        return np.asarray(np.rint(q / self.step) * self.step) if self.step else q
-
-
 @dataclass(frozen=True, eq=False)
 class Reference:
     """The inputs of a loop at its instants: the reference q, dq, ddq (N, n) and any further inputs.
 
     `known_torque` (N, n) acts on the joints, each held to the next instant; `feedforward` (N,
-    n) is added to the controller's output, in its units; `encoder` gives the positions that
-    the controller acts on.
+    n) is added to the controller's output, in its units; `seen` are the positions that the
+    controller acts on, of the true ones (n,) at an instant, by an encoder that is not perfect.
     """
 
     q: Array
@@ -113,7 +98,7 @@ class Reference:
     _: KW_ONLY
     known_torque: Array | None = None
     feedforward: Array | None = None
-    encoder: Encoder | None = None
+    seen: Callable[[Array, int], Array] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -299,8 +284,8 @@ class Control:
         reads the positions q.
         """
         loop, dot, dq, x = self._loop, self._numbers.dot, v, 0.0
-        if self._reference.encoder is not None:
-            q = self._numbers.own(self._reference.encoder.seen(q, k))
+        if self._reference.seen is not None:
+            q = self._numbers.own(self._reference.seen(q, k))
         if loop.periods > 1:
             q, dq, self._v1 = q + self._ahead_s * v, v + self._lead * (v - self._v1), v
         elif before := self._before:

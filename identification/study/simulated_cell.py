@@ -6,6 +6,7 @@ of the stated bandwidth. All is computed span by span, as hours of motion do not
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from ..data import Signals
 from ..errors import BadInputError, NoFitError
 from ..options import CellOptions
 from ..regression import differentiate
-from ..simulation import ClosedLoop, Encoder, Reference, recorded_loop, surrogate_loop
+from ..simulation import ClosedLoop, Reference, recorded_loop, surrogate_loop
 
 PERIOD_S = 10.0  # of the reference, about; a very long period would be slow and excite little
 # of a simulated recording; a day at 1 kHz has fewer, and takes an hour: more are a mistake
@@ -49,6 +50,13 @@ class Noise(CellOptions):
             ", ".join(f"{name} {value:g}" for name, value in vars(self).items() if value)
             or "no noise"
         )
+
+    def seen(self, drawn: Array, q: Array, at: int | slice = slice(None)) -> Array:
+        """Readings of positions q (N, n), or (n,) of one instant, with noise drawn (N, n) and in
+        steps of the encoder.
+        """
+        q, step = q + drawn[at], self.encoder_step
+        return np.asarray(np.rint(q / step) * step) if step else q
 
     def on_effort(self, held: Array, seed: int) -> Array:
         """Recorded torques (N, n) from the controller's torques, which are held
@@ -165,13 +173,11 @@ def closed_loop(
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     seen, held = (allocate(q_ref.shape, many=8) for _ in range(2))
     for rows, dq, ddq in _spans(q_ref, sample_rate_hz):
-        encoder = Encoder(
-            noise=noise.position * rng.standard_normal(dq.shape), step=noise.encoder_step
-        )
-        done, reason = follower.follow(Reference(q_ref[rows], dq, ddq, encoder=encoder), bound)
+        encoder = partial(noise.seen, noise.position * rng.standard_normal(dq.shape))
+        done, reason = follower.follow(Reference(q_ref[rows], dq, ddq, seen=encoder), bound)
         if reason:
             raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")
-        seen[rows], held[rows] = encoder.seen(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
+        seen[rows], held[rows] = encoder(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
         q=seen,

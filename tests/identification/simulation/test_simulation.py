@@ -25,7 +25,6 @@ from identification.simulation import (
     ClosedLoop,
     Control,
     ControlLaw,
-    Encoder,
     Reference,
     surrogate_loop,
 )
@@ -340,7 +339,7 @@ def test_a_lone_joint_moves_as_one_of_several(kind, unit, friction, law):
         0 * q_ref,
         known_torque=3.0 * (t_s > 0.3),
         feedforward=0.1 * (t_s > 0.6),
-        encoder=Encoder(noise=noise, step=2e-5),
+        seen=lambda q, k: np.rint((q + noise[k]) / 2e-5) * 2e-5,
     )
     start = np.array([0.01]), np.array([0.2])
     alone, general = (

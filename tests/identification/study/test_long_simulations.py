@@ -14,7 +14,7 @@ from acquisition.errors import BadInputError
 from acquisition.files import on_disk
 from acquisition.recording import RecordingWriter, read_recording, sample_dtype, writer
 from identification.commands import main
-from identification.simulation import ClosedLoop, Encoder, Reference, recorded_loop
+from identification.simulation import ClosedLoop, Reference, recorded_loop
 from identification.study import Noise, closed_loop, random_reference, simulated_cell
 
 RATE_HZ, SEED = 1000.0, 5
@@ -36,11 +36,13 @@ def in_one_pass(robot, q_ref):
     ddq = np.gradient(dq, 1 / RATE_HZ, axis=0)
     fastest, loop = np.abs(dq @ model.directions.T).max(axis=0), recorded_loop(robot)
     assert loop is not None
-    encoder = Encoder(noise=1e-4 * rng.standard_normal(q_ref.shape), step=3e-5)
+    of_encoder = 1e-4 * rng.standard_normal(q_ref.shape)
+
+    def encoder(q, at=slice(None)):
+        return np.rint((q + of_encoder[at]) / 3e-5) * 3e-5
+
     follower = ClosedLoop(model, loop, (q_ref[0], dq[0]), fastest=fastest, substeps=2)
-    done, reason = follower.follow(
-        Reference(q_ref, dq, ddq, encoder=encoder), np.full(robot.n, 99.0)
-    )
+    done, reason = follower.follow(Reference(q_ref, dq, ddq, seen=encoder), np.full(robot.n, 99.0))
     assert reason is None
     held = done[3, ::2]
     late = np.concatenate([held[[0] * 3], held])[: len(held)]
@@ -50,7 +52,7 @@ def in_one_pass(robot, q_ref):
     for k in range(1, len(slow)):
         slow[k] = 0.98 * slow[k - 1] + np.sqrt(1 - 0.98**2) * drawn[k]
     level = 0.01 * np.sqrt(np.mean(tau**2, axis=0))
-    return encoder.seen(done[0, ::2]), tau + level * (3 * white + 2 * slow)
+    return encoder(done[0, ::2]), tau + level * (3 * white + 2 * slow)
 
 
 @pytest.mark.parametrize("rows", [3, 7, 100, 640, 1000])
