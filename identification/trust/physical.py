@@ -90,10 +90,10 @@ def _findings(
 
 def _finding(far: float, text: str, joint: str, otherwise: str = "") -> Finding:
     """Of a value that is so many half-widths below zero."""
-    if far <= MAX_HALF_WIDTHS and otherwise:
-        return "caution", f"{text}{otherwise}"
-    level: Level = "do not use" if far > MAX_HALF_WIDTHS else "caution"
-    return level, f"{text}: check the sign of effort and position of joint {joint}"
+    check = f": check the sign of effort and position of joint {joint}"
+    if far > MAX_HALF_WIDTHS:
+        return "do not use", text + check
+    return "caution", text + (otherwise or check)
 
 
 def _worst(
