@@ -1,6 +1,5 @@
 """From signals to W and Y: settings, filters, motions, terms, weights of samples, rows."""
 
-from .bandwidth import with_bandwidth
 from .blocks import Along, MotionBlock, motion_blocks, predicted_torque
 from .filtering import Decimation, forward_backward_3db_hz, lowpass_reach
 from .lag import MAX_LAW_PERCENT, Lag, combined_lag, lag_by_law, lag_without_fit, lags_in
@@ -38,6 +37,7 @@ from .settings import (
     make_settings,
     rule_cutoff_hz,
     standing_joints,
+    with_bandwidth,
 )
 from .states import friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns

@@ -16,11 +16,17 @@ from ..arrays import Array, Bools
 from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
-from .bandwidth import with_bandwidth
 from .filtering import decimation_reach, nearby
 from .law import Law
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
-from .settings import LAG_REACH, Overrides, Settings, make_settings, rule_cutoff_hz
+from .settings import (
+    LAG_REACH,
+    Overrides,
+    Settings,
+    make_settings,
+    rule_cutoff_hz,
+    with_bandwidth,
+)
 
 # of positions in the cache of a process: 64 MB, a few times as much in all
 MAX_CACHED_NUMBERS = 8_000_000

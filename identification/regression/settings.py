@@ -1,9 +1,14 @@
-"""Settings of a fit: samples, cut-off and decimation, by the rules of the method and overrides."""
+"""Settings of a fit: samples, cut-off and decimation, by the rules of the method and overrides.
+
+Where the description states no bandwidth of the position loop, low-pass and simulated loop end
+where the motion does.
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
 from acquisition import robot
@@ -29,6 +34,11 @@ ROWS = -1.0  # in place of L: no weights, but the rows in which the joint moves
 RAMPS = (2.0, 0.5, 0.0, ROWS)  # L in rows; short moves need short ramps
 LAG_REACH = 3.0  # deviations that the lag may differ from the known one
 NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of an unknown lag
+# of a simulated loop; one at its end itself lags: friction holds a UR5's wrist back by 30 %
+LOOP_PER_MOTION = 2.0
+_SPECTRUM = 200_000  # samples of a recording that show where its motion ends
+# power over that of the noise; parts of a recording whose spectra are averaged
+_FLOOR, _SEGMENTS = 10.0, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +112,35 @@ class Settings:
     def instants(self) -> Ints:
         """The samples (rows,) of the decimated rows: the last of the span, every n_d-th before."""
         return self.start + self.decimator.instants(self.stop - self.start)
+
+
+def with_bandwidth(signals: Signals) -> Signals:
+    """The signals with a bandwidth of the position loop: that of the description, or one that
+    follows the recorded motion.
+
+    The tracking of the reference does not show it: with speed fed forward the position follows
+    without an error, and a reference recorded some milliseconds early has one without a loop.
+    """
+    robot, fs = signals.robot, signals.sample_rate_hz
+    if robot.controller.bandwidth_hz is not None:
+        return signals
+    hz = min(_motion_hz(signals), MAX_CUTOFF_SHARE * fs)
+    controller = msgspec.structs.replace(robot.controller, bandwidth_hz=LOOP_PER_MOTION * hz)
+    return replace(signals, robot=replace(robot, controller=controller), motion_hz=hz)
+
+
+def _motion_hz(signals: Signals) -> float:
+    """The frequency above which no joint's position is more than noise, Hz."""
+    fs, N = signals.sample_rate_hz, min(len(signals.q), _SPECTRUM) // _SEGMENTS
+    if N < 3:  # no spectrum: the settings refuse so short a recording
+        return fs
+    parts = np.diff(signals.q[: N * _SEGMENTS].reshape(_SEGMENTS, N, -1), axis=1)
+    power = (np.abs(np.fft.rfft(np.hanning(N - 1)[:, None] * parts, axis=1)) ** 2).mean(axis=0)
+    f = np.fft.rfftfreq(N - 1, 1 / fs)[1:, None]
+    power = power[1:] / np.sin(np.pi * f / fs) ** 2  # of the position: white noise is then level
+    floor = np.median(power[f[:, 0] > 0.25 * fs], axis=0)
+    above = (power > _FLOOR * floor).any(axis=1)
+    return float(f[np.flatnonzero(above).max(initial=0), 0])
 
 
 def make_settings(

@@ -22,11 +22,10 @@ import numpy as np
 from ..arrays import Array, Bools
 from ..data import Signals
 from ..errors import NoFitError
-from .bandwidth import LOOP_PER_MOTION
 from .filtering import nearby
 from .motion import BLOCK_SAMPLES, FilteredMotion
 from .problem import Problem, row_blocks
-from .settings import MAX_CUTOFF_SHARE, RAMPS, ROWS
+from .settings import LOOP_PER_MOTION, MAX_CUTOFF_SHARE, RAMPS, ROWS
 
 # of the peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_PERCENT = 4.0
