@@ -45,11 +45,14 @@ def fit_file(fit: Fit) -> report.FitFile:
                     value_s=lag.value_s,
                     half_width_s=lag.half_width_s,
                     source=lag.source,
-                    prior=report.KnownLagFile(**vars(lag.prior)),
+                    prior=report.KnownLagFile(
+                        value_s=known.value_s, sd_s=known.sd_s, source=known.source
+                    ),
                     effort_timing=signals.effort_timing,
                     effort_object=signals.effort_object,
                 )
                 for lag in fit.data.lags
+                for known in [lag.prior or lag]
                 if signals.recording in lag.recordings
             ),
             UNSET,

@@ -124,7 +124,7 @@ class Loop:
         number, other = len(before), asked is not None and asked[0] is not x
         of_lag = self.model.exogenous and not other
         # The first pass is not the last one where a lag is looked for, and needs no tests.
-        tests = not of_lag or number > 1 or all(lag.prior.stated for lag in before[-1].lags)
+        tests = not of_lag or number > 1 or all(lag.stated for lag in before[-1].lags)
         speed = self.speed if tests else None  # q_s, dq_s, ddq_s, with (E), and (6)
         z, rows = self.model.along(self.robots, x, asked, speed, of_lag=of_lag)
         rows, lags, settled = with_lags_found(rows, before[-1].lags, first=number == 1)  # (G)
@@ -216,7 +216,7 @@ def with_lags_found(
     lags = tuple(lags_in(rows.late, before, lags))
     values = np.array([lag.value_s for lag in lags])
     small = np.abs(values - before) < MAX_LAST_LAG * np.array([lag.period_s for lag in lags])
-    settled = bool(small.all()) and (not first or all(lag.prior.stated for lag in lags))
+    settled = bool(small.all()) and (not first or all(lag.stated for lag in lags))
     return rows.about(np.r_[rows.x[:f], values]), lags, settled
 
 

@@ -12,7 +12,7 @@ recorded torque is noise in whitened rows.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from ..estimation import (
 )
 from .blocks import MotionBlock
 from .problem import Problem
-from .settings import NOTHING, KnownLag
+from .settings import NOTHING, Lag
 from .states import LAG_ORDER, fast_for_lag, fast_for_lag_by
 
 MAX_LAW_PERCENT = 5.0  # of the effort's variation that a law does not give
@@ -39,40 +39,7 @@ DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
 CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lag:
-    """The lag of the torque of recordings of equal timing, s, positive: late.
-
-    Attributes:
-        value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval
-            is `reach` deviations.
-        source: where the value comes from; `prior`: the lag as known without a fit.
-        found: value, deviation and its degrees of freedom by the instruments alone; None where
-            they do not determine it.
-        delay_s: time from command to torque and half its interval, where the described
-            controller was replayed.
-        moved: (b,) shift of each parameter by one deviation of the lag.
-        recordings: their names; `period_s`: of their samples.
-    """
-
-    value_s: float
-    sd_s: float
-    reach: float
-    source: str
-    prior: KnownLag
-    period_s: float
-    found: tuple[float, float, int] | None
-    delay_s: tuple[float, float] | None = None
-    moved: Array = field(default_factory=lambda: np.zeros(0))
-    recordings: tuple[str, ...] = ()
-
-    @property
-    def half_width_s(self) -> float:
-        """Half its 95 % interval."""
-        return self.reach * self.sd_s
-
-
-def lag_by_law(problem: Problem) -> KnownLag | None:
+def lag_by_law(problem: Problem) -> Lag | None:
     """Return the lag of the torque without an estimate, where the described control law gives the
     effort; drives have loops that a description does not.
 
@@ -87,44 +54,40 @@ def lag_by_law(problem: Problem) -> KnownLag | None:
         return None
     value_s = float(law.lag_s[similar].mean()) - 0.5 * law.period_s
     sd_s = float(np.hypot(law.lag_sd_s[similar].max(), DRIVE_DELAY_S))
-    return KnownLag(value_s=value_s, sd_s=sd_s, source="the described control law")
+    known = problem.settings.known_lag
+    return replace(known, value_s=value_s, sd_s=sd_s, source="the described control law")
 
 
 def lag_without_fit(group: Sequence[Problem]) -> Lag:
     """Return the lag of a group of recordings as known without an estimate, by user, recording and
     law: the mean of theirs, with the smallest deviation.
     """
-    each = list[KnownLag]()
+    each = list[Lag]()
     for problem in group:
         known = problem.settings.known_lag
         if not known.stated and (by_law := lag_by_law(problem)) is not None:
             known = by_law if known.source == NOTHING else known.with_other(by_law)
         each.append(known)
     mean_s = float(np.mean([known.value_s for known in each]))
-    known = replace(min(each, key=lambda known: known.sd_s), value_s=mean_s)
-    return combined_lag(known, 1 / group[0].signals.sample_rate_hz, None)
+    return replace(min(each, key=lambda known: known.sd_s), value_s=mean_s)
 
 
-def combined_lag(prior: KnownLag, period_s: float, found: tuple[float, float, int] | None) -> Lag:
+def combined_lag(prior: Lag, found: tuple[float, float, int]) -> Lag:
     """Combine what is known of the lag of a group with what the data give, by variances.
 
     If both differ by more than chance in 0.3 % of cases (Student's t, degrees of freedom by Welch
     1947), only the data count. A stated lag is used as it is. `found` is as in `Lag`.
     """
-    counted, reach = prior, 2.0
-    if found is not None and not prior.stated:
-        value, sd, freedom = found
-        data, both = (
-            KnownLag(value_s=value, sd_s=sd, source="data"),
-            float(np.hypot(sd, prior.sd_s)),
-        )
-        reach = t_quantile(0.5 + LEVEL / 2, freedom)
-        far = (
-            abs(value - prior.value_s)
-            > t_quantile(1 - CHANCE / 2, freedom * (both / sd) ** 4) * both
-        )
-        counted = data if far else prior.with_other(data)
-    return Lag(**vars(counted), reach=reach, prior=prior, period_s=period_s, found=found)
+    value, sd, freedom = found
+    if prior.stated:
+        return replace(prior, prior=prior, found=found)
+    data, both = (
+        replace(prior, value_s=value, sd_s=sd, source="data"),
+        float(np.hypot(sd, prior.sd_s)),
+    )
+    far = abs(value - prior.value_s) > t_quantile(1 - CHANCE / 2, freedom * (both / sd) ** 4) * both
+    counted, reach = data if far else prior.with_other(data), t_quantile(0.5 + LEVEL / 2, freedom)
+    return replace(counted, reach=reach, prior=prior, found=found)
 
 
 def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
@@ -139,17 +102,16 @@ def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> li
     lags : (K,) of each group, with what is known; only that is used where the rows do not
         determine a lag.
     """
-    (system, Z), K = late, len(lags)
-    found: list[tuple[float, float, int] | None] = [None] * K
+    (system, Z), known = late, [lag.prior or lag for lag in lags]
     with suppress(NoFitError):  # the rows do not determine them
         if system.Y.any():  # else the fit is exact
             step = instrumental_variables(system, Z, weights_of(system, system.Y))
             within = intervals_of(system, step, most=WHITE_COSINES)
-            values, sd = (now_s + step.beta[-K:]).tolist(), within.sigma[-K:].tolist()
-            found = [(*one, within.freedom) for one in zip(values, sd, strict=True)]
-    return [
-        combined_lag(lag.prior, lag.period_s, one) for lag, one in zip(lags, found, strict=True)
-    ]
+            last = slice(-len(lags), None)
+            values, sd = (now_s + step.beta[last]).tolist(), within.sigma[last].tolist()
+            each = zip(known, values, sd, strict=True)
+            return [combined_lag(lag, (value, sd, within.freedom)) for lag, value, sd in each]
+    return known
 
 
 class LagCollector:

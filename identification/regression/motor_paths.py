@@ -12,7 +12,7 @@ import numpy as np
 from ..arrays import Array, Ints
 from .filtering import lowpass
 from .motion import differentiate, on_spline, spline_coefficients
-from .settings import KnownLag
+from .settings import Lag
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -45,7 +45,7 @@ class MotorPaths:
         paths: Sequence[Path],
         beside: Array,
         rate_hz: float,
-        known: KnownLag,
+        known: Lag,
         period_s: float,
     ) -> None:
         """`paths`: r and q, each with two derivatives and the integral, (4, rows) by their delay;
@@ -141,7 +141,7 @@ def scaled_solution(A: Array, y: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A / scale, y)[0] / scale)
 
 
-def motor_paths(problem: "Problem", known: KnownLag, period_s: float) -> list[MotorPaths]:
+def motor_paths(problem: "Problem", known: Lag, period_s: float) -> list[MotorPaths]:
     """The motors of a recording, with the lag as known, and the period of the controller's sum."""
     s, settings, R = problem.signals, problem.settings, problem.signals.robot.R
     fs, n_d = s.sample_rate_hz, settings.decimation

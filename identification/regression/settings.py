@@ -6,7 +6,7 @@ where the motion does.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
@@ -41,30 +41,51 @@ _SPECTRUM = 200_000  # samples of a recording that show where its motion ends
 _FLOOR, _SEGMENTS = 10.0, 8
 
 
-@dataclass(frozen=True, kw_only=True)
-class KnownLag:
-    """The lag of a torque as known without a fit: value and deviation, s,
-    positive if late; and source.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lag:
+    """The lag of the torque of a recording, or of several of equal timing, s, positive: late.
 
-    A value stated by the user has no deviation.
+    Attributes:
+        value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval
+            is `reach` deviations. A value stated by the user has no deviation.
+        source: where the value comes from.
+        period_s: of the samples.
+        prior: the lag as known without a fit, if data have been combined with it.
+        found: value, deviation and its degrees of freedom by the instruments alone; None where
+            they do not determine it.
+        delay_s: time from command to torque and half its interval, where the described
+            controller was replayed.
+        moved: (b,) shift of each parameter by one deviation of the lag.
+        recordings: their names.
     """
 
     value_s: float
     sd_s: float
     source: str
+    period_s: float
+    reach: float = 2.0
+    prior: "Lag | None" = None
+    found: tuple[float, float, int] | None = None
+    delay_s: tuple[float, float] | None = None
+    moved: Array = field(default_factory=lambda: np.zeros(0))
+    recordings: tuple[str, ...] = ()
 
     @property
     def stated(self) -> bool:
         """Whether the user stated it."""
         return self.sd_s == 0.0
 
-    def with_other(self, other: "KnownLag") -> "KnownLag":
+    @property
+    def half_width_s(self) -> float:
+        """Half its 95 % interval."""
+        return self.reach * self.sd_s
+
+    def with_other(self, other: "Lag") -> "Lag":
         """Both combined, weighted by their variances."""
         own, others = self.sd_s**-2, other.sd_s**-2
         value = (own * self.value_s + others * other.value_s) / (own + others)
-        return KnownLag(
-            value_s=value, sd_s=(own + others) ** -0.5, source=f"{self.source} and {other.source}"
-        )
+        sd, source = (own + others) ** -0.5, f"{self.source} and {other.source}"
+        return replace(self, value_s=value, sd_s=sd, source=source)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +118,7 @@ class Settings:
     low_speed_percent: float | None
     ramp_rows: float
     torque_lag_s: float
-    known_lag: KnownLag
+    known_lag: Lag
     span: str
     span_rule: Span
     overloads: tuple[str, ...]
@@ -278,7 +299,7 @@ def make_settings(
     )
 
 
-def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
+def known_lag(signals: Signals, overrides: Overrides) -> Lag:
     """Return the lag of a recording's torque as known without a fit: the value at which the lag
     among the unknowns starts, and its deviation.
 
@@ -289,13 +310,14 @@ def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
     own, period_s = signals.robot.identification.torque_lag_s, 1 / signals.sample_rate_hz
     given = own if overrides.torque_lag_s is None else overrides.torque_lag_s
     if given is not None:
-        return KnownLag(value_s=0.0 if given == "none" else given, sd_s=0.0, source="torque_lag_s")
-    timing, rate_hz = signals.effort_timing, signals.robot.controller.sample_rate_hz
-    if timing == "unknown":
-        return KnownLag(value_s=0.0, sd_s=UNKNOWN_LAG_S, source=NOTHING)
-    period_s = 1 / rate_hz if rate_hz is not None else period_s
-    value_s = -0.5 * period_s if timing == "command" else 0.0
-    return KnownLag(value_s=value_s, sd_s=0.25 * period_s, source=f"effort_timing {timing}")
+        value_s, sd_s, source = 0.0 if given == "none" else given, 0.0, "torque_lag_s"
+    elif signals.effort_timing == "unknown":
+        value_s, sd_s, source = 0.0, UNKNOWN_LAG_S, NOTHING
+    else:
+        held_s = 1 / (signals.robot.controller.sample_rate_hz or signals.sample_rate_hz)
+        value_s = -0.5 * held_s if signals.effort_timing == "command" else 0.0
+        sd_s, source = 0.25 * held_s, f"effort_timing {signals.effort_timing}"
+    return Lag(value_s=value_s, sd_s=sd_s, source=source, period_s=period_s)
 
 
 def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:

@@ -77,7 +77,7 @@ class FTest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The lag of a torque as known without a fit, as `regression.KnownLag`."""
+    """The lag of a torque as known without a fit."""
 
     value_s: float
     sd_s: float | None = None  # missing in a file of an earlier version

@@ -41,7 +41,7 @@ def lag_test(evidence: FitData) -> TrustLine | None:
 
 
 def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
-    fs, names, prior = 1 / lag.period_s, evidence.estimate.names, lag.prior
+    fs, names, prior = 1 / lag.period_s, evidence.estimate.names, lag.prior or lag
     late, half, value_s = lag.value_s * fs, lag.half_width_s * fs, lag.value_s
     rest = np.sqrt(np.maximum(evidence.intervals.sigma**2 - lag.moved**2, 0.0))  # without the lag
     moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)
@@ -66,12 +66,12 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
     return first_case(
         "lag",
         (
-            prior.stated and abs(found - value_s) > MAX_DEVIATIONS_FROM_STATED * found_sd,
+            lag.stated and abs(found - value_s) > MAX_DEVIATIONS_FROM_STATED * found_sd,
             "caution",
             f"{stated}; the data give {found:.4g} ± {found_sd * lag.reach:.2g} s: leave "
             "torque_lag_s out",
         ),
-        (prior.stated, "ok", stated),
+        (lag.stated, "ok", stated),
         (
             lag.found is None and moved[worst] > 1,
             "caution",

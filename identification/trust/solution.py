@@ -334,7 +334,7 @@ def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
             law.text.removeprefix("not made: "),
         ),
         (
-            lags and lags[0].prior.stated,
+            lags and lags[0].stated,
             "lag",
             f"{lags[0].value_s:g} s" if lags else "",
             "stated by torque_lag_s",

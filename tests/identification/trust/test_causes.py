@@ -15,7 +15,7 @@ from independent_simulator import at_rate
 from identification.data import Signals
 from identification.errors import BadInputError, RobotIdimError
 from identification.methods import Fit
-from identification.regression import KnownLag, Overrides, combined_lag, make_problem
+from identification.regression import Lag, Overrides, combined_lag, make_problem
 from identification.simulation import unstated_limits
 
 
@@ -142,15 +142,15 @@ def test_a_known_lag_and_the_data_are_compared_by_students_t():
     """3.48 deviations are the quantile 0.9985 of Student's t of 16 degrees of freedom (tables),
     2.97 that of a normal law.
     """
-    known = KnownLag(value_s=0.0, sd_s=1e-9, source="effort_timing")
+    known = Lag(value_s=0.0, sd_s=1e-9, source="effort_timing", period_s=1e-3)
     sources = [
         [
-            combined_lag(known, 1e-3, (t * 1e-3, 1e-3, freedom)).source == "data"
+            combined_lag(known, (t * 1e-3, 1e-3, freedom)).source == "data"
             for t in (2.9, 3.05, 3.4, 3.55)
         ]
         for freedom in (16, 10**6)
     ]
     assert sources == [[False, False, False, True], [False, True, True, True]]
     # the deviation of the data hardly counts
-    exact = KnownLag(value_s=0.0, sd_s=1e-2, source="effort_timing")
-    assert combined_lag(exact, 1e-3, (31e-3, 1e-3, 4)).source == "data"
+    exact = replace(known, sd_s=1e-2)
+    assert combined_lag(exact, (31e-3, 1e-3, 4)).source == "data"
