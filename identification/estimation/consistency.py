@@ -76,7 +76,7 @@ class Consistent:
         chi: (p,) standard parameters; `beta` = K chi (b,).
         chi_squared: (beta - estimate)' C⁻¹ (beta - estimate).
         deviations: (b,) move of each parameter, in deviations.
-        decrement: Newton decrement at chi, the certificate; `steps`: their number.
+        decrement: Newton decrement at chi, the certificate.
     """
 
     chi: Array
@@ -84,7 +84,6 @@ class Consistent:
     chi_squared: float
     deviations: Array
     decrement: float
-    steps: int
 
 
 def consistent_parameters(
@@ -107,15 +106,14 @@ def consistent_parameters(
     root, (kept, physical) = _inverse_root(beta, covariance), physical.within(K)
     K, p = K.take(kept, axis=1), K.shape[1]
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
-    chi, decrement, steps = _minimum(objective, physical.start)
+    chi, decrement = _minimum(objective, physical.start)
     if not decrement <= MAX_DECREMENT:
         # For an estimate far from any robot, steps run along the boundary, where they are short.
         def softened(softer: float) -> _Objective:
             barrier = gamma * max(gamma_x, min(gamma_x * softer, 1.0))
             return _Objective(beta, root / np.sqrt(softer), K, physical, gamma, barrier)
 
-        chi, decrement, more = _along_path(softened, physical.start)
-        steps += more
+        chi, decrement = _along_path(softened, physical.start)
     if not decrement <= MAX_DECREMENT:
         raise NoFitError(
             "no consistent parameters found",
@@ -131,7 +129,6 @@ def consistent_parameters(
         chi_squared=float(np.sum((objective.root @ moved) ** 2)),
         deviations=np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0),
         decrement=decrement,
-        steps=steps,
     )
 
 
@@ -266,36 +263,36 @@ class _Objective:
             return None
 
 
-def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float, int]:
-    """Minima for decreasing covariances, each started from the one before: the last,
-    its decrement, all steps.
+def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float]:
+    """Minima for decreasing covariances, each started from the one before: the last
+    and its decrement.
     """
-    chi, decrement, steps = _minimum(problem(MAX_SOFTENING), chi)
+    chi, decrement = _minimum(problem(MAX_SOFTENING), chi)
     softer, factor = MAX_SOFTENING, MAX_FACTOR
     while decrement <= MAX_DECREMENT and softer > 1.0:
         harder = max(1.0, softer / factor)
-        found, reached, more = _minimum(problem(harder), chi)
-        steps += more
+        found, reached = _minimum(problem(harder), chi)
         if reached <= MAX_DECREMENT:
             chi, decrement, softer, factor = found, reached, harder, min(MAX_FACTOR, factor**1.5)
         elif factor > MIN_FACTOR:  # try a closer problem first
             factor **= 0.5
         else:
             decrement = reached
-    return chi, decrement, steps
+    return chi, decrement
 
 
-def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:
-    """Newton steps from chi: the end, the decrement there, and their number."""
-    steps = 0
+def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float]:
+    """Newton steps from chi: the end and the decrement there."""
     step, decrement = _newton_step(*objective.derivatives(chi))
-    while decrement > MAX_DECREMENT and np.isfinite(decrement) and steps < MAX_STEPS:
+    for _ in range(MAX_STEPS):
+        if not MAX_DECREMENT < decrement < np.inf:
+            break
         length = _length(objective, chi, step, decrement)
         if length == 0.0:
             break
-        chi, steps = chi + length * step, steps + 1
+        chi = chi + length * step
         step, decrement = _newton_step(*objective.derivatives(chi))
-    return chi, decrement, steps
+    return chi, decrement
 
 
 def _length(objective: _Objective, chi: Array, step: Array, decrement: float) -> float:

@@ -2,6 +2,8 @@
 and what a robot asks.
 """
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from conftest import robot_named
@@ -11,7 +13,12 @@ from scipy.optimize import minimize
 
 from acquisition.robot import Robot, robot_from_files
 from identification.errors import NoFitError
-from identification.estimation import consistent_parameters, parameter_certainty, pseudo_inertia
+from identification.estimation import (
+    consistency,
+    consistent_parameters,
+    parameter_certainty,
+    pseudo_inertia,
+)
 from identification.estimation.consistency import _inverse_root, _Objective
 from identification.model import InverseModel, physical_parameters, requirements
 from identification.model.joint_terms import corner_speeds
@@ -76,7 +83,7 @@ def test_the_optimum_is_that_of_another_optimiser():
     assert found.decrement <= 1e-6
 
 
-def test_an_impossible_arm_becomes_a_possible_one():
+def test_an_impossible_arm_becomes_a_possible_one(monkeypatch):
     idm, K, chi, physical = tx40(described=False)
     assert lowest(physical, physical.start) > 0
     names = list(idm.names)
@@ -85,6 +92,8 @@ def test_an_impossible_arm_becomes_a_possible_one():
     beta = K @ wrong
     sigma = 0.02 * np.abs(beta) + 0.002
     C = covariance_with(covariance(len(beta), 1.0), sigma)
+    newton_step = Mock(wraps=consistency._newton_step)
+    monkeypatch.setattr(consistency, "_newton_step", newton_step)
     found = consistent_parameters(beta, C, K, physical)
     assert lowest(physical, found.chi) > 0
     np.testing.assert_allclose(K @ found.chi, found.beta)
@@ -93,7 +102,7 @@ def test_an_impossible_arm_becomes_a_possible_one():
     np.testing.assert_allclose(found.deviations, rho / sigma)
     assert np.abs(found.deviations).max() > 3
     assert found.decrement <= 1e-6
-    assert found.steps < 60
+    assert newton_step.call_count < 60
 
 
 def test_a_possible_arm_stays_where_it_is():
