@@ -6,7 +6,7 @@ samples, then decimated. Recordings are read-only: no lag and no gain changes th
 unknowns of the term `Drives`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,9 +22,6 @@ from .problem import Problem, row_blocks
 from .weights import sample_weights, weights_at
 
 DRIVES_A_ROW = 20  # at which the torque of a model is computed: its rate counts in the intervals
-
-# a motion, block by block, as often as it is asked for
-Along = Callable[[], Iterator["MotionBlock"]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,7 +16,7 @@ they are less efficient.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Literal
 from weakref import WeakKeyDictionary
@@ -31,7 +31,6 @@ from ..estimation import r_factor
 from ..model import DirectModel, direct_model, inertias, poses_of, why_not_positive
 from ..regression import (
     SPLINE_REACH,
-    Along,
     FilteredMotion,
     Motion,
     MotionBlock,
@@ -175,7 +174,9 @@ class SimulatedRecording:
         scales, self.held = position_scales(travel, robot.joints)
         self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
-    def motion(self, beta: Array | None) -> tuple[Along, Array, str | None]:
+    def motion(
+        self, beta: Array | None
+    ) -> tuple[Callable[[], Iterator[MotionBlock]], Array, str | None]:
         """Simulate the robot of base parameters beta in closed loop.
 
         If beta is None, or the robot cannot be simulated or leaves its reference, the motion is
