@@ -166,20 +166,18 @@ class Problem:
         """The same with its samples, read and filtered once per process."""
         if len(self.signals.q) or self.source is None:
             return self
-        key = self.source, self.signals.robot.identified_gain is None
-        signals, motion = _read.pop(key) if key in _read else self._read_again(self.source)
-        if isinstance(self.source, RecordingFile):
-            _read[key] = signals, motion
+        source, of = self.source, self.signals
+        key = source, of.robot.identified_gain is None
+        if (found := _read.pop(key, None)) is None:
+            signals = source.load() if isinstance(source, RecordingFile) else source
+            # with its bandwidth
+            signals = replace(signals, robot=of.robot, motion_hz=of.motion_hz)
+            found = signals, FilteredMotion(signals)
+        if isinstance(source, RecordingFile):
+            _read[key] = found
         while len(_read) > 1 and sum(s.q.size for s, _ in _read.values()) > MAX_CACHED_NUMBERS:
             del _read[next(iter(_read))]
-        return replace(self, signals=signals, motion=motion)
-
-    def _read_again(self, source: Signals | RecordingFile) -> tuple[Signals, FilteredMotion]:
-        signals = source if isinstance(source, Signals) else source.load()
-        # with its bandwidth
-        robot, motion_hz = self.signals.robot, self.signals.motion_hz
-        signals = replace(signals, robot=robot, motion_hz=motion_hz)
-        return signals, FilteredMotion(signals)
+        return replace(self, signals=found[0], motion=found[1])
 
     def beginning(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it
