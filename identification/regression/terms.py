@@ -134,6 +134,5 @@ def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Arr
     beta : (b,) their values; those that are not of links have no part in it.
     q, dq, ddq : (N, n) motion of the joints, rad or m, per s and per s².
     """
-    of_links = np.where(problem.base.links, beta, 0.0)
-    links = direct_model(problem.model, problem.base.standard_parameters(of_links))
-    return links.torque(q, dq, ddq)
+    model = direct_model(problem.model, problem.base.standard_parameters(beta))
+    return model.torques_of_links(q, dq, ddq)
