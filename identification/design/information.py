@@ -276,10 +276,7 @@ class Information:
 
     def _regressor(self, motion: Motion) -> Array:
         """W (N, n, b)."""
-        entries = self.model.entries(self.base.columns)
-        W = np.zeros((*motion[0].shape, self.base.b))
-        W[:, entries[:, 0], entries[:, 1]] = self.model.series(*motion, self.base.columns).T
-        return W
+        return self.model.regressor(*motion, self.base.columns)
 
     def _information(self, W: Array) -> Array:
         V = (W / self.noise[:, None]).reshape(-1, W.shape[-1])

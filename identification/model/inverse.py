@@ -93,11 +93,11 @@ class InverseModel:
         self._link_series((q, dq, ddq), places, out)
         return out
 
-    def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """The whole regressor (N, n, p) over the motion q, dq, ddq (N, n)."""
-        columns = np.arange(self.p)
+    def regressor(self, q: Array, dq: Array, ddq: Array, columns: Ints | None = None) -> Array:
+        """The regressor (N, n, b) over the motion q, dq, ddq (N, n): its `columns` (b,), or all."""
+        columns = np.arange(self.p) if columns is None else columns
         entries = self.entries(columns)
-        W = np.zeros((len(q), self.robot.n, self.p))
+        W = np.zeros((*q.shape, len(columns)))
         W[:, entries[:, 0], entries[:, 1]] = self.series(q, dq, ddq, columns).T
         return W
 
