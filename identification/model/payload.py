@@ -8,7 +8,8 @@ from acquisition.robot import Payload
 
 from ..arrays import Array
 from ..errors import BadInputError
-from .inverse import FROM_PINOCCHIO, LINK, InverseModel
+from .inverse import FROM_PINOCCHIO, InverseModel
+from .physical import link_columns
 
 BALL_RADIUS_M = 0.1  # of the ball that a payload is taken for: its inertia about its centre of mass
 
@@ -45,7 +46,6 @@ def add_payload(model: InverseModel, parameters: Array, payload: Payload) -> Arr
     """Standard parameters (p,) of the robot with the payload, from those
     of the robot without it.
     """
-    last = [model.sources.index((model.robot.n - 1, place)) for place in range(len(LINK))]
     out = np.array(parameters, dtype=float)
-    out[last] += payload_parameters(model, payload)
+    out[link_columns(model)[-1]] += payload_parameters(model, payload)
     return out
