@@ -54,8 +54,9 @@ def lag_by_law(problem: Problem) -> Lag | None:
         return None
     value_s = float(law.lag_s[similar].mean()) - 0.5 * law.period_s
     sd_s = float(np.hypot(law.lag_sd_s[similar].max(), DRIVE_DELAY_S))
-    known = problem.settings.known_lag
-    return replace(known, value_s=value_s, sd_s=sd_s, source="the described control law")
+    return replace(
+        problem.settings.known_lag, value_s=value_s, sd_s=sd_s, source="the described control law"
+    )
 
 
 def lag_without_fit(group: Sequence[Problem]) -> Lag:

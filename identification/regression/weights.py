@@ -47,18 +47,15 @@ class SampleWeights:
 
     def __init__(self, problem: Problem, moves: Bools) -> None:
         settings, n = problem.settings, moves.shape[1]
-        self._measured, self.ramps = problem.measured_samples(), (settings.ramp_rows,) * n
-        self.moves = moves
-        moving = self.moves[settings.instants]
-        self._set_rows(problem, moving)
-        for shorter in (ramp for ramp in RAMPS if ramp < settings.ramp_rows):
+        self._measured, self.moves = problem.measured_samples(), moves
+        moving, self.ramps = moves[settings.instants], (settings.ramp_rows,) * n
+        few = np.ones(n, dtype=bool)
+        for ramp in (settings.ramp_rows, *(one for one in RAMPS if one < settings.ramp_rows)):
+            self.ramps = tuple(ramp if x else own for x, own in zip(few, self.ramps, strict=True))
+            self._set_rows(problem, moving)
             few = (self.of_rows**2).sum(axis=0) < MIN_ROWS_LEFT * moving.sum(axis=0)
             if not few.any():
                 break
-            self.ramps = tuple(
-                shorter if x else ramp for x, ramp in zip(few, self.ramps, strict=True)
-            )
-            self._set_rows(problem, moving)
 
     def _set_rows(self, problem: Problem, moving: Bools) -> None:
         """1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain
