@@ -107,8 +107,6 @@ def stacked(systems: Sequence[System]) -> System:
     """The system of several recordings of the same parameters, rows stacked joint by
     joint, in the order given.
     """
-    if len(systems) == 1:
-        return systems[0]
     order, before = by_joint(systems), 0
     spans = list[Ints]()
     for one in systems:

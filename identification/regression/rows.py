@@ -154,8 +154,6 @@ class Rows:
 
     def without(self, names: Collection[str]) -> "Rows":
         """The same without the columns of some parameters."""
-        if not names:
-            return self
         stay = np.array([name not in names for name in self.system.names])
         x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
         Z = self.Z[:, stay] if self.Z.size else self.Z

@@ -120,11 +120,7 @@ def model_stride(signals: Signals, settings: Settings) -> int:
 
 
 def extremes(x: Array, step: int) -> Ints:
-    """Indices of the minimum and maximum of every `step` samples of x (N,); of all
-    samples if `step` is 1.
-    """
-    if step == 1:
-        return np.arange(len(x))
+    """Indices of the minimum and maximum of every `step` samples of x (N,)."""
     whole = len(x) // step * step
     buckets, first = x[:whole].reshape(-1, step), np.arange(0, whole, step)
     both = np.stack([first + buckets.argmin(axis=1), first + buckets.argmax(axis=1)], axis=1)
