@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.files import field_of
 from acquisition.recording import OPTIONAL, Recording, in_gaps, measured_rows, read_recording
@@ -76,12 +75,11 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         )
         raise BadInputError(recording.no_samples, place=str(path), expected=expected)
     stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
-    grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
+    first_ns, was, since = int(stamps[0]), recording.robot, (stamps - stamps[0]).astype(float)
+    grid, rate_hz, off_grid = _grid(since, recording.sample_rate_hz, path)
     rows, text = measured_rows(samples, recording.robot)
-    first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
-    columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
-    since = stamps - first_ns
+    columns = {name: _resample(grid, since, field_of(samples, name)) for name in names}
     measured = (np.interp(grid, since, rows) == 1) & ~in_gaps(since, grid)
     law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()
     # it belongs to the drives of this recording, not to the description
@@ -160,34 +158,33 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
                 )
 
 
-def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:
-    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and the largest offset
-    of a stamp in periods.
+def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, float]:
+    """A uniform grid (N,) for stamps `since` the first, both in ns, its rate in Hz, and the largest
+    offset of a stamp in periods.
 
     Uniform stamps are the grid. If samples are missing, the grid has the nominal rate, if that
     agrees with theirs within 10 %. Refuses time that does not increase, and a gap far longer than
     the rows.
     """
-    if len(stamps) < 2:
+    if len(since) < 2:
         raise BadInputError(
-            place=str(path), key="samples", value=len(stamps), expected="a trajectory"
+            place=str(path), key="samples", value=len(since), expected="a trajectory"
         )
-    steps = np.diff(stamps)
+    steps = np.diff(since)
     period = float(np.median(steps))
-    bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(stamps) * max(period, 1.0)))
+    bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(since) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
-        problem = f"a step of {steps[k] * 1e-9:.6g} s after {1e-9 * (stamps[k] - stamps[0]):.4f} s"
+        problem = f"a step of {steps[k] * 1e-9:.6g} s after {1e-9 * since[k]:.4f} s"
         expected = f"{period * 1e-6:.3f} ms, and each motion as a recording of its own"
         raise BadInputError(problem, place=str(path), key="samples", expected=expected)
-    since = np.asarray(stamps - stamps[0], dtype=np.float64)
-    whole = steps.max() <= 1.5 * period or len(stamps) < 3
+    whole = steps.max() <= 1.5 * period or len(since) < 3
     if whole:
-        period = float(since[-1]) / (len(stamps) - 1)
+        period = float(since[-1]) / (len(since) - 1)
     else:
         period = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
     at = since / period
-    off = at - (np.arange(len(stamps)) if whole else np.rint(at))
+    off = at - (np.arange(len(since)) if whole else np.rint(at))
     off_grid = (
         float(np.abs(off - (off.min() + off.max()) / 2).max())
         if whole
@@ -199,9 +196,8 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     return grid, round(1e9 / period, 6), off_grid
 
 
-def _resample(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
-    """x (N, n), sampled at `stamps`, on the grid: unchanged, or by a cubic spline."""
-    since = (stamps - stamps[0]).astype(float)
+def _resample(grid: Array, since: Array, x: Array) -> Array:
+    """x (N, n), sampled at `since`, ns, on the grid: unchanged, or by a cubic spline."""
     if len(grid) == len(since) and (grid == since).all():
         return x
     from scipy.interpolate import CubicSpline
