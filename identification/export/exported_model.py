@@ -84,9 +84,7 @@ def _of_axes(model: dynamics.InverseModel, chi: Array, links: Array) -> Exported
     """
     n = model.robot.n
     terms = [
-        (source, chi[c])
-        for c, source in _joint_terms(model).items()
-        if source.kind in dynamics.RESISTING
+        (source, chi[c]) for c, source in model.terms.items() if source.kind in dynamics.RESISTING
     ]
     shared = {source.joint: source.row for source, _ in terms if np.count_nonzero(source.row) > 1}
     axis = {motor: n + k for k, motor in enumerate(shared)}
@@ -117,15 +115,6 @@ def _coupled(term: dynamics.JointTerm) -> bool:
     return term.kind in ("viscous", "coulomb") and int(np.count_nonzero(term.row)) > 1
 
 
-def _joint_terms(model: dynamics.InverseModel) -> dict[int, dynamics.JointTerm]:
-    """By column."""
-    return {
-        c: source
-        for c, source in enumerate(model.sources)
-        if isinstance(source, dynamics.JointTerm)
-    }
-
-
 def random_states(joints: tuple[Joint, ...]) -> tuple[Array, ...]:
     """Positions, speeds and accelerations (N, n), uniform within the limits of the joints,
     by default ±pi, ±1, ±5.
@@ -146,7 +135,7 @@ def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:
     """
     W, base = m.model.regressor(q, dq, ddq), dynamics.base_parameters(m.model)
     links = W[:, :, base.columns] @ np.where(base.links, base.K @ m.chi, 0.0)
-    for c, term in _joint_terms(m.model).items():
+    for c, term in m.model.terms.items():
         if term.kind == "load":
             W[:, term.joint, c] = np.abs(links[:, term.joint]) * np.sign(dq[:, term.joint])
     return W
@@ -159,7 +148,7 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
     One-sided friction becomes the mean of both directions; the friction of one joint beside that of
     a motor that turns with it too is at least 0.
     """
-    n, losses, terms = m.model.robot.n, Losses(), _joint_terms(m.model)
+    n, losses, terms = m.model.robot.n, Losses(), m.model.terms
     q, dq, ddq = random_states(m.model.robot.joints)
     W = whole_regressor(m, q, dq, ddq)
     whole = np.sqrt(np.mean((W @ m.chi) ** 2, axis=0))

@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import Array, Bools, Ints
 from ..errors import BadInputError
 from .inverse import InverseModel
-from .joint_terms import SHAPES, JointTerm
+from .joint_terms import SHAPES
 
 STATES = 200  # random ones; 200 n rows are several times the number of columns
 TOLERANCE = 1e-9  # of a column's norm: the residual of a dependent column is rounding
@@ -93,11 +93,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
     norms = np.linalg.norm(W, axis=0)
-    shapes = [
-        c
-        for c, source in enumerate(dynamics.sources)
-        if isinstance(source, JointTerm) and source.kind in SHAPES
-    ]
+    shapes = [c for c, term in dynamics.terms.items() if term.kind in SHAPES]
     # Links from the base outwards, then rotors and friction: these are regrouped
     # into a link's parameter.
     order = sorted(range(dynamics.p), key=lambda c: (not dynamics.of_links[c], c))

@@ -44,9 +44,9 @@ class InverseModel:
     `units`, link by link.
 
     `sources` are their origins: (link, place in LINK), or a term of a joint; `of_links` (p,) marks
-    the former; `nonzero` (n, p) the entries of the regressor that can be non-zero.
-    `coulomb_directions` (c, n) are the directions r of friction with a sign, at the
-    speed r·dq: joints and coupled motors.
+    the former, `terms` are the latter by column; `nonzero` (n, p) the entries of the regressor that
+    can be non-zero. `coulomb_directions` (c, n) are the directions r of friction with a sign, at
+    the speed r·dq: joints and coupled motors.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -59,6 +59,7 @@ class InverseModel:
         for j in range(n):
             self.sources += [(j, i) for i in range(len(LINK))]
             self.sources += joint_terms(robot, j)
+        self.terms = {c: s for c, s in enumerate(self.sources) if isinstance(s, JointTerm)}
         self.names = tuple(
             s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self.sources
         )
@@ -70,9 +71,7 @@ class InverseModel:
             np.array([not isinstance(s, JointTerm) for s in self.sources]),
         )
         self.nonzero = self._structure()
-        along = [
-            s.direction for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING
-        ]
+        along = [term.direction for term in self.terms.values() if term.kind in SLIDING]
         self.coulomb_directions = np.array(list(dict.fromkeys(map(tuple, along)))).reshape(-1, n)
 
     def entries(self, columns: Ints) -> Ints:

@@ -212,15 +212,10 @@ def _terms(
     idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...] | None = None
 ) -> dict[int, JointTerm]:
     """By column, the terms of these kinds that act on one of the joints, or on any."""
-    terms = {
-        c: term
-        for c, term in enumerate(idm.sources)
-        if isinstance(term, JointTerm) and term.kind in kinds
-    }
     return {
         c: term
-        for c, term in terms.items()
-        if joints is None or not set(term.rows).isdisjoint(joints)
+        for c, term in idm.terms.items()
+        if term.kind in kinds and (joints is None or not set(term.rows).isdisjoint(joints))
     }
 
 
@@ -234,9 +229,7 @@ def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
     closed = np.linalg.matrix_power(joined, idm.robot.n)
     groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
     # If joints share motors, one-sided terms count as further terms.
-    one_sided = {
-        source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side
-    }
+    one_sided = {term.joint for term in idm.terms.values() if term.side}
     further = {
         g for g in groups if _terms(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))
     }

@@ -104,9 +104,7 @@ class Problem:
 
     def term_of(self, name: str) -> JointTerm:
         """The term of a joint that a base parameter stands for alone."""
-        source = self.model.sources[self.base.columns[self.base.names.index(name)]]
-        assert isinstance(source, JointTerm)
-        return source
+        return self.model.terms[int(self.base.columns[self.base.names.index(name)])]
 
     def joint_of(self, name: str) -> str:
         """The name of its joint, of the last one if it acts at several."""

@@ -290,7 +290,7 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
         f"robot {problem.signals.robot.name}",
         list[int](),
     )
-    columns = [c for c, s in enumerate(model.sources) if getattr(s, "kind", None) == KINDS[kind]]
+    columns = [c for c, term in model.terms.items() if term.kind == KINDS[kind]]
     if not columns:
         raise BadInputError(
             "no joint has it",
