@@ -288,8 +288,7 @@ class Information:
         return [
             (c, term)
             for c, column in enumerate(self.base.columns)
-            if isinstance(term := self.model.sources[column], dynamics.JointTerm)
-            and term.kind in dynamics.SLIDING
+            if (term := self.model.terms.get(column)) and term.kind in dynamics.SLIDING
         ]
 
 

@@ -81,8 +81,8 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
     given, base = {base_name(p.name) for p in stored.parameters}, base_parameters(model)
     # Further friction terms may be left out altogether, which is not to estimate them as zero.
-    shapes = [c for c in base.columns if getattr(model.sources[c], "kind", "") in SHAPES]
-    base = base.without({model.names[c] for c in shapes} - given - left_out.keys())
+    shapes = {term.name for term in model.terms.values() if term.kind in SHAPES}
+    base = base.without(shapes - given - left_out.keys())
     beta = stored_beta(stored, base, place)
     if stored.covariance is UNSET:
         problem = "the fit is not consistent, and cannot be made so without it"
