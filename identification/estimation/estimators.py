@@ -97,12 +97,8 @@ class Estimate:
 
     def values_of(self, names: tuple[str, ...]) -> Array:
         """Values of `names`, zero for those not estimated."""
-        return np.array([self.by_name.get(name, 0.0) for name in names])
-
-    @cached_property
-    def by_name(self) -> dict[str, float]:
-        """The values by name."""
-        return dict(zip(self.names, self.beta, strict=True))
+        found = dict(zip(self.names, self.beta, strict=True))
+        return np.array([found.get(name, 0.0) for name in names])
 
 
 def ordinary_least_squares(system: System) -> Estimate:

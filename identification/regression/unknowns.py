@@ -80,7 +80,7 @@ class Arm:
 
     def values(self, estimate: Estimate) -> Array:
         """(b,) base parameters by an estimate, in which unknowns that it lacks are zero."""
-        return self.beta(np.array([estimate.by_name.get(name, 0.0) for name in self.unknowns]))
+        return self.beta(estimate.values_of(self.unknowns))
 
     def settled(self, estimate: Estimate) -> "Arm":
         """The same with all of the payload known, by an estimate."""
