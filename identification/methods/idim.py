@@ -185,7 +185,7 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
         evidence = replace(evidence, fixed_point=found.parameters_settled, unconfirmed=text)
     else:
         # Once, of the first recording: it looks at the beginning of a long one anyway.
-        first = model.equations[0].problem.with_samples()
+        first = evidence.problem.with_samples()
         alone = model.unknowns.plain and not len(model.load)
         noise = position_noise_line(first, method, ls, kept, alone=alone)
         evidence = replace(evidence, position_noise=noise)

@@ -510,6 +510,18 @@ def test_the_move_that_position_noise_is_told_by_grows_with_its_variance():
     assert large / small == pytest.approx(100 / 9, rel=0.25)
 
 
+def test_without_noise_above_the_low_pass_nothing_moves(monkeypatch):
+    """The lag is that of the described law, which the recording is also fitted with."""
+    noise = "identification.methods.position_noise._noise_like"
+    monkeypatch.setattr(noise, lambda problem: np.zeros((1, 1)))
+    assert (
+        identify_ls(signals_of(REPLAY / "emps" / "session.mcap"), Overrides())
+        .trust.line("position noise")
+        .value
+        < 1e-9
+    )
+
+
 def test_weak_instruments_and_those_that_are_w():
     _, evidence = examined("iv", "scara")
     levels = {
