@@ -629,8 +629,7 @@ def test_bags_that_another_program_wrote_again_are_read(tmp_path, whole, compres
     path = written_again(
         file, tmp_path / "a.mcap", compression=compression, use_chunking=chunked, chunk_size=3000
     )
-    recording = imported(path, tmp_path / "out.mcap")
-    assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
+    assert imported(path, tmp_path / "out.mcap").samples["position"] == pytest.approx(Q, abs=1e-12)
 
 
 def test_a_long_bag_is_read_block_by_block(tmp_path, monkeypatch, whole):

@@ -50,8 +50,7 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     text = bus_text(1, drive='dictionary = "drive.eds"').replace(
         'reference = "6074"', 'actual = "6077"'
     )
-    robot = robot_of(text, {"dictionary:drive.eds": eds.read_bytes()})
-    run, master = connected(robot)
+    run, master = connected(robot_of(text, {"dictionary:drive.eds": eds.read_bytes()}))
     (scale,) = findings(run, master.bus, "scale")
     assert scale.found.startswith(
         "encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1"

@@ -44,8 +44,7 @@ def early(tmp_path_factory: pytest.TempPathFactory) -> Path:
             robot, q_ref, RATE_HZ, noise=Noise(encoder_step=1e-6, effort_percent=1.0), seed=seed
         )
         volts = robot.motor_effort(shifted(done.effort[None], 1e3 * LATE_S)[0])
-        table = np.hstack([done.t_s[:, None], done.q, q_ref, volts])
-        imported(table, folder / f"{name}.csv")
+        imported(np.hstack([done.t_s[:, None], done.q, q_ref, volts]), folder / f"{name}.csv")
     assert identify(["fit", str(folder / "standard.mcap"), "--json", str(folder / "fit.json")]) == 0
     return folder
 

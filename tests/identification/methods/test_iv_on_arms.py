@@ -59,8 +59,7 @@ def half_widths_off(fit: Fit) -> float:
     half-widths of its interval.
     """
     apart = off(fit, description(REPLAY / "tx40" / "robot.toml"))
-    essential = np.isin(fit.estimate.names, fit.essential.names)
-    return float(apart[essential].max())
+    return float(apart[np.isin(fit.estimate.names, fit.essential.names)].max())
 
 
 def fits(runs: Runs, robot: Robot) -> Iterator[Fit]:

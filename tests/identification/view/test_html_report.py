@@ -104,8 +104,7 @@ def test_the_result_stands_before_the_appendix(tmp_path):
     measured, model, rest = (curve.line[1] for curve in picture(TX40).first.curves)
     np.testing.assert_allclose(measured - model, rest)
     assert np.abs(rest).max() < 0.5 * np.abs(measured).max()
-    badge = result.split("border-radius")[1].split("</span>")[0]
-    assert badge.endswith(f">{fit.trust.verdict}")
+    assert result.split("border-radius")[1].split("</span>")[0].endswith(f">{fit.trust.verdict}")
     assert f"{fit.errors[-1].moving_relative_error_percent:.2g} %" in result
     assert appendix.count("<figure") > 20
 

@@ -54,8 +54,7 @@ def meshes_drawn(path, tmp_path):
 
 @pytest.mark.parametrize("name", ["meshes/l.stl", "package://arm/meshes/l.stl"])
 def test_a_recording_viewed_in_another_folder_has_its_meshes(name, tmp_path):
-    robot = load_robot(described(tmp_path / "arm", name))
-    path = recorded(tmp_path / "log.mcap", robot)
+    path = recorded(tmp_path / "log.mcap", load_robot(described(tmp_path / "arm", name)))
     (tmp_path / "elsewhere").mkdir()
     moved = path.rename(tmp_path / "elsewhere" / "log.mcap")
     shutil.rmtree(tmp_path / "arm")
