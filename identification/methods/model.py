@@ -123,7 +123,9 @@ class Model:
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
         """The results of a task for each recording: of several on the workers of the fit."""
         tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
-        return list(self.work.run(task, tasks)) if len(tasks) > 1 else [task(*tasks[0])]
+        if 1 in (len(tasks), self.work.workers):
+            return [task(*one) for one in tasks]
+        return list(self.work.run(task, tasks))
 
     def candidates(
         self, x: Array, speed: Array, *, simulated: bool = False
