@@ -141,7 +141,9 @@ def _scored(
             axis=1, keepdims=True
         )
         common = common[:, : int(terms[0].kind == candidates.CLOCKS)] * -weight
-        Q = orthonormal(np.c_[Q, common] * rows[:, None])
+        Q = np.c_[Q, common]
+        Q *= rows[:, None]  # in place: a copy fewer of a long recording
+        Q = orthonormal(Q)
         W = np.c_[W, common] if common.size else W
         bread = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
         rho = rows * (Y - W @ (bread @ (Q.T @ Y)))
