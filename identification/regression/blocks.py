@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .motion import Motion, differentiate, smooth
@@ -73,9 +72,7 @@ class MotionBlock(Motion):
             return np.zeros_like(self.share)
         return self.weighted(self.problem.known(self.t_s).T)
 
-    def weighted(
-        self, x: Array, joints: Sequence[int] | NDArray[np.intp] | slice = slice(None)
-    ) -> Array:
+    def weighted(self, x: Array, joints: Sequence[int] | Ints | slice = slice(None)) -> Array:
         """Return F[w x] (k, rows) of series x (k, N), one for each of some joints."""
         return self.filtered(self.weights[joints] * x)
 
@@ -168,9 +165,9 @@ def _series(
     motion: Motion,
     dynamics: InverseModel,
     base: BaseParameters,
-    places: NDArray[np.intp],
+    places: Ints,
     spans: Sequence[slice],
-) -> tuple[NDArray[np.intp], list[Array]]:
+) -> tuple[Ints, list[Array]]:
     """Entries (E, 2), joint and place in `base`, and their series (E, N) in spans of a motion."""
     columns = base.columns[places]
     entries = dynamics.entries(columns)

@@ -16,9 +16,8 @@ from itertools import pairwise, repeat
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Bools, Ints
 from ..estimation import SpanRows, System, by_joint, one_thread, release_memory, stacked
 from .blocks import MotionBlock, motion_blocks, predicted_torque
 from .lag import LagCollector
@@ -127,7 +126,7 @@ class Rows:
     L: Array
     at_rest: System | None
     C: Array
-    fast: NDArray[np.bool_]
+    fast: Bools
     Z: Array
     share: Array
     tau: Array
@@ -141,11 +140,11 @@ class Rows:
         return tuple(int(spans[-1]) for spans in self.system.spans)
 
     @cached_property
-    def counts(self) -> NDArray[np.bool_]:
+    def counts(self) -> Bools:
         """(T, n) whether a decimated sample counts."""
         return self.share > 0
 
-    def of(self, places: NDArray[np.intp]) -> System:
+    def of(self, places: Ints) -> System:
         """The system of some of the free unknowns; the others are held at x."""
         system, held = self.system, np.delete(np.arange(len(self.system.names)), places)
         if not len(held):
