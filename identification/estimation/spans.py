@@ -14,51 +14,56 @@ from ..arrays import Array, Bools, Ints
 from .system import equal_spans, is_short, r_factor, spans_of
 
 
-class SpanRows:
-    """Collects the rows of a recording, such as [Z J r], by joint and span of time."""
+class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
+    """Collects the rows of a recording, such as [Z J r], by joint and span of time: by joint and
+    place the rows, and twice their span, one more for fast ones.
 
-    def __init__(self, instants: int, n: int, *, one: bool = False) -> None:
-        """Of `instants` of n joints, without any rows yet; `one`: a single span, for products of
-        all the rows of a joint.
-        """
-        self.spans = np.array([0, instants]) if one else equal_spans(instants)
-        self._short = is_short(instants) and not one
-        self._rows, self._columns = np.zeros(n), 0
-        # by joint and place: rows, and twice their span, one more for fast ones
-        self._parts = dict[tuple[int, int], tuple[Array, Ints]]()
+    `share` (T, n) are the weights of all instants, 0 for rows that do not count; `one` asks for a
+    single span, for products of all the rows of a joint.
+    """
 
-    def add(self, first: int, A: Array, share: Array, fast: Bools | None = None) -> None:
-        """Add the instants from `first` on: A (n, columns, T), and `share` (T, n), the weights, 0
-        for rows that do not count. Rows that are `fast` (n, T) have factors of their own.
+    def add(
+        self, first: int, A: Array, share: Array, fast: Bools | None = None, *, one: bool = False
+    ) -> None:
+        """Add the instants from `first` on, A (n, columns, K). Rows that are `fast` (n, K) have
+        factors of their own.
         """
-        instant = np.arange(first, first + len(share))
-        span = np.searchsorted(self.spans, instant, side="right") - 1
-        self._rows, self._columns = self._rows + (share**2).sum(axis=0), A.shape[1]
-        fast = np.zeros(share.T.shape, dtype=bool) if fast is None else fast
+        instants = np.arange(first, first + A.shape[2])
+        span = np.searchsorted(_spans(share, one), instants, side="right") - 1
+        fast = np.zeros((len(A), len(span)), dtype=bool) if fast is None else fast
         for j, own in enumerate(A):
-            counts = share[:, j] > 0
+            counts = share[instants, j] > 0
             rows, kind = own[:, counts].T, 2 * span[counts] + fast[j, counts]
-            if self._short:
-                self._parts[j, first] = rows, kind
+            if is_short(len(share)) and not one:
+                self[j, first] = rows, kind
                 continue
             for k in np.unique(kind).tolist():
-                before, _ = self._parts.get((j, k), (rows[:0], kind))
+                before, _ = self.get((j, k), (rows[:0], kind))
                 R = _reduced(np.r_[before, rows[kind == k]])
-                self._parts[j, k] = R, np.full(len(R), k)
+                self[j, k] = R, np.full(len(R), k)
 
-    def rows(self) -> tuple[Array, Bools, dict[str, Any]]:
+    def rows(self, share: Array, *, one: bool = False) -> tuple[Array, Bools, dict[str, Any]]:
         """The rows (r, columns), joint by joint in the order of time, which are fast (r,), and how
         they follow: the further attributes of a `System`. Once only.
         """
-        each = sorted(self._parts)
-        lengths = [len(self._parts[key][1]) for key in each]
-        rows, kind = np.empty((sum(lengths), self._columns)), np.empty(sum(lengths), dtype=np.intp)
+        each = sorted(self)
+        lengths, columns = [len(self[key][1]) for key in each], self[each[0]][0].shape[1]
+        rows, kind = np.empty((sum(lengths), columns)), np.empty(sum(lengths), dtype=np.intp)
         for key, at in zip(each, spans_of(lengths), strict=True):  # never twice in memory
-            rows[at], kind[at] = self._parts.pop(key)
+            rows[at], kind[at] = self.pop(key)
         joint = np.repeat(np.array([j for j, _ in each], dtype=np.intp), lengths)
         span, fast = np.divmod(kind, 2)
-        followed = {"joint_of_row": joint, "span": span, "rows": self._rows, "spans": (self.spans,)}
+        followed = {
+            "joint_of_row": joint,
+            "span": span,
+            "rows": (share**2).sum(axis=0),
+            "spans": (_spans(share, one),),
+        }
         return rows, fast.astype(bool), followed
+
+
+def _spans(share: Array, one: bool) -> Ints:
+    return np.array([0, len(share)]) if one else equal_spans(len(share))
 
 
 def _reduced(rows: Array) -> Array:

@@ -122,14 +122,14 @@ class LagCollector:
         """Of a recording with the weights `share`, whose residuals `left` set the filters, by the
         measured `speed`; all (T, n).
         """
-        self._share = share
+        self._share = share.copy()
         self._sliding = np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
         used = fast_for_lag_by(problem, speed, self._sliding) & (share.T > 0)
         self._filters = [
             np.r_[1.0, -autoregression(r * fast, LAG_ORDER)]
             for r, fast in zip(left.T, used, strict=True)
         ]
-        self._collected = SpanRows(*share.shape)
+        self._collected = SpanRows()
 
     def add(self, rows: Array, z: MotionBlock) -> None:
         """Add the rows [Z J r] (n, columns, T) of a block, of those that are fast along z."""
@@ -141,10 +141,11 @@ class LagCollector:
             h = np.array([own[k] for own in self._filters])[:, None, None]
             white[..., k:] += h * rows[..., : T - k]
             counts[:, LAG_ORDER:] &= used[:, LAG_ORDER - k : T - k]
-        self._collected.add(z.first, white, share * counts.T)
+        share *= counts.T
+        self._collected.add(z.first, white, self._share)
 
     def rows(self, names: tuple[str, ...]) -> tuple[System, Array]:
         """The system of the unknowns with these `names`, and its instruments (r, columns)."""
-        A, _, followed = self._collected.rows()
+        A, _, followed = self._collected.rows(self._share)
         Z, J, r = np.split(A, [len(names), 2 * len(names)], axis=1)
         return System(W=J, Y=r[:, 0], names=names, **followed), Z

@@ -211,7 +211,7 @@ def rows_of_recording(
     problem = equation.problem.with_samples()
     unknowns, share, beta = equation.unknowns, sample_weights(problem).of_rows, equation.arm.beta(x)
     names, lags, parts = unknowns.names, unknowns.lags, list[tuple[Array, Array]]()
-    collected, rest = SpanRows(*share.shape), SpanRows(*share.shape, one=True)
+    collected, rest = SpanRows(), SpanRows()
     of_late, lag, at_rest = np.r_[unknowns.arm, lags], None, None
     if of_lag:
         tau, predicted, speed = torque_of_recording(equation, x)
@@ -235,18 +235,18 @@ def rows_of_recording(
         if further is not None:
             C, fast = further.columns(z), fast_for_lag(z, further.sliding)
             still = np.concatenate([further.at_rest(motion), J[:, :f], r], axis=1)
-            rest.add(motion.first, still, motion.share.T)
+            rest.add(motion.first, still, share, one=True)
         # not the columns of the lags: the rate of a recorded torque is noise
         A = np.concatenate([C, Z[:, places], J[:, :-K], r], axis=1)
-        collected.add(motion.first, A, motion.share.T, fast)
+        collected.add(motion.first, A, share, fast)
         measured = equation.drives.measured(x, motion)
         parts.append((motion.filtered(measured.T).T, motion.kept(motion.dq)))
     tau, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
-    rows, fast_rows, followed = collected.rows()
+    rows, fast_rows, followed = collected.rows(share)
     C, Z, J, r = np.split(rows, np.cumsum([C.shape[1], len(places), J.shape[1] - K]), axis=1)
     W = J[:, :f]
     if further is not None:
-        A, _, of_rest = rest.rows()
+        A, _, of_rest = rest.rows(share, one=True)
         Y = A[:, -1] + A[:, -1 - f : -1] @ x[:f]
         of_links = ("at rest",) * (A.shape[1] - 1 - f)
         at_rest = System(W=A[:, :-1], Y=Y, names=(*of_links, *names), **of_rest)

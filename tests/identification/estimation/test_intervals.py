@@ -172,10 +172,10 @@ def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monke
     share[30:50, 0] = 0.0  # a span may have fewer rows than columns
     columns *= share.T[:, None]
     quick = rng.uniform(size=(n, T)) > 0.3
-    rows = SpanRows(T, n)
+    rows = SpanRows()
     for a, z in ((0, 13), (13, 500), (500, 501), (501, T)):
-        rows.add(a, columns[..., a:z], share[a:z], quick[:, a:z])
-    found, fast, followed = rows.rows()
+        rows.add(a, columns[..., a:z], share, quick[:, a:z])
+    found, fast, followed = rows.rows(share)
     (spans,), (joint, span) = followed["spans"], (followed[x] for x in ("joint_of_row", "span"))
     assert (spans[-1], len(spans)) == (T, count + 1)
     assert set(np.diff(spans)) == {T // count, T // count + 1}
