@@ -37,6 +37,7 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
             if is_short(len(share)) and not one:
                 self[j, first] = rows, kind
                 continue
+            self.setdefault((j, 2 * int(span[0])), (rows[:0], kind[:0]))  # where no row counts
             for k in np.unique(kind).tolist():
                 before, _ = self.get((j, k), (rows[:0], kind))
                 R = _reduced(np.r_[before, rows[kind == k]])

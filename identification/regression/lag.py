@@ -132,7 +132,9 @@ class LagCollector:
         self._collected = SpanRows()
 
     def add(self, rows: Array, z: MotionBlock) -> None:
-        """Add the rows [Z J r] (n, columns, T) of a block, of those that are fast along z."""
+        """Add the rows [Z J r] (n, columns, T) of a block, of those that are fast along z:
+        only these, filtered without a gap, keep a weight.
+        """
         share = self._share[z.near][z.inside]
         used = fast_for_lag(z, self._sliding) & (share.T > 0)
         white, counts, T = np.zeros_like(rows), used.copy(), rows.shape[2]

@@ -179,8 +179,9 @@ def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monke
     (spans,), (joint, span) = followed["spans"], (followed[x] for x in ("joint_of_row", "span"))
     assert (spans[-1], len(spans)) == (T, count + 1)
     assert set(np.diff(spans)) == {T // count, T // count + 1}
-    of_instants = np.repeat(range(count), np.diff(spans))
-    np.testing.assert_array_equal(np.arange(T) * count // T, of_instants)
+    np.testing.assert_array_equal(
+        np.arange(T) * count // T, np.repeat(range(count), np.diff(spans))
+    )
     np.testing.assert_allclose(followed["rows"], (share**2).sum(axis=0), rtol=1e-12)
     assert (np.diff(joint) >= 0).all()
     for j, k, kind in np.ndindex(n, count, 2):
@@ -189,3 +190,5 @@ def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monke
         own = found[(joint == j) & (span == k) & (fast == kind)]
         np.testing.assert_allclose(own.T @ own, one @ one.T, rtol=1e-9, atol=1e-12)
         assert len(own) == min(one.shape[1], T if short else (7, 3)[j])
+    rows.add(0, columns, 0.0 * share)
+    assert rows.rows(0.0 * share)[0].shape == (0, 7)  # no row counts
