@@ -132,8 +132,8 @@ class LagCollector:
         self._collected = SpanRows()
 
     def add(self, rows: Array, z: MotionBlock) -> None:
-        """Add the rows [Z J r] (n, columns, T) of a block, of those that are fast along z:
-        only these, filtered without a gap, keep a weight.
+        """Add the rows [Z J r] (n, columns, T) of a block. A row loses its weight where it, or one
+        that its filter reaches, is not fast along z.
         """
         share = self._share[z.near][z.inside]
         used = fast_for_lag(z, self._sliding) & (share.T > 0)
