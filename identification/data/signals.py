@@ -95,8 +95,8 @@ class Signals:
                 raise BadInputError(
                     place=self.recording, key=key, value=part.shape, expected=expected
                 )
-        if n != self.robot.n:
-            expected = f"{self.robot.n}, as the robot has"
+        if n != (joints := len(self.robot.joints)):
+            expected = f"{joints}, as the robot has"
             raise BadInputError(
                 place=self.recording, key="joints recorded", value=n, expected=expected
             )

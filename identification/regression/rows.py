@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from ..estimation import SpanRows, System, by_joint, one_thread, release_memory, stacked
+from ..estimation import SpanRows, System, by_joint, one_thread, stacked
 from .blocks import MotionBlock, motion_blocks, predicted_torque
 from .lag import LagCollector
 from .problem import Problem
@@ -268,7 +268,6 @@ def rows_of_recording(
 
 def stacked_rows(each: Sequence[Rows]) -> Rows:
     """Stack the rows of recordings about the same x joint by joint, in the order given."""
-    release_memory(each[0].Z)
     if len(each) == 1:
         return each[0]
     order = by_joint([rows.system for rows in each])

@@ -13,7 +13,6 @@ import numpy as np
 
 from acquisition import robot
 from acquisition.errors import BadInputError, NoFitError
-from acquisition.files import release_pages
 from acquisition.robot import Edges, Joint, LowSpeed
 
 from ..arrays import Array, Ints
@@ -190,8 +189,6 @@ def make_settings(
     looked_for = signals.robot.identified_gain is not None
     overloads = () if looked_for else robot.check_recorded_efforts(signals.robot, signals.effort)
     warnings = [*signals.assumed, *places, *overloads]
-    release_pages(signals.q)
-    release_pages(signals.effort)
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
     if fs <= least_hz:
         expected = (
