@@ -250,7 +250,7 @@ def poses_of(q: Array) -> Array:
     """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the
     inertia matrix M is checked.
     """
-    return q[:: max(1, len(q) // _POSES)]
+    return np.array(q[:: max(1, len(q) // _POSES)])
 
 
 def inertias(M: Array) -> Array:

@@ -15,7 +15,7 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools
 from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import BadInputError
-from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
+from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
 from .filtering import decimation_reach, nearby
 from .law import Law
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
@@ -42,6 +42,7 @@ class Problem:
     Attributes:
         signals: the recording, as recorded.
         motion: low-passed motion of the recording.
+        poses: (P, n) positions in the span used, at which the inertia matrix is checked.
         source: where a task reads the recording, if the samples are left out.
         law: the control law of its drives, once looked for.
         gains: (n,) factors on the described drive gains that a fit found; None before.
@@ -52,6 +53,7 @@ class Problem:
     model: InverseModel
     base: BaseParameters
     motion: FilteredMotion
+    poses: Array
     source: Signals | RecordingFile | None = None
     gains: Array | None = None
     law: Law | None = None
@@ -239,15 +241,15 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         robot = replace(signals.robot, identified_gain=signals.robot.gain)
         signals = replace(signals, robot=robot)
     signals = with_bandwidth(signals)
-    motion, model = FilteredMotion(signals), InverseModel(signals.robot)
-    base = base_parameters(model)
+    motion = FilteredMotion(signals)
     settings = make_settings(signals, overrides, motion)
     return Problem(
         signals=signals,
         settings=settings,
-        model=model,
-        base=base,
+        model=(model := InverseModel(signals.robot)),
+        base=base_parameters(model),
         motion=motion,
+        poses=poses_of(signals.q[settings.start : settings.stop]),
         law=overrides.law,
     )
 

@@ -28,7 +28,7 @@ from acquisition.files import allocate, release_pages
 from ..arrays import Array, Ints
 from ..data import Signals
 from ..estimation import r_factor
-from ..model import DirectModel, direct_model, inertias, poses_of, why_not_positive
+from ..model import DirectModel, direct_model, inertias, why_not_positive
 from ..regression import (
     SPLINE_REACH,
     FilteredMotion,
@@ -99,7 +99,6 @@ class SimulatedRecording:
         loop: the control loop; `controller`: whether it is described or found in the recording, or
             a PD of the stated bandwidth.
         saturated: percentage of the samples at each motor's limit, by motor and limit.
-        poses: (P, n) positions at which the inertia matrix is checked.
         start: the motion at the first instant.
         fastest: (c,) largest speeds of the reference along the directions of Coulomb friction.
         held: which joints (n,) the reference holds.
@@ -139,8 +138,7 @@ class SimulatedRecording:
         self.first = settings.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
         loop, self.controller = _controller_of(problem)
-        self.poses = poses_of(signals.q[settings.start : settings.stop])
-        M = self.model(prior).inertia(self.poses)
+        M = self.model(prior).inertia(self.problem.poses)
         self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
@@ -208,7 +206,7 @@ class SimulatedRecording:
 
             K_j <- K_j J_j(beta_k) / J_j(a priori),     J_j = max over the trajectory of M_jj    (E)
         """
-        M = model.inertia(self.poses)
+        M = model.inertia(self.problem.poses)
         # Computed torque keeps its saturation if the inertias it was set for are unknown.
         follows = self._gain_update and (self.prior_known or not self.loop.computed_torque)
         factors = inertias(M) / self.prior if follows else np.ones(len(self.prior))

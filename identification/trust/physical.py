@@ -19,7 +19,7 @@ import numpy as np
 from .. import estimation
 from ..arrays import Array, Bools
 from ..errors import NoFitError
-from ..model import friction_power, nearest_consistent, poses_of, requirements
+from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
 from ..report import Level
 from .evidence import LEVELS, FitData, TrustLine, first_case
@@ -37,7 +37,7 @@ def physical_test(evidence: FitData) -> TrustLine:
     Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints
     with small torques: weighted least squares is tested as well.
     """
-    poses = np.concatenate([poses_of(problem.used_positions()) for problem in evidence.problems])
+    poses = np.concatenate([problem.poses for problem in evidence.problems])
     found, lowest = _findings(evidence, evidence.estimate, evidence.intervals, poses)
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
@@ -62,8 +62,9 @@ def _findings(
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == estimate.names for arm in evidence.arms]
+    driving = _driving_findings(evidence, own, estimate, found)
     findings, lowest = _inertia_findings(evidence, np.any(own, axis=0), estimate, found, poses)
-    findings += _driving_findings(evidence, own, estimate, found)
+    findings += driving
     apart, by_base = any("@" in name for name in estimate.names), np.linalg.pinv(base.K)
     required = requirements(idm, shaped=False)
     # by joint and kind: half-widths, and a text
@@ -129,8 +130,8 @@ def _driving_findings(
     tested at its own speeds.
     """
     idm, columns, each = evidence.problem.model, evidence.problem.base.columns, list[Array]()
-    for problem, arm, of_arm in zip(evidence.problems, evidence.arms, arms, strict=True):
-        if (states := friction_states(problem, estimate.values_of(arm.names))) is not None:
+    for problem, of_arm in zip(evidence.problems, arms, strict=True):
+        if (states := friction_states(problem, of_arm @ estimate.beta)) is not None:
             G = friction_power(idm, columns, *states) @ of_arm
             j = np.abs(states[0]).argmax(axis=1)[:, None]
             each.append(np.c_[j, np.take_along_axis(states[0], j, axis=1), G])
