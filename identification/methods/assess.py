@@ -21,14 +21,13 @@ from ..estimation import (
     spans_of,
     torque_errors,
 )
-from ..model import direct_model, poses_of, why_not_positive
+from ..model import direct_model, why_not_positive
 from ..regression import (
     ROWS,
     Lag,
     Problem,
     Rows,
     base_name,
-    lag_by_law,
     sample_weights,
 )
 from ..report import DirectModelResidual, FTest, Method, Status
@@ -92,15 +91,8 @@ def counted_lags(
     """The lags with their recordings, and the moves of an estimate by one deviation of each."""
     moves, found = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), []
     for lag, group, move in zip(lags, model.unknowns.groups, moves.T, strict=True):
-        problems = [model.problems[k] for k in group]
-        known = next((x for one in problems if (x := lag_by_law(one)) is not None), None)
-        delay = (
-            (known.value_s - lag.found[0], lag.reach * lag.found[1])
-            if known is not None and lag.found is not None
-            else None
-        )
-        names = tuple(one.signals.recording for one in problems)
-        found.append(replace(lag, delay_s=delay, moved=lag.sd_s * np.abs(move), recordings=names))
+        names = tuple(model.problems[k].signals.recording for k in group)
+        found.append(replace(lag, moved=lag.sd_s * np.abs(move), recordings=names))
     return tuple(found)
 
 
@@ -333,7 +325,7 @@ def _unconfirmed(model: Model, best: Pass) -> str | None:
     for one in model.equations:
         problem = one.problem
         chi = problem.base.standard_parameters(one.arm.beta(x))
-        M = direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))
+        M = direct_model(problem.model, chi).inertia(problem.poses)
         reasons.append((problem.signals.recording, why_not_positive(M)))
     if (reason := join_reasons(reasons)) is not None:
         return f"the final estimate cannot be simulated: {reason}"

@@ -2,7 +2,7 @@
 
 from .blocks import MotionBlock, motion_blocks, predicted_torque
 from .filtering import Decimation, forward_backward_3db_hz, lowpass_reach
-from .lag import MAX_LAW_PERCENT, combined_lag, lag_by_law, lag_without_fit, lags_in
+from .lag import MAX_LAW_PERCENT, combined_lag, lag_without_fit, lags_in
 from .law import SPEED_DELAYS, Law, described_gains, law_of
 from .motion import (
     BLOCK_SAMPLES,

@@ -39,7 +39,7 @@ DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
 CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
 
 
-def lag_by_law(problem: Problem) -> Lag | None:
+def _lag_by_law(problem: Problem) -> Lag | None:
     """Return the lag of the torque without an estimate, where the described control law gives the
     effort; drives have loops that a description does not.
 
@@ -63,14 +63,16 @@ def lag_without_fit(group: Sequence[Problem]) -> Lag:
     """Return the lag of a group of recordings as known without an estimate, by user, recording and
     law: the mean of theirs, with the smallest deviation.
     """
-    each = list[Lag]()
+    each, by_law_s = list[Lag](), None
     for problem in group:
-        known = problem.settings.known_lag
-        if not known.stated and (by_law := lag_by_law(problem)) is not None:
-            known = by_law if known.source == NOTHING else known.with_other(by_law)
+        known, by_law = problem.settings.known_lag, _lag_by_law(problem)
+        if by_law is not None:
+            by_law_s = by_law.value_s if by_law_s is None else by_law_s
+            if not known.stated:
+                known = by_law if known.source == NOTHING else known.with_other(by_law)
         each.append(known)
     mean_s = float(np.mean([known.value_s for known in each]))
-    return replace(min(each, key=lambda known: known.sd_s), value_s=mean_s)
+    return replace(min(each, key=lambda known: known.sd_s), value_s=mean_s, by_law_s=by_law_s)
 
 
 def combined_lag(prior: Lag, found: tuple[float, float, int]) -> Lag:

@@ -52,8 +52,7 @@ class Lag:
         prior: the lag as known without a fit, if data have been combined with it.
         found: value, deviation and its degrees of freedom by the instruments alone; None where
             they do not determine it.
-        delay_s: time from command to torque and half its interval, where the described
-            controller was replayed.
+        by_law_s: the lag where the described control law gives the effort, else None.
         moved: (b,) shift of each parameter by one deviation of the lag.
         recordings: their names.
     """
@@ -65,7 +64,7 @@ class Lag:
     reach: float = 2.0
     prior: "Lag | None" = None
     found: tuple[float, float, int] | None = None
-    delay_s: tuple[float, float] | None = None
+    by_law_s: float | None = None
     moved: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[str, ...] = ()
 
@@ -78,6 +77,13 @@ class Lag:
     def half_width_s(self) -> float:
         """Half its 95 % interval."""
         return self.reach * self.sd_s
+
+    @property
+    def delay_s(self) -> tuple[float, float] | None:
+        """Time from command to torque and half its interval; None without a described law."""
+        if self.by_law_s is None or self.found is None:
+            return None
+        return self.by_law_s - self.found[0], self.reach * self.found[1]
 
     def with_other(self, other: "Lag") -> "Lag":
         """Both combined, weighted by their variances."""
