@@ -192,13 +192,14 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     """
     if not evidence.gains:
         return None
-    robot, of = evidence.problem.robot, evidence.estimate.names
+    robot, of = evidence.problem.signals.robot, evidence.estimate.names
     motors = [m for m, motor in enumerate(robot.motors) if f"K:{motor.name}" in evidence.gains]
     names = [robot.motors[m].name for m in motors]
     at = [of.index(f"K:{name}") for name in names]
-    half = 100 * evidence.intervals.half[at] / np.abs(evidence.estimate.beta[at])
-    gains, K = [robot.motors[m].gain for m in motors], robot.gain[motors]
+    factor, gains = evidence.estimate.beta[at], [robot.motors[m].gain for m in motors]
+    half = 100 * evidence.intervals.half[at] / np.abs(factor)
     described = np.array([np.nan if gain is None else gain for gain in gains])
+    K = factor * np.nan_to_num(described, nan=1.0)
     usable, expected = half <= MAX_USABLE_PERCENT, np.where(np.isnan(described), K, described)
     unsure = ", ".join(
         f"{n} ±{h:.2g} %" for n, h in zip(names, half, strict=True) if h >= MAX_HALF_PERCENT
