@@ -122,10 +122,8 @@ class Model:
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
         """The results of a task for each recording: of several on the workers of the fit."""
-        tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
-        if 1 in (len(tasks), self.work.workers):
-            return [task(*one) for one in tasks]
-        return list(self.work.run(task, tasks))
+        pairs = zip(self.equations, each, strict=True)
+        return _run(self.work, task, [(one, *given) for one, given in pairs])
 
     def candidates(
         self, x: Array, speed: Array, *, simulated: bool = False
@@ -256,6 +254,12 @@ class Model:
         return replace(self, problems=tuple(replace(one, settings=own) for one, own in pairs))
 
 
+def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
+    if 1 in (len(each), work.workers):
+        return [task(*one) for one in each]
+    return list(work.run(task, each))
+
+
 def model_of(
     problems: Sequence[Problem],
     overrides: Overrides,
@@ -292,7 +296,7 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
 def observe_all(given: Recordings, overrides: Sequence[Overrides]) -> list[Problem]:
     """`observe` of each of `given`, with its overrides."""
     most = [MAX_CACHED_NUMBERS / len(given.sources)] * len(given.sources)
-    return list(given.work.run(observe, list(zip(given.sources, overrides, most, strict=True))))
+    return _run(given.work, observe, list(zip(given.sources, overrides, most, strict=True)))
 
 
 def with_common_rate(
