@@ -92,12 +92,16 @@ class MotionBlock(Motion):
         """Return the samples of x (N, n) that no other block has."""
         return x[self.decimation.samples(self.inside, len(x))]
 
+    @property
+    def torque_stride(self) -> int:
+        """Return the step between samples that tell a predicted torque."""
+        return self.decimation.factor // DRIVES_A_ROW if self.problem.settings.filtered else 1
+
     def with_torque_of(self, beta: Array) -> "MotionBlock":
         """Return the same motion with the torque of the drives that base parameters beta (b,)
         predict, equation (1), which has no noise and is never late.
         """
-        problem = self.problem
-        stride = self.decimation.factor // DRIVES_A_ROW if problem.settings.filtered else 1
+        problem, stride = self.problem, self.torque_stride
         tau = predicted_torque(self, problem.model, problem.base, beta, stride)
         found = copy(self)  # with its W
         vars(found).update(tau=tau - problem.known(self.t_s), recorded=False)

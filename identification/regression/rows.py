@@ -214,7 +214,7 @@ def rows_of_recording(
     collected, rest = SpanRows(), SpanRows()
     of_late, lag, at_rest = np.r_[unknowns.arm, lags], None, None
     if of_lag:
-        tau, predicted, speed = torque_of_recording(equation, x)
+        tau, predicted, speed = torque_of_recording(equation, x, beta)
         lag = LagCollector(problem, share, share * (tau - predicted), speed)
     f, K = len(names), len(lags)
     own = f if along is not None or unknowns.motors else 0
@@ -295,14 +295,16 @@ def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Ar
     ----------
     equation : the equation of motion of the recording.
     x : (p,) unknowns, whose lag and gains the measured torque has.
-    betas : base parameters (b,), by default those of x; each predicts one of as many equal spans of
-        the rows.
+    betas : base parameters (b,), each of which predicts one of as many equal spans of the rows;
+        links' torques are computed at some of the samples, and on a spline between them, which is
+        within 1e-6 of the torque. None for those of x at every sample.
 
     Returns
     -------
     Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
     """
-    problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
+    problem, exact = equation.problem.with_samples(), not betas
+    betas = betas or (equation.arm.beta(x),)
     parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)
     rows, fs = len(settings.instants), problem.signals.sample_rate_hz
     # as spans of time end
@@ -311,10 +313,11 @@ def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Ar
     )
     for motion in equation.motions():
         N = len(motion.q)
+        stride = 1 if exact else motion.torque_stride
         cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
         predicted = np.concatenate(
             [
-                predicted_torque(motion.part(slice(first, last)), *of, beta)
+                predicted_torque(motion.part(slice(first, last)), *of, beta, stride)
                 for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
                 if first < last
             ]
