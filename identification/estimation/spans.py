@@ -11,30 +11,27 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from .system import equal_spans, is_short, r_factor, spans_of
+from .system import equal_spans, is_short, r_factor, release_memory, spans_of
 
 
 class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
     """Collects the rows of a recording, such as [Z J r], by joint and span of time: by joint and
     place the rows, and twice their span, one more for fast ones.
 
-    `share` (T, n) are the weights of all instants, 0 for rows that do not count; `one` asks for a
-    single span, for products of all the rows of a joint.
+    `share` (T, n) are the weights of all instants, 0 for rows that do not count.
     """
 
-    def add(
-        self, first: int, A: Array, share: Array, fast: Bools | None = None, *, one: bool = False
-    ) -> None:
+    def add(self, first: int, A: Array, share: Array, fast: Bools | None = None) -> None:
         """Add the instants from `first` on, A (n, columns, K). Rows that are `fast` (n, K) have
         factors of their own.
         """
         instants = np.arange(first, first + A.shape[2])
-        span = np.searchsorted(_spans(share, one), instants, side="right") - 1
+        span = np.searchsorted(equal_spans(len(share)), instants, side="right") - 1
         fast = np.zeros((len(A), len(span)), dtype=bool) if fast is None else fast
         for j, own in enumerate(A):
             counts = share[instants, j] > 0
             rows, kind = own[:, counts].T, 2 * span[counts] + fast[j, counts]
-            if is_short(len(share)) and not one:
+            if is_short(len(share)):
                 self[j, first] = rows, kind
                 continue
             self.setdefault((j, 2 * int(span[0])), (rows[:0], kind[:0]))  # where no row counts
@@ -43,7 +40,7 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
                 R = _reduced(np.r_[before, rows[kind == k]])
                 self[j, k] = R, np.full(len(R), k)
 
-    def rows(self, share: Array, *, one: bool = False) -> tuple[Array, Bools, dict[str, Any]]:
+    def rows(self, share: Array) -> tuple[Array, Bools, dict[str, Any]]:
         """The rows (r, columns), joint by joint in the order of time, which are fast (r,), and how
         they follow: the further attributes of a `System`. Once only.
         """
@@ -52,19 +49,16 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
         rows, kind = np.empty((sum(lengths), columns)), np.empty(sum(lengths), dtype=np.intp)
         for key, at in zip(each, spans_of(lengths), strict=True):  # never twice in memory
             rows[at], kind[at] = self.pop(key)
+        release_memory(rows)
         joint = np.repeat(np.array([j for j, _ in each], dtype=np.intp), lengths)
         span, fast = np.divmod(kind, 2)
         followed = {
             "joint_of_row": joint,
             "span": span,
             "rows": (share**2).sum(axis=0),
-            "spans": (_spans(share, one),),
+            "spans": (equal_spans(len(share)),),
         }
         return rows, fast.astype(bool), followed
-
-
-def _spans(share: Array, one: bool) -> Ints:
-    return np.array([0, len(share)]) if one else equal_spans(len(share))
 
 
 def _reduced(rows: Array) -> Array:

@@ -108,9 +108,10 @@ def fit_of(
     `essential` parameters by it; `z`: the robot simulated in each recording, if it was.
     """
     rows, predicted, predict = evidence.observed, evidence.predicted, partial(model.predicted, x)
-    release_memory(rows.C)
     names = tuple(joint.name for joint in model.problem.signals.robot.joints)
+    release_memory(rows.C)
     evidence = with_predictions(evidence, predict)
+    release_memory(rows.C)
     filtered, warnings = model, _warnings(model)
     measured, of_model, speed = rows.tau, predicted, rows.speed
     try:  # errors of the model, without the noise that passes the cut-off of the fit

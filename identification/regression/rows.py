@@ -109,9 +109,9 @@ class Rows:
         system: of the free ones: W = J, Y = r + J x.
         L: (r, h + K) columns of what is held, and of the lags; without these, (r, h), where W and
             Y alone were asked for.
-        at_rest: [G W] of all the time, G being links at rest, and Y; None until C are asked for.
         C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for;
             `fast`: (r,) which rows of them show a lag.
+        G: (r, g) columns of links at rest, with C.
         Z: (r, f) instruments of the free unknowns; (r, 0) where they are W itself.
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
         tau: (T, n) decimated torques by x, not weighted.
@@ -124,9 +124,9 @@ class Rows:
     x: Array
     system: System
     L: Array
-    at_rest: System | None
     C: Array
     fast: Bools
+    G: Array
     Z: Array
     share: Array
     tau: Array
@@ -211,8 +211,7 @@ def rows_of_recording(
     problem = equation.problem.with_samples()
     unknowns, share, beta = equation.unknowns, sample_weights(problem).of_rows, equation.arm.beta(x)
     names, lags, parts = unknowns.names, unknowns.lags, list[tuple[Array, Array]]()
-    collected, rest = SpanRows(), SpanRows()
-    of_late, lag, at_rest = np.r_[unknowns.arm, lags], None, None
+    collected, of_late, lag = SpanRows(), np.r_[unknowns.arm, lags], None
     if of_lag:
         tau, predicted, speed = torque_of_recording(equation, x, beta)
         lag = LagCollector(problem, share, share * (tau - predicted), speed)
@@ -228,35 +227,30 @@ def rows_of_recording(
         z = motion if other is None else replace(other, problem=problem)
         z = z.with_torque_of(beta) if asked else z
         Z = equation.columns(x, z) if asked else J
-        r, C, fast = equation.residual(x, motion)[:, None], J[:, :0], None
+        r, C, G, fast = equation.residual(x, motion)[:, None], J[:, :0], J[:, :0], None
         if lag is not None:
             J[:, lags] = Z[:, lags]
             lag.add(np.concatenate([Z[:, of_late], J[:, of_late], r], axis=1), z)
         if further is not None:
             C, fast = further.columns(z), fast_for_lag(z, further.sliding)
-            still = np.concatenate([further.at_rest(motion), J[:, :f], r], axis=1)
-            rest.add(motion.first, still, share, one=True)
+            G = further.at_rest(motion)
         # not the columns of the lags: the rate of a recorded torque is noise
-        A = np.concatenate([C, Z[:, places], J[:, :-K], r], axis=1)
+        A = np.concatenate([G, C, Z[:, places], J[:, :-K], r], axis=1)
         collected.add(motion.first, A, share, fast)
         measured = equation.drives.measured(x, motion)
         parts.append((motion.filtered(measured.T).T, motion.kept(motion.dq)))
     tau, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
     rows, fast_rows, followed = collected.rows(share)
-    C, Z, J, r = np.split(rows, np.cumsum([C.shape[1], len(places), J.shape[1] - K]), axis=1)
+    sizes = G.shape[1], C.shape[1], len(places), J.shape[1] - K
+    G, C, Z, J, r = np.split(rows, np.cumsum(sizes), axis=1)
     W = J[:, :f]
-    if further is not None:
-        A, _, of_rest = rest.rows(share, one=True)
-        Y = A[:, -1] + A[:, -1 - f : -1] @ x[:f]
-        of_links = ("at rest",) * (A.shape[1] - 1 - f)
-        at_rest = System(W=A[:, :-1], Y=Y, names=(*of_links, *names), **of_rest)
     return Rows(
         x=x,
         system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names, **followed),
         L=np.c_[J[:, f:], Z[:, own:]],
-        at_rest=at_rest,
         C=C,
         fast=fast_rows,
+        G=G,
         Z=Z[:, :own],
         share=share,
         tau=tau,
@@ -271,14 +265,12 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
     if len(each) == 1:
         return each[0]
     order = by_joint([rows.system for rows in each])
-    of_rows = {name: np.concatenate([getattr(r, name) for r in each])[order] for name in "LCZ"}
+    of_rows = {name: np.concatenate([getattr(r, name) for r in each])[order] for name in "LCGZ"}
     of_time = {n: np.concatenate([getattr(r, n) for r in each]) for n in ("share", "tau", "speed")}
     late, instruments = zip(*(rows.late or (None, None) for rows in each), strict=True)
-    still = [rows.at_rest for rows in each if rows.at_rest is not None]
     return Rows(
         x=each[0].x,
         system=stacked([rows.system for rows in each]),
-        at_rest=stacked(still) if still else None,
         fast=np.concatenate([rows.fast for rows in each])[order],
         **of_rows,
         **of_time,

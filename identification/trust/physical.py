@@ -184,15 +184,15 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
-    base, rest, terms = evidence.problem.base, evidence.observed.at_rest, evidence.candidates
-    assert rest is not None
-    if not len(terms.weighs):
+    base, rows, weighs = evidence.problem.base, evidence.observed, evidence.candidates.weighs
+    if not len(weighs):
         return []
     # by unknown its column at rest
-    same = np.array(base.names)[terms.weighs][:, None] == np.array(rest.names[len(terms.weighs) :])
+    same = np.array(base.names)[weighs][:, None] == np.array(rows.system.names)
     # The small R factor has the same column products as the rows.
-    A = np.c_[rest.W, rest.Y] * evidence.estimate.weights[rest.joint_of_row][:, None]
-    G, W, Y = np.split(estimation.r_factor(A), [len(terms.weighs), -1], axis=1)
+    A = np.c_[rows.G, rows.system.W, rows.system.Y]
+    A *= evidence.estimate.weights[rows.system.joint_of_row][:, None]
+    G, W, Y = np.split(estimation.r_factor(A), [len(weighs), -1], axis=1)
     left = [100 * estimation.relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
     finding: Finding = (
         "caution",
