@@ -146,11 +146,11 @@ def test_the_delay_behind_the_command_and_a_torque_before_it():
     assert fitted(signals).data.lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
     _, evidence = looked_at("iv", signals)
     (lag,) = evidence.lags
-    lag = replace(lag, found=(lag.value_s, 1e-4 / lag.reach, 99))
     late, early = (
-        replace(evidence, lags=(replace(lag, by_law_s=lag.value_s + by),)) for by in (2e-3, -2e-3)
+        replace(lag, by_law_s=lag.value_s + by, found=(lag.value_s, 1e-4 / lag.reach, 99))
+        for by in (2e-3, -2e-3)
     )
-    after, before = (trust_in(one).line("lag") for one in (late, early))
+    after, before = (trust_in(replace(evidence, lags=(one,))).line("lag") for one in (late, early))
     assert (after.level, before.level) == ("ok", "caution")
     assert "2.00 ± 0.10 samples after the command" in after.text
 
