@@ -109,7 +109,6 @@ def fit_of(
     """
     rows, predicted, predict = evidence.observed, evidence.predicted, partial(model.predicted, x)
     names = tuple(joint.name for joint in model.problem.signals.robot.joints)
-    release_memory(rows.C)
     evidence = with_predictions(evidence, predict)
     release_memory(rows.C)
     filtered, warnings = model, _warnings(model)

@@ -24,6 +24,7 @@ from ..estimation import (
     Estimate,
     instrumental_variables,
     intervals_of,
+    release_memory,
     undetermined_parameters,
 )
 from ..model import base_prior, direct_model
@@ -60,6 +61,7 @@ def _held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tu
     that out.
     """
     rows, estimate, b = evidence.observed, evidence.estimate, len(evidence.estimate.beta)
+    release_memory(rows.C)
     several = len(evidence.names) > 1 and not evidence.gains
     own = [arm.own for arm in evidence.arms] if several else [set[str]()] * BLOCKS
     names = evidence.names if several else [f"block {k + 1}" for k in range(BLOCKS)]
@@ -176,7 +178,7 @@ def with_predictions(evidence: FitData, predict: Predict) -> FitData:
     rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
     rows = replace(evidence.observed, system=rest.with_columns(free), Z=Z)
     with suppress(NoFitError):
-        others = instrumental_variables(rows.system, Z, evidence.estimate.weights)
+        others = instrumental_variables(rows.system, Z, evidence.estimate.weights).without_rows()
         line, _ = _held_out(replace(evidence, observed=rows, estimate=others), with_links)
         evidence = replace(evidence, prior_error_percent=line.value if line else None)
     return evidence
