@@ -261,11 +261,11 @@ class FitData:
 
     def factor(self, part: Part) -> Array:
         """R factor of the weighted rows [Z W Y] of some spans of time."""
-        rows = part[self.observed.system.span]
-        Z = self.Z[np.ix_(rows, self.places)] * self.weight[rows, None]
-        return r_factor(np.c_[Z, self.W[rows], self.Y[rows]])
+        system, rows = self.observed.system, part[self.observed.system.span]
+        at = np.ix_(rows, self.places)
+        return r_factor(self.weight[rows, None] * np.c_[self.Z[at], system.W[at], system.Y[rows]])
 
     def error(self, part: Part, beta: Array) -> float:
         """|Y - W beta| of some spans of time, in the unit of the torque."""
-        rho = (self.Y - self.W @ beta) / self.weight
-        return float(np.linalg.norm(rho[part[self.observed.system.span]]))
+        system, rows = self.observed.system, part[self.observed.system.span]
+        return float(np.linalg.norm(system.Y[rows] - system.W[np.ix_(rows, self.places)] @ beta))
