@@ -159,15 +159,15 @@ class Model:
     ) -> tuple[Array, Array, Array]:
         """Decimated torque, as measured by x and as predicted, and speed, (rows, n) each.
 
-        Predicted by x, or an estimate; by several, each in equal spans of a recording, or in one
-        recording.
+        Predicted by x, or an estimate, at every sample; by several, each in equal spans of a
+        recording, or in one recording, links' torques on a spline between some samples.
         """
         values = [self.x_of(one, x) for one in estimates]
         each = [
             (x, *map(arm.beta, values[k : k + 1] if by_recording else values))
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        found = self.run(torque_of_recording, each)
+        found = self.run(partial(torque_of_recording, exact=len(estimates) < 2), each)
         tau, predicted, speed = map(np.concatenate, zip(*found, strict=True))
         return tau, predicted, speed
 

@@ -213,7 +213,7 @@ def rows_of_recording(
     names, lags, parts = unknowns.names, unknowns.lags, list[tuple[Array, Array]]()
     collected, of_late, lag = SpanRows(), np.r_[unknowns.arm, lags], None
     if of_lag:
-        tau, predicted, speed = torque_of_recording(equation, x, beta)
+        tau, predicted, speed = torque_of_recording(equation, x, exact=False)
         lag = LagCollector(problem, share, share * (tau - predicted), speed)
     f, K = len(names), len(lags)
     own = f if along is not None or unknowns.motors else 0
@@ -280,23 +280,25 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 
 
 @one_thread
-def torque_of_recording(equation: Equation, x: Array, *betas: Array) -> tuple[Array, Array, Array]:
+def torque_of_recording(
+    equation: Equation, x: Array, *betas: Array, exact: bool = True
+) -> tuple[Array, Array, Array]:
     """Compute the torques of a recording, decimated, without weights and without W.
 
     Parameters
     ----------
     equation : the equation of motion of the recording.
     x : (p,) unknowns, whose lag and gains the measured torque has.
-    betas : base parameters (b,), each of which predicts one of as many equal spans of the rows;
-        links' torques are computed at some of the samples, and on a spline between them, which is
-        within 1e-6 of the torque. None for those of x at every sample.
+    betas : base parameters (b,), by default those of x; each predicts one of as many equal spans of
+        the rows.
+    exact : whether links' torques are computed at every sample, not on a spline between some, which
+        is within 1e-6 of the torque.
 
     Returns
     -------
     Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
     """
-    problem, exact = equation.problem.with_samples(), not betas
-    betas = betas or (equation.arm.beta(x),)
+    problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
     parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)
     rows, fs = len(settings.instants), problem.signals.sample_rate_hz
     # as spans of time end
