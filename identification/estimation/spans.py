@@ -13,6 +13,8 @@ import numpy as np
 from ..arrays import Array, Bools, Ints
 from .system import equal_spans, is_short, r_factor, release_memory, spans_of
 
+_RELEASED = 100  # factors that are copied before their memory is given back
+
 
 class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
     """Collects the rows of a recording, such as [Z J r], by joint and span of time: by joint and
@@ -49,7 +51,8 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
         rows, kind = np.empty((sum(lengths), columns)), np.empty(sum(lengths), dtype=np.intp)
         for key, at in zip(each, spans_of(lengths), strict=True):  # never twice in memory
             rows[at], kind[at] = self.pop(key)
-        release_memory(rows)
+            if len(self) % _RELEASED == 0:
+                release_memory(rows)
         joint = np.repeat(np.array([j for j, _ in each], dtype=np.intp), lengths)
         span, fast = np.divmod(kind, 2)
         followed = {
