@@ -4,6 +4,8 @@ stamps do not show them.
 
 import numpy as np
 
+from acquisition.files import release_pages
+
 from ..arrays import Array
 
 # of steps about their neighbours: smaller ones are not told from double or zero steps
@@ -15,7 +17,7 @@ QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded p
 MAX_MULTIPLE = 4  # of its neighbours: a longer step does not count as lost rows
 ROUNDING = 1e-9  # of the largest position: smaller steps count as none
 # rows for an estimate of noise and quantum; rows in memory
-_BLOCK_ROWS, _ROWS_AT_ONCE = 256, 100_000
+_BLOCK_ROWS, _ROWS_AT_ONCE = 256, 25_600
 
 
 def position_steps(q: Array) -> tuple[Array, Array]:
@@ -33,6 +35,7 @@ def position_steps(q: Array) -> tuple[Array, Array]:
     for start in range(0, max(1, len(q) - 5), _ROWS_AT_ONCE):
         of_block, of_joints = _count(q[start : start + _ROWS_AT_ONCE + 5])
         whole, coarse = whole + of_block, coarse + of_joints
+        release_pages(q)
     return whole, coarse
 
 
