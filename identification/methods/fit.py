@@ -6,9 +6,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from acquisition.robot import Payload, ripple_notes
+from acquisition.robot import ripple_notes
 
-from ..arrays import Array, Bools
+from ..arrays import Array
 from ..estimation import Estimate, Intervals
 from ..model import BaseParameters
 from ..regression import Arm, Lag, Problem, Rows, Settings, base_places
@@ -18,6 +18,7 @@ from ..report import (
     DriveGain,
     FTest,
     Method,
+    PayloadOfFit,
     StandardParameter,
     Status,
     TorqueResidual,
@@ -151,26 +152,6 @@ class FittedRecording:
     simulated: Simulated | None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EstimatedPayload:
-    """What a recording's robot carried, in the frame of the last joint.
-
-    Attributes:
-        recording: the first one with it; `payload`: as stated.
-        values, half: (10,) XX XY XZ YY YZ ZZ MX MY MZ M of the nearest body of positive
-            density, and half-widths.
-        from_prior: (10,) whether a value is not from the recordings.
-        near: whether there is such a body; without one the values are what is stated, or a ball's.
-    """
-
-    recording: str
-    payload: Payload
-    values: Array
-    half: Array
-    from_prior: Bools
-    near: bool
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Fit:
     """Base parameters of a robot from one recording or several, with their tests.
@@ -200,7 +181,8 @@ class Fit:
             requested.
         data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
         gains: of the drives, if identified, with the smallest eigenvalue of the statistic of Cragg
-            and Donald; `payloads`: of the recordings that have one.
+            and Donald; `payloads`: the nearest bodies of positive density, in the frame
+            of the last joint; without one near what is stated, or a ball.
         own: the test of parameters of single recordings; None if all are shared.
     """
 
@@ -232,7 +214,7 @@ class Fit:
     method_reason: str = "as requested"
     gains: tuple[DriveGain, ...] = ()
     cragg_donald: float | None = None
-    payloads: tuple[EstimatedPayload, ...] = ()
+    payloads: tuple[PayloadOfFit, ...] = ()
 
     def on(self, one: FittedRecording) -> "Fit":
         """The fit restricted to one of its recordings: rows, errors and simulated robot."""

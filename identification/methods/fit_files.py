@@ -10,11 +10,9 @@ from msgspec import UNSET
 from acquisition.robot import Controller, Robot
 
 from .. import report
-from ..model import LINK
 from ..regression import Law, Problem, forward_backward_3db_hz
 from ..trust import HeldOut
-from .consistent import standard_parameters
-from .fit import EstimatedPayload, Fit
+from .fit import Fit
 from .parameters import fitted_parameters
 from .recording_report import Validated, errors_on
 
@@ -76,7 +74,7 @@ def fit_file(fit: Fit) -> report.FitFile:
             )
         ],
         gains=list(fit.gains) or UNSET,
-        payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
+        payloads=list(fit.payloads) or UNSET,
         law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,
         covariance=report.Covariance(names=list(e.names), values=fit.intervals.covariance.tolist()),
         left_out=[
@@ -120,19 +118,6 @@ def _law(law: Law, robot: Robot) -> report.LawFile:
             )
             for j, motor in enumerate(robot.motors)
         ],
-    )
-
-
-def _payload(one: EstimatedPayload, fit: Fit) -> report.PayloadOfFit:
-    units = (*["kg m²"] * 6, *["kg m"] * 3, "kg")
-    found = next(
-        p.known for r in fit.recordings if (p := r.arm.payload) and p.payload == one.payload
-    )
-    return report.PayloadOfFit(
-        recording=one.recording,
-        stated=one.payload.text,
-        parameters=list(standard_parameters(LINK, units, one.values, one.half, one.from_prior)),
-        base_parameters=dict(zip(fit.base.names, found.tolist(), strict=True)),
     )
 
 

@@ -60,7 +60,7 @@ def fit_document(fit: Fit) -> Document:
             _verdict_section(fit, notes),
             _trust_section(fit),
             *gain_sections(fit.gains, fit.cragg_donald),
-            *payload_sections(fit.payloads, signals.robot.joints[-1].name),
+            *payload_sections(fit),
             _parameters(fit, parameters),
             *_consistent(fit),
             *(_iv_sections(fit) if fit.passes else ()),

@@ -18,11 +18,21 @@ from ..arrays import Array
 from ..estimation import Estimate, Intervals, System
 from ..model import LINK
 from ..regression import Lag, Rows, base_places
-from ..report import DriveGain, Number, Row, Section, Table, columns
-from .fit import EstimatedPayload, Fit
+from ..report import (
+    DriveGain,
+    Number,
+    PayloadOfFit,
+    Row,
+    Section,
+    StandardParameter,
+    Table,
+    columns,
+)
+from .consistent import standard_parameters
+from .fit import Fit
 from .model import Model
 
-MASS, MOMENTS = LINK.index("M"), [LINK.index(name) for name in ("MX", "MY", "MZ")]
+UNITS = (*["kg m²"] * 6, *["kg m"] * 3, "kg")  # of LINK
 MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
 
 
@@ -70,25 +80,24 @@ def with_gains_and_payloads(model: Model, fit: Fit) -> Fit:
     of, evidence, ls = model.unknowns, fit.data, fit.least_squares
     estimate, found, robot = evidence.estimate, evidence.intervals, model.problem.signals.robot
     base, of_ls, kept = map(base_places, (estimate.names, ls.estimate.names, fit.essential.names))
-    payloads, gains, cragg_donald = [], list[DriveGain](), None
+    payloads, far, gains, cragg_donald = [], list[str](), list[DriveGain](), None
     for one in of.payloads:
-        own = np.array(
-            [estimate.names.index(name) for name in one.names if name in estimate.names],
-            dtype=np.intp,
-        )
+        own = [estimate.names.index(name) for name in one.names if name in estimate.names]
         covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
         values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
         pairs = zip(model.problems, of.arms, strict=True)
         name = next(problem.signals.recording for problem, arm in pairs if arm.payload is one)
-        half = found.reach * sigma
+        if one.names and not sigma.any():
+            far.append(name)
+        share = one.values(estimate).tolist()
         payloads.append(
-            EstimatedPayload(
+            PayloadOfFit(
                 recording=name,
-                payload=one.payload,
-                values=values,
-                half=half,
-                from_prior=prior,
-                near=not one.names or bool(half.any()),
+                stated=one.payload.text,
+                parameters=list(
+                    standard_parameters(LINK, UNITS, values, found.reach * sigma, prior)
+                ),
+                base_parameters=dict(zip(fit.base.names, share, strict=True)),
             )
         )
     for m, name in zip(of.motors, of.names[of.gains], strict=True):
@@ -109,7 +118,6 @@ def with_gains_and_payloads(model: Model, fit: Fit) -> Fit:
         cragg_donald = smallest_cragg_donald(
             evidence.observed.system, evidence.Z, estimate.weights, of.gains
         )
-    far = [one.recording for one in payloads if not one.near]
     text = "no body of positive density is near: its values are stated or a ball's"
     return replace(
         fit,
@@ -163,44 +171,42 @@ def gain_sections(gains: Sequence[DriveGain], cragg_donald: float | None) -> lis
     return [Section(title="drive gains", table=table, lines=(line,), short=short)]
 
 
-def payload_sections(payloads: Sequence[EstimatedPayload], joint: str) -> list[Section]:
+def payload_sections(fit: Fit) -> list[Section]:
     """The payloads as the nearest bodies of positive density."""
-    found = list[Section]()
+    found, joint = list[Section](), fit.problem.signals.robot.joints[-1].name
     heads = columns("", numbers=("value", "±95%")) + columns("unit", "mostly from")
-    for one in payloads:
-        names, units = ("mass", "centre of mass x", "y", "z", *LINK[:6]), ("kg", *["m"] * 3)
-        order = [MASS, *MOMENTS, *range(6)]
-        values, half, prior = one.values[order], one.half[order], one.from_prior[order]
-        m, moments, width = one.values[MASS], one.values[MOMENTS], one.half[MOMENTS]
-        # of the centre of mass: that of the mass is included
-        values[1:4], half[1:4] = moments / m, np.hypot(width / m, moments / m**2 * one.half[MASS])
-        if one.payload.mass_kg:
-            half[0] = one.payload.mass_half_width_kg or np.nan
-        known = (one.payload.mass_kg is not None, *[one.payload.center_of_mass_m is not None] * 3)
-        rows: list[Row] = [
-            (
-                name,
-                Number(float(value), ".4g"),
-                Number(float(width), ".2g"),
-                unit,
-                "stated" if is_known else "prior" if from_prior else "recording",
-            )
-            for name, value, width, unit, is_known, from_prior in zip(
-                names,
-                values,
-                half,
-                (*units, *["kg m²"] * 6),
-                (*known, *[False] * 6),
-                prior,
-                strict=True,
-            )
-        ]
+    stated = {of.signals.recording: of.signals.payload for of in fit.data.problems}
+    for one in fit.payloads:
+        payload, (*inertias, x, y, z, mass) = stated[one.recording], one.parameters
+        assert payload is not None
+        m, width, known = mass.value, mass.half_width or 0.0, payload.center_of_mass_m is not None
+        weighed = payload.mass_half_width_kg or math.nan if payload.mass_kg else width
+        rows: list[Row] = [_row("mass", m, weighed, mass, known=payload.mass_kg is not None)]
+        for name, of in zip(("centre of mass x", "y", "z"), (x, y, z), strict=True):
+            # that of the mass is included
+            half = np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width)
+            rows.append(_row(name, of.value / m, float(half), of, "m", known=known))
+        rows += [_row(of.name, of.value, of.half_width or 0.0, of) for of in inertias]
         line = (
-            f"stated: {one.payload.describe(joint)}; values in the frame of {joint}, inertia "
+            f"stated: {payload.describe(joint)}; values in the frame of {joint}, inertia "
             "about its origin"
         )
-        table = Table(columns=heads, rows=tuple(rows))
-        mass = f"payload of {one.recording}: mass {one.values[9]:.4g} kg"
-        title, short = f"payload of {one.recording}", Section(lines=(mass,))
-        found.append(Section(title=title, table=table, lines=(line,), short=short))
+        title = f"payload of {one.recording}"
+        table, short = Table(columns=heads, rows=tuple(rows)), f"{title}: mass {m:.4g} kg"
+        found.append(
+            Section(title=title, table=table, lines=(line,), short=Section(lines=(short,)))
+        )
     return found
+
+
+def _row(
+    name: str,
+    value: float,
+    half: float,
+    of: StandardParameter,
+    unit: str = "",
+    *,
+    known: bool = False,
+) -> Row:
+    source = "stated" if known else "prior" if of.from_prior else "recording"
+    return name, Number(value, ".4g"), Number(half, ".2g"), unit or of.unit, source

@@ -184,9 +184,10 @@ def gains_document(fit: Fit, true: Sequence[float]) -> Document:
         values = (Number(x, form) for x in (one.described, of_drive, one.value, half))
         rows.append((one.motor, *values, Number(off / half, "+.2f"), one.unit))
     names = ", ".join(one.problem.signals.recording for one in fit.recordings)
+    loaded = fit.recordings[-1].problem.signals
     lines = (
         f"{within} of {len(true)} true values inside; verdict of the fit: {fit.trust.verdict}",
-        f"loaded: {fit.payloads[0].payload}",
+        f"loaded: {loaded.payload}",
     )
     table = Table(
         columns=columns(
