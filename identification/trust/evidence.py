@@ -28,13 +28,11 @@ class HeldOut:
 
     Attributes:
         error_percent: its torque error, in percent of its torque; None where the others do not
-            determine the parameters.
-        trained_percent: the same for the fit of all.
+            determine the parameters, or it has no torque.
         undetermined: names of the parameters that the others do not determine.
     """
 
     error_percent: float | None
-    trained_percent: float | None
     undetermined: tuple[str, ...]
 
 

@@ -81,7 +81,7 @@ def _held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tu
     for name, part, beta, its in zip(names, parts, betas, lost, strict=True):
         at = (rows.share > 0) & (measured & evidence.instants(part))[:, None]
         torque, *both = (float(np.linalg.norm(x[at])) for x in errors)
-        if torque > 0 and not its:
+        if told := torque > 0 and not its:
             made.append(name)
             weighted = (evidence.error(part, x) for x in (beta, estimate.beta))
             norms.append([torque, *both, *weighted])
@@ -89,8 +89,7 @@ def _held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tu
             why = f"{', '.join(its[:8])} undetermined" if its else "it has no torque"
             without.append(f"{name} cannot be predicted by the others: {why}")
         if several:
-            held, trained = (100 * x / torque if torque > 0 else None for x in both)
-            each.append(HeldOut(None if its else held, trained, tuple(its)))
+            each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
     if not made:
         text = "; ".join(without) or "not made: no torque"
         return TrustLine(HELD_OUT, "cannot tell" if several else "not made", text), tuple(each)

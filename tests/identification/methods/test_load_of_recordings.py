@@ -79,14 +79,13 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     """
     sources, fit = scara()[1].sources, fit_of("wls")
     others = identify_ls(Recordings(sources=sources[1:]), Overrides())
-    problem, held_out = (
-        make_problem(sources[0], Overrides(ramp_rows=fit.settings.ramp_rows)),
-        fit.recordings[0].held_out,
-    )
+    problem = make_problem(sources[0], Overrides(ramp_rows=fit.settings.ramp_rows))
+    figures = {name: both for name, *both in fit.trust.line("held-out blocks").figures}
+    held_out, _, trained = figures[sources[0].recording]
     fast = rows_of_recording(*equation_alone(problem)).counts
     for beta, told, within in (
-        (others.beta, held_out.error_percent, 0.02),
-        (fit.beta, held_out.trained_percent, 1e-3),
+        (others.beta, held_out, 0.02),
+        (fit.beta, trained, 1e-3),
     ):
         tau, predicted, _ = torque_of_recording(*equation_alone(problem), beta)
         error = 100 * np.linalg.norm((tau - predicted)[fast]) / np.linalg.norm(tau[fast])

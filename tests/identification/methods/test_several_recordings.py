@@ -117,8 +117,9 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     tau, predicted, _ = torque_of_recording(*equation_alone(problem), others.estimate.beta)
     error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
     assert last.held_out.error_percent == pytest.approx(error, rel=2e-3)
-    assert last.held_out.trained_percent < last.held_out.error_percent
     figures = fit.trust.line("held-out blocks").figures
+    _, held_out, _, trained = figures[2]
+    assert trained < held_out == last.held_out.error_percent
     assert [name for name, *_ in figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
 
@@ -312,12 +313,9 @@ def test_offsets_of_their_own():
     shared, alike = fit(()), fit(("Off",), (0.1, 0.1, 0.1))
     assert found.errors[-1].relative_error_percent < 0.8 * shared.errors[-1].relative_error_percent
     # A recording's own offset is fitted to it when it is held out; a shared one is not.
-    for one, other in zip(found.recordings, shared.recordings, strict=True):
-        assert (
-            one.held_out.error_percent
-            < 1.05 * one.held_out.trained_percent
-            < other.held_out.error_percent
-        )
+    held_out = [one.trust.line("held-out blocks").figures for one in (found, shared)]
+    for (_, own, _, trained), (_, other, *_) in zip(*held_out, strict=True):
+        assert own < 1.05 * trained < other
     assert shared.own is None
     assert alike.own.p_effective > 0.01
 
