@@ -228,8 +228,6 @@ class Model:
 
     def with_ramps(self, ramp_rows: float) -> "Model":
         """The same recordings with other ramps of the weights of samples."""
-        if all(problem.settings.ramp_rows == ramp_rows for problem in self.problems):
-            return self
         found = replace(self, overrides=replace(self.overrides, ramp_rows=ramp_rows))
         return found._with_settings(
             [replace(one.settings, ramp_rows=ramp_rows) for one in self.problems]
@@ -255,7 +253,7 @@ class Model:
 
 
 def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
-    if 1 in (len(each), work.workers):
+    if len(each) < 2 or work.workers == 1:
         return [task(*one) for one in each]
     return list(work.run(task, each))
 
@@ -293,14 +291,8 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
     return problem.without_samples() if signals.q.size > most else problem
 
 
-def observe_all(given: Recordings, overrides: Sequence[Overrides]) -> list[Problem]:
-    """`observe` of each of `given`, with its overrides."""
-    most = [MAX_CACHED_NUMBERS / len(given.sources)] * len(given.sources)
-    return _run(given.work, observe, list(zip(given.sources, overrides, most, strict=True)))
-
-
 def with_common_rate(
-    given: Recordings, found: list[Problem], overrides: Overrides
+    given: Recordings, found: list[Problem], overrides: Overrides, most: float
 ) -> list[Problem]:
     """The same with common cut-off and rate of rows; only those that change are read again."""
     settings = [problem.settings for problem in found]
@@ -311,11 +303,9 @@ def with_common_rate(
     again = [
         k for k, s in enumerate(settings) if (s.cutoff_hz, s.decimation) != (cutoff_hz, common[k])
     ]
-    if not again:
-        return found
-    some = replace(given, sources=tuple(given.sources[k] for k in again))
     of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
-    changed = dict(zip(again, observe_all(some, of), strict=True))
+    tasks = [(given.sources[k], one, most) for k, one in zip(again, of, strict=True)]
+    changed = dict(zip(again, _run(given.work, observe, tasks), strict=True))
     return [changed.get(k, one) for k, one in enumerate(found)]
 
 
@@ -333,18 +323,18 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
-    if len(given.sources) == 1:
-        alone = [observe(given.sources[0], overrides, np.inf)]
-        return model_of(alone, overrides, Work(), (0,))
-    say(f"reading {len(given.sources)} recordings")
-    found = observe_all(given, [overrides] * len(given.sources))
+    count, most, work = len(given.sources), np.inf, Work()
+    if count > 1:
+        most, work = MAX_CACHED_NUMBERS / count, given.work
+        say(f"reading {count} recordings")
+    found = _run(work, observe, [(source, overrides, most) for source in given.sources])
     check_one_robot([problem.signals for problem in found])
-    found = with_common_rate(given, found, overrides)
+    found = with_common_rate(given, found, overrides, most)
     each = [problem.signals for problem in found]
-    by_digest = sorted(range(len(found)), key=lambda k: (each[k].sha256, each[k].recording))
+    by_digest = sorted(range(count), key=lambda k: (each[k].sha256, each[k].recording))
     return model_of(
         [found[k] for k in by_digest],
         overrides,
-        given.work,
-        tuple(by_digest.index(k) for k in range(len(found))),
+        work,
+        tuple(by_digest.index(k) for k in range(count)),
     )
