@@ -28,7 +28,6 @@ from .model import Model, read_model
 from .parameters import (
     consistent_fit,
     fitted_parameters,
-    least_squares_parameters,
     prior_file,
     signals_as_fitted,
     stored_beta,

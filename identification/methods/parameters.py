@@ -17,7 +17,7 @@ from acquisition.robot import LowSpeed, Robot, robot_from_files
 from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import BadInputError
-from ..estimation import Estimate, Intervals, one_thread
+from ..estimation import one_thread
 from ..model import (
     BaseParameters,
     InverseModel,
@@ -33,24 +33,17 @@ from .fit import Fit, essential_names
 from .recording_report import Validated, errors_on, validated
 
 
-def fitted_parameters(fit: Fit) -> ParameterSet:
-    """The parameters that a fit estimated, labelled by its method: IV, LS or OLS."""
-    return _estimated(
-        {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.intervals
-    )
-
-
-def least_squares_parameters(fit: Fit) -> ParameterSet:
-    """The parameters that least squares of the same recording estimated, labelled LS."""
-    return _estimated("LS", fit, fit.least_squares.estimate, fit.least_squares.intervals)
-
-
-def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
+def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
+    """The parameters that a fit estimated, labelled by its method: IV, LS or OLS; or those that
+    least squares of the same recording estimated, labelled LS.
+    """
+    of = fit.least_squares if by_ls else fit
+    e, intervals = of.estimate, of.intervals
     essential = essential_names(fit.essential, e, intervals)
     known = true_parameters(fit.base, np.zeros(len(fit.base.names))).parameters
     found = zip(e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True)
     return ParameterSet(
-        label=label,
+        label="LS" if by_ls else {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
         parameters={
             name: msgspec.structs.replace(
                 known[base_name(name)],

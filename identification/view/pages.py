@@ -31,7 +31,7 @@ def draw_fit(fit: methods.Fit, *, truth: Array | None = None) -> Picture:
     `column/<quantity>`, `events`, `health`, `report`.
     """
     signals, own = fit.problem.signals, methods.fitted_parameters(fit)
-    others = [methods.least_squares_parameters(fit)] if fit.passes else []
+    others = [methods.fitted_parameters(fit, by_ls=True)] if fit.passes else []
     others += [methods.true_parameters(fit.base, truth)] if truth is not None else []
     document = methods.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
