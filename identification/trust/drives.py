@@ -274,9 +274,9 @@ def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
     line of the worst payload.
     """
     names, lines = evidence.estimate.names, list[TrustLine | None]()
-    for one in dict.fromkeys(arm.payload for arm in evidence.arms):
-        stated = {name: of for name, of in one.stated.items() if name in names} if one else {}
-        if not one or not stated or not one.payload.mass_kg:
+    for one in filter(None, dict.fromkeys(arm.payload for arm in evidence.arms)):
+        stated = {name: of for name, of in one.stated.items() if name in names}
+        if not stated or not one.payload.mass_kg:
             continue
         alone = by_rows_alone(evidence.estimate, evidence.W, evidence.Y)
         found, at = intervals_of(evidence.observed.system, alone), list(map(names.index, stated))
@@ -309,14 +309,15 @@ def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
     """Mass and frame of the payloads, which no test covers."""
     found = dict.fromkeys(arm.payload for arm in evidence.arms)
     joint = evidence.robot.joints[-1].name
-    for one in found:
+    for one in filter(None, found):
+        weighed = one.payload.mass_kg is not None
         whys = (
             (
-                one and one.payload.mass_kg is not None and evidence.gains,
+                weighed and evidence.gains,
                 "drive gains and all parameters scale with its mass",
             ),
             (
-                one and one.payload.mass_kg is not None and not evidence.gains,
+                weighed and not evidence.gains,
                 "it is taken off the arm",
             ),
             (
@@ -325,5 +326,5 @@ def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
                 "the lightest",
             ),
         )
-        if one and (why := "; ".join(text for holds, text in whys if holds)):
+        if why := "; ".join(text for holds, text in whys if holds):
             yield Assumed("payload", one.payload.describe(joint), why)
