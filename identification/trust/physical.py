@@ -13,6 +13,7 @@ links have positive density. `fit --consistent` and `export` use the same requir
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,13 +38,12 @@ def physical_test(evidence: FitData) -> TrustLine:
     Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints
     with small torques: weighted least squares is tested as well.
     """
-    poses = np.concatenate([problem.poses for problem in evidence.problems])
-    found, lowest = _findings(evidence, evidence.estimate, evidence.intervals, poses)
+    found, lowest = _findings(evidence)
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
-        again, _ = _findings(evidence, weighted, within, poses)
+        again, _ = _findings(replace(evidence, estimate=weighted, intervals=within))
         found += [(x, f"by weighted least squares {text}") for x, text in again if x == LEVELS[0]]
     found.sort(key=lambda finding: LEVELS.index(finding[0]))
     text = "; ".join(text for _, text in found) or (
@@ -53,19 +53,17 @@ def physical_test(evidence: FitData) -> TrustLine:
     return TrustLine("physical", found[0][0] if found else "ok", text, lowest)
 
 
-def _findings(
-    evidence: FitData, estimate: estimation.Estimate, found: estimation.Intervals, poses: Array
-) -> tuple[list[Finding], float]:
-    """Physically impossible values of an estimate, and the lowest eigenvalue
+def _findings(evidence: FitData) -> tuple[list[Finding], float]:
+    """Physically impossible values of the estimate, and the lowest eigenvalue
     of M on the trajectory.
     """
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
+    estimated = evidence.estimate.names
     # by recording the base parameters (b, e) in the estimate
-    own = [np.array(arm.names)[:, None] == estimate.names for arm in evidence.arms]
-    driving = _driving_findings(evidence, own, estimate, found)
-    findings, lowest = _inertia_findings(evidence, np.any(own, axis=0), estimate, found, poses)
-    findings += driving
-    apart, by_base = any("@" in name for name in estimate.names), np.linalg.pinv(base.K)
+    own = [np.array(arm.names)[:, None] == estimated for arm in evidence.arms]
+    findings, lowest = _inertia_findings(evidence, np.any(own, axis=0))
+    findings += _driving_findings(evidence, own)
+    apart, by_base = any("@" in name for name in estimated), np.linalg.pinv(base.K)
     required = requirements(idm, shaped=False)
     # by joint and kind: half-widths, and a text
     beyond = dict[tuple[int, str], tuple[float, str]]()
@@ -75,7 +73,7 @@ def _findings(
             G = matrix @ by_base
             separate, G = np.allclose(G @ base.K, matrix, atol=1e-9), G @ own[k]
             if separate and G.any():
-                far, value, half, *_ = _worst(G, estimate, found)
+                far, value, half, *_ = _worst(G, evidence)
                 text = f"{of}{f' in {names[k]}' * apart} = {value:.4g} ± {half:.2g} {first.unit}"
                 if far > 1:
                     key = first.joint, first.kind
@@ -98,30 +96,26 @@ def _finding(far: float, text: str, joint: str, otherwise: str = "") -> Finding:
 
 
 def _worst(
-    G: Array, estimate: estimation.Estimate, found: estimation.Intervals
+    G: Array, evidence: FitData
 ) -> tuple[float, float, float, Array, tuple[np.intp, ...], float]:
     """Of the matrices G beta, G (..., d, d, b), v'(G beta)v that is most half-widths below zero of
     the directions v (d,) tried: how many, that, its half-width, v, and where; their lowest
     eigenvalue.
     """
-    M = G @ estimate.beta
+    found, beta = evidence.intervals, evidence.estimate.beta
+    M = G @ beta
     values, vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))
     alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
     v = np.concatenate([alone, vectors[..., None, :, 0]], axis=-2)
     g = np.einsum("...di,...ijb,...dj->...db", v, G, v, optimize=True)
     variance = ((g @ found.covariance) * g).sum(axis=-1)
-    value, half = g @ estimate.beta, found.reach * np.sqrt(np.maximum(variance, 0.0))
+    value, half = g @ beta, found.reach * np.sqrt(np.maximum(variance, 0.0))
     far = -value / np.maximum(half, MIN_HALF_WIDTH)
     at = np.unravel_index(far.argmax(), far.shape)
     return far[at], value[at], half[at], v[at], at, float(values.min())
 
 
-def _driving_findings(
-    evidence: FitData,
-    arms: Sequence[Bools],
-    estimate: estimation.Estimate,
-    found: estimation.Intervals,
-) -> list[Finding]:
+def _driving_findings(evidence: FitData, arms: Sequence[Bools]) -> list[Finding]:
     """Whether friction of further terms would drive a joint, or joints that share
     motors, at recorded speeds.
 
@@ -131,16 +125,16 @@ def _driving_findings(
     """
     idm, columns, each = evidence.problem.model, evidence.problem.base.columns, list[Array]()
     for problem, of_arm in zip(evidence.problems, arms, strict=True):
-        if (states := friction_states(problem, of_arm @ estimate.beta)) is not None:
+        if (states := friction_states(problem, of_arm @ evidence.estimate.beta)) is not None:
             G = friction_power(idm, columns, *states) @ of_arm
             j = np.abs(states[0]).argmax(axis=1)[:, None]
             each.append(np.c_[j, np.take_along_axis(states[0], j, axis=1), G])
-    no_power = np.zeros((0, 2 + len(estimate.names)))
+    no_power = np.zeros((0, 2 + len(evidence.estimate.names)))
     findings, power = list[Finding](), np.concatenate([*each, no_power])
     power = power[np.lexsort(power[:, 1::-1].T)]
     for j in np.unique(power[:, 0]).astype(int):
         own, joint = power[power[:, 0] == j], idm.robot.joints[j]
-        far, value, half, _, at, _ = _worst(own[:, None, None, 2:], estimate, found)
+        far, value, half, _, at, _ = _worst(own[:, None, None, 2:], evidence)
         if far > 1:
             level, text = _finding(
                 far,
@@ -153,14 +147,9 @@ def _driving_findings(
     return findings
 
 
-def _inertia_findings(
-    evidence: FitData,
-    own: Bools,
-    estimate: estimation.Estimate,
-    found: estimation.Intervals,
-    q: Array,
-) -> tuple[list[Finding], float]:
+def _inertia_findings(evidence: FitData, own: Bools) -> tuple[list[Finding], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
+    q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
     # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta: (n + 1, P, n, e) of 0 and of each joint
     n = q.shape[1]
@@ -168,7 +157,7 @@ def _inertia_findings(
     W = idm.regressor(still + np.tile(q, (n + 1, 1)), still, ddq)[..., columns] @ own
     rest, *alone = W.reshape(n + 1, len(q), n, -1)
     G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, e)
-    far, value, half, v, _, least = _worst(G, estimate, found)
+    far, value, half, v, _, least = _worst(G, evidence)
     joint = idm.robot.joints[int(np.abs(v).argmax())].name
     finding = _finding(
         far,
