@@ -19,7 +19,7 @@ from .recording_report import Validated, errors_on
 
 def fit_file(fit: Fit) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
-    e, signals, lines, prior = fit.estimate, fit.problem.signals, fit.trust.lines, fit.data.prior
+    e, signals, lines = fit.estimate, fit.problem.signals, fit.trust.lines
     full = fit.full
     each = [_recording(one.problem, one.errors[-1], one.held_out) for one in fit.recordings]
     return report.FitFile(
@@ -57,7 +57,7 @@ def fit_file(fit: Fit) -> report.FitFile:
         ),
         held_out_error_percent=fit.held_out_error_percent,
         prior_source=fit.data.prior_source or UNSET,
-        prior_held_out_error_percent=fit.data.prior_error_percent if prior else UNSET,
+        prior_held_out_error_percent=fit.data.prior_error_percent if fit.data.prior else UNSET,
         trust=[
             report.TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text)
             for one in lines
@@ -65,14 +65,7 @@ def fit_file(fit: Fit) -> report.FitFile:
         condition_number=e.condition_number,
         condition_number_scaled=e.condition_number_scaled,
         rows=round(e.rows),
-        parameters=[
-            msgspec.structs.replace(
-                parameter, sigma_percent=float(percent), prior=prior.get(parameter.name, UNSET)
-            )
-            for parameter, percent in zip(
-                fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True
-            )
-        ],
+        parameters=list(fitted_parameters(fit).parameters.values()),
         gains=list(fit.gains) or UNSET,
         payloads=list(fit.payloads) or UNSET,
         law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,

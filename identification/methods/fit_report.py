@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from msgspec import UNSET
 
 from ..estimation import relative_error_percent
 from ..regression import ROWS
@@ -167,7 +168,7 @@ def _essential_line(fit: Fit) -> str:
 
 def _parameters(fit: Fit, parameters: Sequence[Parameter]) -> Section:
     rows: list[Row] = []
-    prior, error = fit.data.prior, fit.data.prior_error_percent
+    prior, error = bool(fit.data.prior), fit.data.prior_error_percent
     for p in parameters:
         form, percent = value_form(p.sigma), 100 * p.half / abs(p.value) if p.value else math.inf
         numbers: list[Cell] = [
@@ -175,12 +176,12 @@ def _parameters(fit: Fit, parameters: Sequence[Parameter]) -> Section:
             Number(p.half, form),
             Number(percent, ".2f", most=1000),
         ]
-        numbers += [Number(prior[p.name], form) if p.name in prior else ""] if prior else []
+        numbers += ["" if p.prior is UNSET else Number(p.prior, form)] * prior
         mark = "yes" if p.essential else ""
         rows.append((p.name, *numbers, p.unit, Number(p.sigma, form), mark))
-    heads = columns(
-        "parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))
-    ) + columns("unit")
+    heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * prior)) + columns(
+        "unit"
+    )
     torque = dict(
         zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True)
     )
@@ -224,6 +225,7 @@ def _consistent(fit: Fit) -> list[Section]:
                 Number(p.half_width or 0.0, ".2g"),
                 p.unit,
                 "prior" if p.from_prior else "recording",
+                Number(p.move or 0.0, "+.2g"),
             )
             for p in parameters
         ]
@@ -244,11 +246,9 @@ def _consistent(fit: Fit) -> list[Section]:
         f"{len(known)} of {len(rows)} values are the prior's: the torques say nothing about them",
     )
     title = "physically consistent standard parameters"
-    table, short = Table(columns=heads, rows=tuple(rows)), Section(title=title, lines=lines)
-    moved = [
-        (*cells, Number(move, "+.2g")) for cells, (_, move) in zip(of_base, moves, strict=True)
-    ]
-    base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
+    table = Table(columns=heads, rows=tuple(row[:-1] for row in rows))
+    short = Section(title=title, lines=lines)
+    base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(of_base))
     whole = (*lines, f"certificate {c.certificate:.1e} (Newton decrement)")
     return [
         Section(title=title, table=table, lines=whole, short=short),

@@ -41,20 +41,23 @@ def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
     e, intervals = of.estimate, of.intervals
     essential = essential_names(fit.essential, e, intervals)
     known = true_parameters(fit.base, np.zeros(len(fit.base.names))).parameters
-    found = zip(e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True)
+    prior, columns = fit.data.prior, (e.beta, intervals.low, intervals.high, e.sigma)
+    found = zip(e.names, *(x.tolist() for x in (*columns, e.sigma_percent)), strict=True)
     return ParameterSet(
         label="LS" if by_ls else {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
         parameters={
             name: msgspec.structs.replace(
                 known[base_name(name)],
                 name=name,
-                value=float(value),
-                low=float(low),
-                high=float(high),
-                sigma=float(sigma),
+                value=value,
+                low=low,
+                high=high,
+                sigma=sigma,
+                sigma_percent=percent,
                 essential=name in essential,
+                prior=prior.get(name, UNSET),
             )
-            for name, value, low, high, sigma in found
+            for name, value, low, high, sigma, percent in found
         },
     )
 
