@@ -42,7 +42,7 @@ from .fit import Fit, FittedRecording, Pass, essential_names, join_reasons
 from .gains import held_and_counted, with_gains_and_payloads
 from .iteration import MIN_F, Loop
 from .model import Model
-from .recording_report import gain_warnings, recording_warnings
+from .recording_report import gain_warnings
 
 SURROGATE = (
     "surrogate reference: none recorded, the measured position is used instead; the instruments "
@@ -188,9 +188,10 @@ def _warnings(model: Model) -> tuple[str, ...]:
         [*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems
     ]
     named = [
-        f"{p.signals.recording}: " * (len(problems) > 1) + text
+        f"{p.signals.recording}: " * (len(problems) > 1) + f"recording: {event.text}"
         for p in problems
-        for text in recording_warnings(p.signals)
+        for event in p.signals.events
+        if event.kind == "warning"
     ]
     return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
 

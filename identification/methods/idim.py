@@ -96,29 +96,29 @@ def _read(
     """The model, the method and its reason: with drive gains always instruments, by default where
     every recording has its reference.
     """
-    asked = replace(overrides, method="iv" if overrides.gains else method)
-    model = read_model(signals, asked, say)
-    by, reason = (method, "as requested") if method is not None else _default_method(model)
-    settings = [problem.settings for problem in model.problems]
-    low = settings[0].low_speed.iv if "iv" in (asked.method, by) else settings[0].low_speed.ls
-    # not every recording has its reference
-    if any(one.low_speed_percent != low for one in settings):
-        model = read_model(signals, replace(asked, method=by), say)
-    if overrides.gains and by != "iv" and method is not None:
+    if overrides.gains and method not in (None, "iv"):
         raise BadInputError(
             "least squares is biased towards drive gains of 0",
             key="method",
-            value=by,
+            value=method,
             expected="iv with --gains",
         )
-    if iteration is not None and by != "iv" and not overrides.gains:
+    model = read_model(signals, replace(overrides, method="iv" if overrides.gains else method), say)
+    by, reason = (method, "as requested") if method is not None else _default_method(model)
+    by = "iv" if overrides.gains else by
+    settings = [problem.settings for problem in model.problems]
+    low = settings[0].low_speed.iv if by == "iv" else settings[0].low_speed.ls
+    # not every recording has its reference
+    if any(one.low_speed_percent != low for one in settings):
+        model = read_model(signals, replace(overrides, method=by), say)
+    if iteration is not None and by != "iv":
         raise BadInputError(
             "only instrumental variables iterate",
             key="method",
             value=by,
             expected=f"iv ({reason})",
         )
-    return model, "iv" if overrides.gains else by, reason
+    return model, by, reason
 
 
 def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:

@@ -20,7 +20,7 @@ from ..estimation import (
     weighted_least_squares,
 )
 from ..model import BaseParameters, InverseModel
-from ..regression import Lag, Rows, base_places, lags_in
+from ..regression import Lag, Rows, lags_in
 from ..report import Status
 from ..simulation import Simulated
 from .fit import Pass, join_reasons
@@ -82,10 +82,8 @@ class Loop:
         self.tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
         prior = inertia_prior(model, self.x)
         self.robots = model.robots(prior, gain_update=iteration.gain_update)
-        self.fitted = np.arange(len(names))
-        if essential:
-            kept = [names.index(name) for name in self.essential.names]
-            self.fitted = np.delete(self.fitted, np.setdiff1d(base_places(names), kept))
+        kept = {name for name in names if not essential or ":" in name} | {*self.essential.names}
+        self.fitted = np.flatnonzero([name in kept for name in names])
 
     def step(self, rows: Rows) -> Estimate:
         """Estimate the free unknowns from rows about x, with instruments along a simulated motion.

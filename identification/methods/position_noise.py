@@ -55,10 +55,10 @@ def position_noise_line(
         both = [_least_squares(_with_noise(problem, way * noise), method, asked) for way in (1, -1)]
     except NoFitError as error:
         return TrustLine(NAME, "cannot tell", f"{error.args[0]}: {ADVICE}")
-    names = [name for name in essential.names if name in plain.names and name in asked.names]
+    names = tuple(x for x in essential.names if x in plain.names and x in asked.names)
     indices = np.array([asked.names.index(name) for name in names])
-    beta, half = plain.values_of(tuple(names)), ls.intervals.half[indices]
-    off = np.abs(0.5 * (both[0].values_of(tuple(names)) + both[1].values_of(tuple(names))) - beta)
+    beta, half = plain.values_of(names), ls.intervals.half[indices]
+    off = np.abs(0.5 * (both[0].values_of(names) + both[1].values_of(names)) - beta)
     with np.errstate(divide="ignore", invalid="ignore"):
         widths, percents = (
             np.nan_to_num(off / half, posinf=np.inf),

@@ -283,11 +283,6 @@ def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[
     )
 
 
-def recording_warnings(signals: Signals) -> tuple[str, ...]:
-    """Warnings of the recorder, such as another SYNC period than described."""
-    return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
-
-
 def gain_warnings(signals: Signals) -> tuple[str, ...]:
     """A warning of the units if the drive gains are not given."""
     robot = signals.robot

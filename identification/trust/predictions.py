@@ -199,8 +199,8 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     outside = told[(high < MIN_FACTOR) | (low > MAX_FACTOR)]
     unlike = ((needed > MIN_LEFT) & (explained < MIN_ALIKE)).any()
     cause = _cause(evidence) if len(outside) or unlike else ""
-    values, everywhere = np.sort(factor[outside if len(outside) else told]), len(told) > 1
-    everywhere &= len(outside) == len(told)
+    values = np.sort(factor[outside if len(outside) else told])
+    everywhere = len(outside) == len(told) > 1
     between = " to ".join(dict.fromkeys(f"{x:.2g}" for x in [*values[:1], *values[-1:]]))
     text = f"torques are {between} times what {links} need"
     torques = ", ".join(f"torque of {names[j]} is {factor[j]:.2g} times" for j in outside)
