@@ -137,9 +137,7 @@ def _scored(
     Q, bread, rho, rows = estimate.Q, estimate.bread, Y - W @ estimate.beta, np.ones(1)
     if fast:
         rows = (observed.fast | ~acts[:, 0]).astype(float)  # so that no product is a further copy
-        common = observed.L[:, observed.L.shape[1] - len(evidence.lags) :].sum(
-            axis=1, keepdims=True
-        )
+        common = observed.L[:, -len(evidence.lags) :].sum(axis=1, keepdims=True)
         common = common[:, : int(terms[0].kind == candidates.CLOCKS)] * -weight
         Q = np.c_[Q, common]
         Q *= rows[:, None]  # in place: a copy fewer of a long recording
@@ -148,7 +146,8 @@ def _scored(
         bread = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
         rho = rows * (Y - W @ (bread @ (Q.T @ Y)))
     z = C - Q @ (bread.T @ (W.T @ C))  # orthogonal to W
-    apart = (C - W @ (bread @ (Q.T @ C))) * rows[:, None]  # what is left, beta solved again
+    by_column = bread @ (Q.T @ C)  # beta solved again
+    apart = (C - W @ by_column) * rows[:, None]
     norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
     independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
     # A zero may act nowhere, and a rotor in the span to rounding is a part of a link's parameter.
@@ -161,14 +160,14 @@ def _scored(
     with_term = rho[:, None] - g * apart
     sigma = deviations_of_sums(observed.system, z, with_term, Q) / np.abs(size)
     essential = np.isin(estimate.names, evidence.essential)
+    within = np.where(essential, evidence.intervals.half, np.inf)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = (bread @ (Q.T @ C))[: len(essential)] * g
-        moves = np.nan_to_num(np.abs(moved) / evidence.intervals.half[:, None])
+        moves = np.nan_to_num(np.abs(by_column[: len(within)] * g) / within)
         t = np.where(sigma > 0, g / sigma, 0.0)
         large = np.sqrt(0.01 * candidates.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
         large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
-    noticed = np.maximum((candidates.MIN_T + MARGIN_T) * sigma, large)
-    moves, noticed = moves * essential[:, None], np.where(independent, noticed, np.inf)
+        large = np.maximum((candidates.MIN_T + MARGIN_T) * sigma, large)
+    noticed = np.where(independent, large, np.inf)
     taken, together = _taken_percent(rho, with_term), np.empty(len(terms))
     of_kind = np.array([term.kind for term in terms])
     for kind in dict.fromkeys(of_kind):
