@@ -5,7 +5,6 @@ which pass is returned.
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -172,11 +171,11 @@ def start_values(loop: Loop) -> Asked:
     They are x of least squares; or a regular start (covariance None) or given values, which do not
     give the torques by which a lag is found.
     """
-    problem, repeated = loop.model.problem, partial(loop.model.unknowns.repeated, loop.x)
-    if loop.iteration.start == "regular" and loop.iteration.values is None:
-        return repeated(regular_start(problem.model, problem.base, loop.iteration.inertias)), None
-    values = loop.iteration.values
-    x = loop.x if values is None else repeated(values(problem.base))
+    problem, how, repeated = loop.model.problem, loop.iteration, loop.model.unknowns.repeated
+    if how.start == "regular":
+        beta = regular_start(problem.model, problem.base, how.inertias)
+        return repeated(loop.x, beta), None
+    x = loop.x if how.values is None else repeated(loop.x, how.values(problem.base))
     return x, loop.covariance(loop.start)
 
 

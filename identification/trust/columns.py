@@ -159,8 +159,8 @@ def _scored(
     g = z.T @ rho / size
     with_term = rho[:, None] - g * apart
     sigma = deviations_of_sums(observed.system, z, with_term, Q) / np.abs(size)
-    essential = np.isin(estimate.names, evidence.essential)
-    within = np.where(essential, evidence.intervals.half, np.inf)[:, None]
+    found_well = np.isin(estimate.names, evidence.essential)
+    within = np.where(found_well, evidence.intervals.half, np.inf)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         moves = np.nan_to_num(np.abs(by_column[: len(within)] * g) / within)
         t = np.where(sigma > 0, g / sigma, 0.0)

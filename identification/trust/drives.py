@@ -110,19 +110,19 @@ def control_law_test(evidence: FitData) -> TrustLine:
 def law_line(problem: Problem) -> TrustLine:
     """Return the line of a recording."""
     law, signals, controller = problem.law, problem.signals, problem.signals.robot.controller
-    reason = "the recording is too short"
     if signals.q_ref is None:
         reason = "the recording has no reference"
     elif controller.structure == "computed_torque":
         reason = "computed torque depends on the robot's own model"
-    elif law is not None and law.described is None and law.reason is not None:
+    elif law is None:
+        reason = "the recording is too short"
+    elif law.described is None and law.reason is not None:
         reason = f"[controller] describes no law, and none is found in the recording: {law.reason}"
-    elif law is not None and (
-        line := _line_of_law(law, [motor.name for motor in signals.robot.motors])
-    ):
+    else:
         fed = "; gravity that is fed forward is fitted and subtracted"
-        text = line.text + fed * controller.gravity_feedforward
-        return replace(line, text=text)
+        line = _line_of_law(law, [motor.name for motor in signals.robot.motors])
+        assert line is not None
+        return replace(line, text=line.text + fed * controller.gravity_feedforward)
     return TrustLine(LAW, "not made", f"not made: {reason}")
 
 

@@ -49,14 +49,11 @@ def fixed_point_test(evidence: FitData) -> TrustLine | None:
             f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion",
         ),
         (
-            why is not None and evidence.gains,
-            "caution",
-            f"{why}: record the reference, check [controller]",
-        ),
-        (
             why is not None,
             "caution",
-            f"{why}: check [controller]; compare with least squares",
+            f"{why}: record the reference, check [controller]"
+            if evidence.gains
+            else f"{why}: check [controller]; compare with least squares",
         ),
         (evidence.method != "iv", "ok", "least squares has one solution"),
         (
