@@ -180,9 +180,8 @@ class Fit:
         consistent_set, standard_parameters: the nearest physically consistent parameters, if
             requested.
         data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
-        gains: of the drives, if identified, with the smallest eigenvalue of the statistic of Cragg
-            and Donald; `payloads`: the nearest bodies of positive density, in the frame
-            of the last joint; without one near what is stated, or a ball.
+        gains: of the drives, if identified; `payloads`: the nearest bodies of positive density, in
+            the frame of the last joint; without one near what is stated, or a ball.
         own: the test of parameters of single recordings; None if all are shared.
     """
 
@@ -213,7 +212,6 @@ class Fit:
     own: FTest | None = None
     method_reason: str = "as requested"
     gains: tuple[DriveGain, ...] = ()
-    cragg_donald: float | None = None
     payloads: tuple[PayloadOfFit, ...] = ()
 
     def on(self, one: FittedRecording) -> "Fit":

@@ -59,7 +59,7 @@ def fit_document(fit: Fit) -> Document:
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
-            *gain_sections(fit.gains, fit.cragg_donald),
+            *gain_sections(fit),
             *payload_sections(fit),
             _parameters(fit, parameters),
             *_consistent(fit),

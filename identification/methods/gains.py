@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 
 from .. import estimation
-from ..arrays import Array
-from ..estimation import Estimate, Intervals, System
+from ..estimation import Estimate, Intervals
 from ..model import LINK
 from ..regression import Lag, Rows, base_places
 from ..report import (
@@ -28,6 +27,7 @@ from ..report import (
     Table,
     columns,
 )
+from ..trust import FitData
 from .consistent import standard_parameters
 from .fit import Fit
 from .model import Model
@@ -55,14 +55,15 @@ def held_and_counted(
     )
 
 
-def smallest_cragg_donald(system: System, Z: Array, weights: Array, gains: slice) -> float:
+def smallest_cragg_donald(evidence: FitData) -> float:
     """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W
     and L, per instrument.
 
     Cragg, Donald, Testing identifiability and specification in instrumental variable models,
     Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
     """
-    w = weights[system.joint_of_row][:, None]
+    system, Z, w = evidence.observed.system, evidence.Z, evidence.weight[:, None]
+    gains = [system.names.index(name) for name in evidence.gains]
     others, E, known = np.delete(Z, gains, axis=1) * w, system.W[:, gains] * w, Z[:, gains] * w
     basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
     E, known = (x - basis @ (basis.T @ x) for x in (E, known))
@@ -80,7 +81,7 @@ def with_gains_and_payloads(model: Model, fit: Fit) -> Fit:
     of, evidence, ls = model.unknowns, fit.data, fit.least_squares
     estimate, found, robot = evidence.estimate, evidence.intervals, model.problem.signals.robot
     base, of_ls, kept = map(base_places, (estimate.names, ls.estimate.names, fit.essential.names))
-    payloads, far, gains, cragg_donald = [], list[str](), list[DriveGain](), None
+    payloads, far, gains = list[PayloadOfFit](), list[str](), list[DriveGain]()
     for one in of.payloads:
         own = [estimate.names.index(name) for name in one.names if name in estimate.names]
         covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
@@ -114,10 +115,6 @@ def with_gains_and_payloads(model: Model, fit: Fit) -> Fit:
                 determined=width < MAX_GAIN_SHARE * abs(value),
             )
         )
-    if gains:
-        cragg_donald = smallest_cragg_donald(
-            evidence.observed.system, evidence.Z, estimate.weights, of.gains
-        )
     text = "no body of positive density is near: its values are stated or a ball's"
     return replace(
         fit,
@@ -130,17 +127,16 @@ def with_gains_and_payloads(model: Model, fit: Fit) -> Fit:
             fit.essential, names=tuple(fit.essential.names[k] for k in kept)
         ),
         gains=tuple(gains),
-        cragg_donald=cragg_donald,
         payloads=tuple(payloads),
         warnings=(*fit.warnings, *(f"payload of {name}: {text}" for name in far)),
     )
 
 
-def gain_sections(gains: Sequence[DriveGain], cragg_donald: float | None) -> list[Section]:
+def gain_sections(fit: Fit) -> list[Section]:
     """Identified drive gains beside those of the description, and how well they are told apart from
     the arm: the smallest eigenvalue of the statistic of Cragg and Donald.
     """
-    if not gains:
+    if not fit.gains:
         return []
     table = Table(
         columns=columns("motor", numbers=("described", "identified", "±95%", "in %"))
@@ -159,14 +155,14 @@ def gain_sections(gains: Sequence[DriveGain], cragg_donald: float | None) -> lis
                 one.unit,
                 "" if one.determined else "not determined",
             )
-            for one in gains
+            for one in fit.gains
         ),
     )
     line = (
-        f"smallest Cragg-Donald eigenvalue {cragg_donald:.3g}: how well the payload "
-        "separates gains and arm"
+        f"smallest Cragg-Donald eigenvalue {smallest_cragg_donald(fit.data):.3g}: how well the "
+        "payload separates gains and arm"
     )
-    values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in gains]
+    values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in fit.gains]
     short = Section(lines=(f"drive gains: {', '.join(values)}",))
     return [Section(title="drive gains", table=table, lines=(line,), short=short)]
 
