@@ -65,20 +65,20 @@ def _held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tu
     several = len(evidence.names) > 1 and not evidence.gains
     own = [arm.own for arm in evidence.arms] if several else [set[str]()] * BLOCKS
     names = evidence.names if several else [f"block {k + 1}" for k in range(BLOCKS)]
-    recordings = [evidence.between(*both) for both in pairwise(evidence.ends)]
-    parts = recordings if several else evidence.spans(BLOCKS)
-    numbers = [evidence.count(part) for part in parts]
-    if not several and sum(numbers) - max(numbers) <= b:
+    parts = evidence.spans(BLOCKS)
+    if several:
+        parts = [evidence.between(*both) for both in pairwise(evidence.ends)]
+    elif sum(numbers := [evidence.count(part) for part in parts]) - max(numbers) <= b:
         why = f"not made: too few rows outside a block for {b} parameters; record longer"
         return TrustLine(HELD_OUT, "not made", why), ()
-    by_others = predictions_by_others([*map(evidence.factor, parts)], estimate.names, own)
-    lost = [one if several else [] for _, one in by_others]
-    betas = [estimate.beta if its else beta for its, (beta, _) in zip(lost, by_others, strict=True)]
+    found = predictions_by_others([*map(evidence.factor, parts)], estimate.names, own)
+    by_others = [(beta, lost * several) for beta, lost in found]  # blocks are predicted anyway
+    betas = [estimate.beta if lost else beta for beta, lost in by_others]
     predicted = predict(*(replace(estimate, beta=x) for x in betas), by_recording=several)
     measured = np.concatenate([x.measured_rows() for x in evidence.problems])
     errors, each = (rows.tau, rows.tau - predicted, rows.tau - evidence.predicted), list[HeldOut]()
     made, norms, without = list[str](), list[list[float]](), list[str]()
-    for name, part, beta, its in zip(names, parts, betas, lost, strict=True):
+    for name, part, (beta, its) in zip(names, parts, by_others, strict=True):
         at = (rows.share > 0) & (measured & evidence.instants(part))[:, None]
         torque, *both = (float(np.linalg.norm(x[at])) for x in errors)
         if told := torque > 0 and not its:
@@ -88,12 +88,9 @@ def _held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tu
         elif several:
             why = f"{', '.join(its[:8])} undetermined" if its else "it has no torque"
             without.append(f"{name} cannot be predicted by the others: {why}")
-        if several:
-            each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
-    if not made:
-        text = "; ".join(without) or "not made: no torque"
-        return TrustLine(HELD_OUT, "cannot tell" if several else "not made", text), tuple(each)
-    return _line_of(evidence, made, np.array(norms), without, several=several), tuple(each)
+        each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
+    line = _line_of(evidence, made, np.array(norms), without, several=several)
+    return line, tuple(each * several)
 
 
 def _line_of(
@@ -102,6 +99,9 @@ def _line_of(
     """The line of parts, by the norms (k, 5) of their torque, its errors held out and trained, and
     those of weighted rows; `without` tells of the other parts.
     """
+    if not names:
+        text = "; ".join(without) or "not made: no torque"
+        return TrustLine(HELD_OUT, "cannot tell" if several else "not made", text)
     torque, error, training, held, trained = np.linalg.norm(norms, axis=0)
     percents = 100 * norms[:, 1:3] / norms[:, :1]
     error, training = 100 * error / torque, 100 * training / torque
