@@ -13,8 +13,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from .. import estimation
-from ..estimation import Estimate, Intervals
+from ..estimation import Estimate, Intervals, intervals_from, intervals_of, moves_of
 from ..model import LINK
 from ..regression import Lag, Rows, base_places
 from ..report import (
@@ -42,17 +41,15 @@ def held_and_counted(
     """Intervals that include how well lags, stated drive gains, masses, and centres of mass
     that are not estimated are known, which the estimate holds.
     """
-    of, found = model.unknowns, estimation.intervals_of(rows.system, estimate)
+    of, found = model.unknowns, intervals_of(rows.system, estimate)
     moved = [lag.moved for lag in lags]
     if of.held:
         places = [of.names.index(name) for name in estimate.names]
         half = np.array([[one.half] for one in of.held])
-        moves = estimation.moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
+        moves = moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
         stated = np.array([one.stated[places] for one in of.held])
         moved += list(half * np.abs(stated - moves) / found.reach)
-    return estimation.intervals_from(
-        estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom
-    )
+    return intervals_from(estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom)
 
 
 def smallest_cragg_donald(evidence: FitData) -> float:

@@ -180,8 +180,9 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     solved = replace(found, tau_predicted=model.predicted(x)) if gains else ls
     evidence = evidence_of(model, method, solved, x, full.estimate, kept)
     if gains:
-        why = "with these" if model.exogenous else "without a recorded reference"
-        text = f"drive gains by the measured motion: no robot is simulated {why}"
+        text = "drive gains by the measured motion: no robot is simulated " + (
+            "with these" if model.exogenous else "without a recorded reference"
+        )
         evidence = replace(evidence, fixed_point=found.parameters_settled, unconfirmed=text)
     else:
         # Once, of the first recording: it looks at the beginning of a long one anyway.

@@ -317,20 +317,17 @@ def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = N
     model : the robot with its p standard parameters; `base` regroups them.
     J : (n,) inertias of the motors at their joints, kg m² or kg; ones by default.
     """
-    chi, robot = np.zeros(model.p), model.robot
+    robot, R, chi = model.robot, np.abs(model.robot.R) > 0, dict[str, float]()
     J = np.ones(robot.n) if J is None else J
-    place = {name: c for c, name in enumerate(model.names)}
-    R = np.abs(robot.R) > 0
     for j, joint in enumerate(robot.joints):
         if joint.rotor_inertia:
             turning = [
                 m for m in range(robot.n) if m != j and R[m, m] and R[m, j] and R[j].sum() == 1
             ]
             shares = [J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2 for m in turning]
-            chi[place[f"Ia{j + 1}"]] = J[j] + sum(shares)
+            chi[f"Ia{j + 1}"] = J[j] + sum(shares)
         elif joint.type == "revolute":
-            for axis in ("XX", "YY", "ZZ"):
-                chi[place[f"{axis}{j + 1}"]] = J[j]
+            chi |= dict.fromkeys((f"XX{j + 1}", f"YY{j + 1}", f"ZZ{j + 1}"), J[j])
         else:
-            chi[place[f"M{j + 1}"]] = J[j]
-    return np.asarray(base.K @ chi)
+            chi[f"M{j + 1}"] = J[j]
+    return np.asarray(base.K @ [chi.get(name, 0.0) for name in model.names])

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import regression
 from ..arrays import Array, Ints
 from ..data import RecordingFile, Recordings, Signals, Work, check_one_robot
 from ..estimation import Estimate, System, combined, one_thread
@@ -28,7 +27,11 @@ from ..regression import (
     equation_of,
     lag_without_fit,
     law_of,
+    make_problem,
+    make_settings,
+    make_unknowns,
     rows_of_recording,
+    rule_cutoff_hz,
     stacked_rows,
     torque_of_recording,
 )
@@ -240,7 +243,7 @@ class Model:
         """
         if all(problem.settings.filtered for problem in self.problems):
             return None
-        cutoff_hz = min(regression.rule_cutoff_hz(one.signals) for one in self.problems)
+        cutoff_hz = min(rule_cutoff_hz(one.signals) for one in self.problems)
         of = [
             (replace(self.overrides, cutoff_hz=cutoff_hz, decimation=one.settings.decimation),)
             for one in self.problems
@@ -268,7 +271,7 @@ def model_of(
     names, wanted = [m.name for m in problems[0].signals.robot.motors], overrides.gains or ()
     motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
     of_gains = ("Fv", "Fc") if overrides.gains else ()
-    unknowns = regression.make_unknowns(problems, motors, of_gains)
+    unknowns = make_unknowns(problems, motors, of_gains)
     return Model(
         problems=tuple(problems),
         overrides=overrides,
@@ -285,7 +288,7 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
     numbers.
     """
     signals = source.load() if isinstance(source, RecordingFile) else source
-    problem = regression.make_problem(signals, overrides)
+    problem = make_problem(signals, overrides)
     law = problem.law if problem.law is not None else law_of(problem)
     problem = replace(problem, law=law, source=source)
     return problem.without_samples() if signals.q.size > most else problem
@@ -313,7 +316,7 @@ def with_common_rate(
 def settings_at(equation: Equation, overrides: Overrides) -> Settings:
     """Settings of a recording with other overrides."""
     problem = equation.problem.with_samples()
-    return regression.make_settings(problem.signals, overrides, problem.motion)
+    return make_settings(problem.signals, overrides, problem.motion)
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> Model:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import regression
 from ..arrays import Array
 from ..data import ON_GRID
 from ..errors import NoFitError
@@ -14,6 +13,10 @@ from ..estimation import (
 from ..regression import (
     FilteredMotion,
     Problem,
+    base_name,
+    equation_alone,
+    rows_of_recording,
+    with_weights_of,
 )
 from ..report import FTest, Method
 from ..trust import TrustLine
@@ -119,13 +122,13 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
     noisy = replace(problem, motion=FilteredMotion(problem.signals, q))
-    return regression.with_weights_of(noisy, problem)
+    return with_weights_of(noisy, problem)
 
 
 def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
     """Least squares of the recording with the parameters `of` another, without load friction."""
-    system = regression.rows_of_recording(*regression.equation_alone(problem)).system
-    asked = set(map(regression.base_name, of.names))
+    system = rows_of_recording(*equation_alone(problem)).system
+    asked = set(map(base_name, of.names))
     columns = np.array(
         [k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()]
     )

@@ -92,7 +92,7 @@ def figures_of(
 
 def worst_of(lines: Iterable[TrustLine | None]) -> TrustLine | None:
     """The first of the cautions, or of all, with the largest figure; None for no line."""
-    made = (line for line in lines if line is not None)
+    made = filter(None, lines)
     return max(made, key=lambda x: (x.level == "caution", abs(x.value or 0.0)), default=None)
 
 
