@@ -83,6 +83,8 @@ class Pass:
 
     def without_rows(self) -> "Pass":
         """The same without arrays as large as W."""
+        if self.rows is None:
+            return self
         z = tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z)
         estimate = self.estimate.without_rows()
         return replace(self, z=z, rows=None, estimate=estimate, confirmed_by=())

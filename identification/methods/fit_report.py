@@ -33,7 +33,8 @@ PARAMETERS = "parameters"  # title of the section of all values
 
 def fit_document(fit: Fit) -> Document:
     """A fit as a report, the verdict first."""
-    signals, several = fit.problem.signals, len(fit.recordings) > 1
+    held, notes, several = fit.held_out_error_percent, fit.notes, len(fit.recordings) > 1
+    signals = fit.problem.signals
     parameters = tuple(fitted_parameters(fit).parameters.values())
     settings = Section(
         title="settings and tests",
@@ -48,16 +49,16 @@ def fit_document(fit: Fit) -> Document:
     )
     percents = shared.half_width_percents(parameters)
     return Document(
-        title=f"{signals.robot.name}: {first_line(fit, percents)}",
+        title=f"{signals.robot.name}: {first_line(fit, held, percents)}",
         badge=fit.trust.verdict,
         figures=shared.main_figures(
             fit.errors[-1].moving_relative_error_percent,
-            fit.held_out_error_percent,
+            held,
             {f"held out, links of the {fit.data.prior_source}": fit.data.prior_error_percent},
             percents,
         ),
         sections=(
-            _verdict_section(fit),
+            _verdict_section(fit, notes),
             _trust_section(fit),
             *gain_sections(fit),
             *payload_sections(fit),
@@ -72,11 +73,10 @@ def fit_document(fit: Fit) -> Document:
     )
 
 
-def first_line(fit: Fit, percents: Mapping[str, float]) -> str:
+def first_line(fit: Fit, held: float | None, percents: Mapping[str, float]) -> str:
     """Method and its reason, status, verdict with its worst finding, and the main figures."""
     verdict = ": ".join(text for text in (fit.trust.verdict, fit.trust.finding) if text)
-    held, figures = fit.held_out_error_percent, shared.headline(fit.errors)
-    figures += "" if held is None else f", {held:.2g} % held out"
+    figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     alone = (
         " with instruments: reference"
         if fit.passes and fit.passes[fit.returned - 1].by_reference is not None
@@ -102,7 +102,7 @@ def _determined(percents: Mapping[str, float], of: int) -> str:
     )
 
 
-def _verdict_section(fit: Fit) -> Section:
+def _verdict_section(fit: Fit, notes: Sequence[str]) -> Section:
     reason = f": {fit.reason}" if fit.reason else ""
     lines = (
         [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"]
@@ -110,7 +110,7 @@ def _verdict_section(fit: Fit) -> Section:
         else []
     )
     status = f"status: {fit.status}{reason}"
-    lines += [status, shared.error_line(fit.errors), *(f"note: {text}" for text in fit.notes)]
+    lines += [status, shared.error_line(fit.errors), *(f"note: {text}" for text in notes)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
         lines.append(

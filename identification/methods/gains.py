@@ -59,7 +59,7 @@ def smallest_cragg_donald(evidence: FitData) -> float:
     Cragg, Donald, Testing identifiability and specification in instrumental variable models,
     Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
     """
-    system, Z, w = evidence.observed.system, evidence.Z, evidence.weight[:, None]
+    system, Z, w = evidence.observed.system, evidence.observed.Z, evidence.weight[:, None]
     gains = [system.names.index(name) for name in evidence.gains]
     others, E, known = np.delete(Z, gains, axis=1) * w, system.W[:, gains] * w, Z[:, gains] * w
     basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
@@ -135,6 +135,10 @@ def gain_sections(fit: Fit) -> list[Section]:
     """
     if not fit.gains:
         return []
+    line = (
+        f"smallest Cragg-Donald eigenvalue {smallest_cragg_donald(fit.data):.3g}: how well the "
+        "payload separates gains and arm"
+    )
     table = Table(
         columns=columns("motor", numbers=("described", "identified", "±95%", "in %"))
         + columns("unit", ""),
@@ -154,10 +158,6 @@ def gain_sections(fit: Fit) -> list[Section]:
             )
             for one in fit.gains
         ),
-    )
-    line = (
-        f"smallest Cragg-Donald eigenvalue {smallest_cragg_donald(fit.data):.3g}: how well the "
-        "payload separates gains and arm"
     )
     values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in fit.gains]
     short = Section(lines=(f"drive gains: {', '.join(values)}",))

@@ -58,12 +58,12 @@ def _findings(evidence: FitData) -> tuple[list[Finding], float]:
     of M on the trajectory.
     """
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
-    estimated = evidence.estimate.names
     # by recording the base parameters (b, e) in the estimate
-    own = [np.array(arm.names)[:, None] == estimated for arm in evidence.arms]
+    own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
+    driving = _driving_findings(evidence, own)
     findings, lowest = _inertia_findings(evidence, np.any(own, axis=0))
-    findings += _driving_findings(evidence, own)
-    apart, by_base = any("@" in name for name in estimated), np.linalg.pinv(base.K)
+    findings += driving
+    apart, by_base = any("@" in name for name in evidence.estimate.names), np.linalg.pinv(base.K)
     required = requirements(idm, shaped=False)
     # by joint and kind: half-widths, and a text
     beyond = dict[tuple[int, str], tuple[float, str]]()
@@ -102,14 +102,13 @@ def _worst(
     the directions v (d,) tried: how many, that, its half-width, v, and where; their lowest
     eigenvalue.
     """
-    found, beta = evidence.intervals, evidence.estimate.beta
-    M = G @ beta
+    found, M = evidence.intervals, G @ evidence.estimate.beta
     values, vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))
     alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
     v = np.concatenate([alone, vectors[..., None, :, 0]], axis=-2)
     g = np.einsum("...di,...ijb,...dj->...db", v, G, v, optimize=True)
     variance = ((g @ found.covariance) * g).sum(axis=-1)
-    value, half = g @ beta, found.reach * np.sqrt(np.maximum(variance, 0.0))
+    value, half = g @ evidence.estimate.beta, found.reach * np.sqrt(np.maximum(variance, 0.0))
     far = -value / np.maximum(half, MIN_HALF_WIDTH)
     at = np.unravel_index(far.argmax(), far.shape)
     return far[at], value[at], half[at], v[at], at, float(values.min())

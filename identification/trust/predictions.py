@@ -88,9 +88,9 @@ def _held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tu
         elif several:
             why = f"{', '.join(its[:8])} undetermined" if its else "it has no torque"
             without.append(f"{name} cannot be predicted by the others: {why}")
-        each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
-    line = _line_of(evidence, made, np.array(norms), without, several=several)
-    return line, tuple(each * several)
+        if several:
+            each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
+    return _line_of(evidence, made, np.array(norms), without, several=several), tuple(each)
 
 
 def _line_of(
