@@ -240,8 +240,8 @@ def test_a_payload_is_weighed_with_gains_and_their_half_widths(fit):
 
     def masses(gains, half):
         found = fitted(*(with_gains(one, gains, half) for one in (free, loaded)))
-        mass = found.payloads[0].parameters[-1]
-        return mass.value, mass.half_width
+        (payload,) = found.payloads
+        return payload.parameters[-1].value, payload.parameters[-1].half_width
 
     mass, without = masses(gains, None)
     _, whole = masses(gains, half)
@@ -257,8 +257,11 @@ def test_free_and_loaded_share_the_arm_and_equal_payloads_their_parameters(pair)
     assert fit.estimate.names == fit.base.names
     assert (off(fit) <= 2.5).all()
     (found,), true = fit.payloads, payload_parameters(InverseModel(free.robot), loaded.payload)
-    ZZ = found.parameters[5]
-    assert abs(ZZ.value - true[5]) <= 2 * ZZ.half_width < 0.2 * true[5]
+    assert (
+        abs(found.parameters[5].value - true[5])
+        <= 2 * found.parameters[5].half_width
+        < 0.2 * true[5]
+    )
 
 
 def test_a_lone_loaded_recording_says_whose_parameters_they_are(pair):
@@ -419,10 +422,9 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
     carried = read_model(Recordings(sources=sources), Overrides(), print).names[fit.base.b :]
     assert [name.partition(":")[0] for name in carried] == list(names)
     true = payload_parameters(InverseModel(free.robot), loaded.payload)
-    pairs = zip(found.parameters, true, strict=True)
-    told = [(p.value - x, p.half_width) for p, x in pairs if not p.from_prior]
+    told = [(p, x) for p, x in zip(found.parameters, true, strict=True) if not p.from_prior]
     assert len(told) >= len(names) - 2
-    assert all(abs(off) <= 2.5 * half + 1e-6 for off, half in told)
+    assert all(abs(p.value - x) <= 2.5 * p.half_width + 1e-6 for p, x in told)
 
 
 @pytest.mark.parametrize(

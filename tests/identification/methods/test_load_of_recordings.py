@@ -80,8 +80,11 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     sources, fit = scara()[1].sources, fit_of("wls")
     others = identify_ls(Recordings(sources=sources[1:]), Overrides())
     problem = make_problem(sources[0], Overrides(ramp_rows=fit.settings.ramp_rows))
-    figures = {name: both for name, *both in fit.trust.line("held-out blocks").figures}
-    held_out, _, trained = figures[sources[0].recording]
+    ((held_out, _, trained),) = (
+        of
+        for name, *of in fit.trust.line("held-out blocks").figures
+        if name == sources[0].recording
+    )
     fast = rows_of_recording(*equation_alone(problem)).counts
     for beta, told, within in (
         (others.beta, held_out, 0.02),

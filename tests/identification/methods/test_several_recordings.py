@@ -118,8 +118,7 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
     assert last.held_out.error_percent == pytest.approx(error, rel=2e-3)
     figures = fit.trust.line("held-out blocks").figures
-    _, held_out, _, trained = figures[2]
-    assert trained < held_out == last.held_out.error_percent
+    assert figures[2][3] < figures[2][1] == last.held_out.error_percent
     assert [name for name, *_ in figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
 
@@ -313,8 +312,9 @@ def test_offsets_of_their_own():
     shared, alike = fit(()), fit(("Off",), (0.1, 0.1, 0.1))
     assert found.errors[-1].relative_error_percent < 0.8 * shared.errors[-1].relative_error_percent
     # A recording's own offset is fitted to it when it is held out; a shared one is not.
-    held_out = [one.trust.line("held-out blocks").figures for one in (found, shared)]
-    for (_, own, _, trained), (_, other, *_) in zip(*held_out, strict=True):
+    for (_, own, _, trained), (_, other, *_) in zip(
+        *(one.trust.line("held-out blocks").figures for one in (found, shared)), strict=True
+    ):
         assert own < 1.05 * trained < other
     assert shared.own is None
     assert alike.own.p_effective > 0.01
