@@ -11,7 +11,7 @@ Columns have the weights of W.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, groupby
+from itertools import groupby
 
 import numpy as np
 
@@ -26,7 +26,6 @@ MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indisti
 MIN_INDEPENDENT_NORM = 0.01
 # the same, and of a column's norm beside the torque's: below, it is rounding and biases nothing
 MIN_BIAS = 1e-6
-MAX_NUMBERS = 1_000_000  # of columns that are tried at a time: 8 MB, a few times as much in all
 MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording shows it
 # error of a zero; a larger one that is not noticed is assumed away
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
@@ -104,41 +103,35 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth
         the sign of the speed.
     """
-    kinds = {kind: list(of) for kind, of in groupby(evidence.candidates.terms, lambda x: x.kind)}
-    clocks, each = kinds.pop(candidates.CLOCKS), list(kinds.values())
-    at_once = max(1, MAX_NUMBERS // (evidence.Y.size * evidence.robot.n))
-    found = [
-        term
-        for k in range(0, len(each), at_once)
-        for term in _scored(evidence, list(chain(*each[k : k + at_once])))
-        if term.kind != candidates.STRIBECK or term.value > 0
-    ]
+    found = list[candidates.MissingTerm]()
+    for kind, of in groupby(evidence.candidates.terms, lambda term: term.kind):
+        terms = _scored(evidence, kind, list(of), fast=kind == candidates.CLOCKS)
+        found += [x for x in terms if kind != candidates.STRIBECK or x.value > 0]
     for i, term in enumerate(found):
         if term.kind == candidates.LAG and abs(term.t) > candidates.MIN_T:
             # In fast rows only: friction near reversals looks like a lag.
-            again = [x for x in _scored(evidence, [term], fast=True) if x.t * term.t > 0]
-            told = again[0] if again else replace(term, t=0.0)
+            again = _scored(evidence, term.kind, [term], fast=True)
+            told = next((x for x in again if x.t * term.t > 0), replace(term, t=0.0))
             found[i] = replace(told, together_percent=term.together_percent)
-    return (*found, *_scored(evidence, clocks, fast=True))
+    return tuple(found)
 
 
 def _scored(
-    evidence: FitData, terms: Sequence[candidates.MissingTerm], *, fast: bool = False
+    evidence: FitData, kind: str, terms: Sequence[candidates.MissingTerm], *, fast: bool
 ) -> list[candidates.MissingTerm]:
-    """Terms with their figures; `fast`: of a single one, with the rows of its joint in which a lag
-    shows only, and clocks beside the common lag, which its prior holds.
+    """Terms of a kind with their figures; `fast`: of a single one, with the rows of its joint in
+    which a lag shows only, and clocks beside the common lag, which its prior holds.
     """
     observed, estimate, W, Y = evidence.observed, evidence.estimate, evidence.W, evidence.Y
     joint, weight = observed.system.joint_of_row, evidence.weight[:, None]
     acts = np.stack([(joint == term.joint) | (term.joint is None) for term in terms], axis=1)
-    anywhere = np.array([term.kind not in candidates.IN_FAST_ROWS for term in terms])
     C = observed.C[:, [term.column for term in terms]] * weight
-    C *= acts & (observed.fast[:, None] | anywhere)
+    C *= acts & (observed.fast[:, None] | (kind not in candidates.IN_FAST_ROWS))
     Q, bread, rho, rows = estimate.Q, estimate.bread, Y - W @ estimate.beta, np.ones(1)
     if fast:
         rows = (observed.fast | ~acts[:, 0]).astype(float)  # so that no product is a further copy
         common = observed.L[:, -len(evidence.lags) :].sum(axis=1, keepdims=True)
-        common = common[:, : int(terms[0].kind == candidates.CLOCKS)] * -weight
+        common = common[:, : int(kind == candidates.CLOCKS)] * -weight
         Q = np.c_[Q, common]
         Q *= rows[:, None]  # in place: a copy fewer of a long recording
         Q = orthonormal(Q)
@@ -149,12 +142,14 @@ def _scored(
     by_column = bread @ (Q.T @ C)  # beta solved again
     apart = (C - W @ by_column) * rows[:, None]
     norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
-    independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
+    stays = independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
     # A zero may act nowhere, and a rotor in the span to rounding is a part of a link's parameter.
-    stays = {
-        candidates.ZERO: norm > MIN_BIAS * np.linalg.norm(Y),
-        candidates.ROTOR: left > MIN_BIAS * norm,
-    }
+    if kind in (candidates.ZERO, candidates.ROTOR):
+        stays = (
+            norm > MIN_BIAS * np.linalg.norm(Y)
+            if kind == candidates.ZERO
+            else left > MIN_BIAS * norm
+        )
     size = np.where(independent, (z * C).sum(axis=0), np.inf)
     g = z.T @ rho / size
     with_term = rho[:, None] - g * apart
@@ -168,18 +163,15 @@ def _scored(
         large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
         large = np.maximum((candidates.MIN_T + MARGIN_T) * sigma, large)
     noticed = np.where(independent, large, np.inf)
-    taken, together = _taken_percent(rho, with_term), np.empty(len(terms))
-    of_kind = np.array([term.kind for term in terms])
-    for kind in dict.fromkeys(of_kind):
-        own = independent & (of_kind == kind)
-        of_all = np.linalg.lstsq(z[:, own].T @ C[:, own], z[:, own].T @ rho, rcond=1e-6)[0]
-        together[of_kind == kind] = _taken_percent(rho, rho - apart[:, own] @ of_all)
-    figures = np.stack([g, t, taken, together, moves.max(axis=0), noticed], axis=1).tolist()
-    names = "value", "t", "taken_percent", "together_percent", "moves", "noticed"
+    own, taken = z[:, independent].T, _taken_percent(rho, with_term)
+    of_all = np.linalg.lstsq(own @ C[:, independent], own @ rho, rcond=1e-6)[0]
+    together = _taken_percent(rho, rho - apart[:, independent] @ of_all)
+    figures = np.stack([g, t, taken, moves.max(axis=0), noticed], axis=1).tolist()
+    names = "value", "t", "taken_percent", "moves", "noticed"
     return [
-        replace(term, **dict(zip(names, of_term, strict=True)))
-        for k, (term, of_term) in enumerate(zip(terms, figures, strict=True))
-        if stays.get(term.kind, independent)[k]
+        replace(term, together_percent=float(together), **dict(zip(names, of_term, strict=True)))
+        for term, of_term, stay in zip(terms, figures, stays, strict=True)
+        if stay
     ]
 
 

@@ -121,11 +121,11 @@ def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
         return orthonormal(A)
 
     def lag_of_elbow(in_fast_rows: float) -> MissingTerm:
-        def of_t(evidence, terms, *, fast=False):
+        def of_t(evidence, kind, terms, *, fast):
             with pytest.MonkeyPatch.context() as within:
-                if terms[0].kind == "lag":
+                if kind == "lag":
                     within.setattr(columns, "orthonormal", of_rows)
-                found = scored(evidence, terms, fast=fast)
+                found = scored(evidence, kind, terms, fast=fast)
             t = in_fast_rows if fast else 6.0
             return [
                 replace(x, t=t, moves=2.0) if x.finding == "lag of joint elbow" else x
