@@ -16,7 +16,7 @@ from ..regression import (
     base_name,
     equation_alone,
     rows_of_recording,
-    with_weights_of,
+    sample_weights,
 )
 from ..report import FTest, Method
 from ..trust import TrustLine
@@ -122,7 +122,8 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
     noisy = replace(problem, motion=FilteredMotion(problem.signals, q))
-    return with_weights_of(noisy, problem)
+    sample_weights(noisy, sample_weights(problem))
+    return noisy
 
 
 def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:

@@ -41,4 +41,4 @@ from .settings import (
 )
 from .states import friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
-from .weights import refuse_standing_joints, sample_weights, weights_at, with_weights_of
+from .weights import refuse_standing_joints, sample_weights, weights_at

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +18,8 @@ SPLINE_REACH = 40  # samples beyond which the end of a cubic spline has no influ
 _DIFFERENCES = 2  # samples to each side that two central differences reach
 # of a filtered position, 32 MB; a longer recording is filtered again in each pass
 _MAX_NUMBERS = 4_000_000
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,21 +47,26 @@ class Motion:
 
 class FilteredMotion:
     """Motion of a recording, or other positions (N, n) with its torque, at any cut-off; each
-    cut-off is filtered once, unless the recording is long.
+    cut-off is filtered once, unless the recording is long. It keeps what others make of it.
     """
 
     def __init__(self, signals: Signals, q: Array | None = None) -> None:
         """`q` (N, n): other positions than the recorded ones."""
         self._signals, self._q = signals, signals.q if q is None else q
-        self._filtered: dict[float, Array] = {}
+        self._made: dict[object, Any] = {}
+
+    def once(self, key: object, make: Callable[[], Made]) -> Made:
+        """What is made of this motion with settings `key`, made once."""
+        if key not in self._made:
+            self._made[key] = make()
+        found: Made = self._made[key]
+        return found
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
         s, q, fs = self._signals, self._q, self._signals.sample_rate_hz
         if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
-            if cutoff_hz not in self._filtered:
-                self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, fs)
-            q, cutoff_hz = self._filtered[cutoff_hz], None
+            q, cutoff_hz = self.once(cutoff_hz, partial(lowpass, q, cutoff_hz, fs)), None
         motion = motion_between(
             q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop
         )

@@ -15,7 +15,6 @@ Samples that nobody measured weigh nothing in the same way, also where those of 
 """
 
 from collections.abc import Sequence
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from ..arrays import Array, Bools
 from ..data import Signals
 from ..errors import NoFitError
 from .filtering import nearby
-from .motion import BLOCK_SAMPLES, FilteredMotion
+from .motion import BLOCK_SAMPLES
 from .problem import Problem, row_blocks
 from .settings import LOOP_PER_MOTION, MAX_CUTOFF_SHARE, RAMPS, ROWS
 
@@ -87,28 +86,16 @@ class SampleWeights:
         )
 
 
-# of each motion, by settings
-_made: WeakKeyDictionary[FilteredMotion, dict[tuple[object, ...], SampleWeights]] = (
-    WeakKeyDictionary()
-)
-
-
-def sample_weights(problem: Problem) -> SampleWeights:
-    """The weights of a recording, made once for its settings."""
-    s, made = problem.settings, _made.setdefault(problem.motion, {})
+def sample_weights(problem: Problem, given: SampleWeights | None = None) -> SampleWeights:
+    """The weights of a recording, made once for its motion and settings; or those `given`, from
+    then on.
+    """
+    s, once = problem.settings, problem.motion.once
     span = (s.start, s.stop, s.decimation, s.cutoff_hz, s.low_speed_percent)
-    key = (*span, s.ramp_rows)
-    if key not in made:
-        moves = next((made[other].moves for other in made if other[:-1] == span), None)
-        made[key] = SampleWeights(problem, _moves(problem) if moves is None else moves)
-    return made[key]
-
-
-def with_weights_of(problem: Problem, other: Problem) -> Problem:
-    """The problem with the weights of samples of another."""
-    sample_weights(other)
-    _made[problem.motion] = _made[other.motion]
-    return problem
+    return once(
+        (*span, s.ramp_rows),
+        lambda: given or SampleWeights(problem, once(span, lambda: _moves(problem))),
+    )
 
 
 def weights_at(problem: Problem, t_s: Array) -> Array:

@@ -19,7 +19,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -62,11 +61,6 @@ MIN_SINGULAR = 1e-6  # of columns of norm 1
 MOST_SAMPLES = 50_000  # of the regression, evenly spaced
 DESIGN_SAMPLES = 10_000  # whose columns are in memory
 EDGE = 2  # samples to each side of an acceleration
-
-# of each motion, by span
-_made: WeakKeyDictionary[FilteredMotion, dict[tuple[int, int], FilteredMotion]] = (
-    WeakKeyDictionary()
-)
 
 
 def _controller_of(problem: Problem) -> tuple[ControlLaw | None, ControllerKind]:
@@ -312,20 +306,19 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
     """Return the motion that the reference predicts, made once for its span; the measured one where
     no reference is recorded.
     """
-    signals, start, stop = problem.signals, problem.settings.start, problem.settings.stop
-    if signals.q_ref is None:
+    if (r := problem.signals.q_ref) is None:
         return problem.motion
-    made = _made.setdefault(problem.motion, {})
-    if (start, stop) not in made:
-        reach = lowpass_reach(rule_cutoff_hz(signals), signals.sample_rate_hz)
-        within = range(max(0, start - reach), min(len(signals.q), stop + reach))
-        made[start, stop] = FilteredMotion(signals, _positions(signals, signals.q_ref, within))
-    return made[start, stop]
+    span = problem.settings.start, problem.settings.stop
+    return problem.motion.once(span, lambda: _predicted(problem.signals, r, *span))
 
 
-def _positions(signals: Signals, r: Array, within: range) -> Array:
-    """q^ (N, n) at all samples of a recording, by the errors of the samples `within`."""
+def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMotion:
+    """The motion q^ (N, n) at all samples of a recording, by the errors of those that a low-pass
+    lets into its span.
+    """
     (N, n), q, fs, found = r.shape, signals.q, signals.sample_rate_hz, allocate(r.shape)
+    reach = lowpass_reach(rule_cutoff_hz(signals), fs)
+    within = range(max(0, start - reach), min(N, stop + reach))
     late = [round(delay_s * fs) for delay_s in DELAYS_S]
     every = -(-len(within) // MOST_SAMPLES)
     used = np.array(within[::every])
@@ -347,7 +340,7 @@ def _positions(signals: Signals, r: Array, within: range) -> Array:
         found[at] = r[at] + columns(at) @ effects
         for x in (q, r, found):
             release_pages(x)
-    return found
+    return FilteredMotion(signals, found)
 
 
 def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:

@@ -11,7 +11,7 @@ from identification.data import Recordings, signals_from_arrays
 from identification.design import with_terms
 from identification.export import replace_in_tables
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
-from identification.regression import Motion, Overrides, make_problem
+from identification.regression import FilteredMotion, Motion, Overrides, make_problem
 from identification.study import Noise, closed_loop, random_reference
 
 USUAL = ["viscous", "coulomb", "offset"]
@@ -54,11 +54,11 @@ def whole_arm():
     return described("tx40", [ALL] * 6, f"{more}Frm6 = 0.5\nFsm6 = 0.3\n")
 
 
-class Exact:
+class Exact(FilteredMotion):
     """A motion known exactly, where that of a recording is filtered."""
 
     def __init__(self, motion: Motion) -> None:
-        self.motion, self.weights = motion, {}
+        self.motion, self._made = motion, {}
 
     def between(self, start, stop, cutoff_hz):
         m = self.motion
