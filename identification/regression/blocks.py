@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .motion import Motion, differentiate, smooth
@@ -61,9 +61,31 @@ class MotionBlock(Motion):
     @cached_property
     def W(self) -> Array:
         """Return the regressor (n, b, rows) F[w IDM]; columns of load friction are zero."""
-        of = self.problem.model, self.problem.base
-        whole = _decimated(self, self.weights, *of, self.decimation, self.stride)
-        return np.ascontiguousarray(whole[..., self.inside])
+        w, N, links = self.weights, len(self.q), self.problem.base.links
+        found = np.zeros((len(w), len(links), self.decimation.rows(N)))
+        # else most of it is the ends
+        few = self.stride > 1 and self.stride * self.decimation.end_samples < N
+        if (strided := links & few).any():
+            at, end = (N - 1) % self.stride, self.decimation.end_samples
+            spans = (slice(at, None, self.stride), slice(at + end + 1), slice(N - end - 1, None))
+            entries, parts = self._series(strided, *spans)
+            found[entries] = self.decimation.filtered_strided(*parts)
+        entries, parts = self._series(~strided, slice(None))
+        found[entries] = self.decimation.filtered(*parts)
+        return np.ascontiguousarray(found[..., self.inside])
+
+    def _series(self, of: Bools, *spans: slice) -> tuple[tuple[Ints, Ints], list[Array]]:
+        """Joints and places (E,) of the entries of some columns, and in spans of the samples their
+        weighted series (E, N).
+        """
+        model, places, parts = self.problem.model, np.flatnonzero(of), list[Array]()
+        columns = self.problem.base.columns[places]
+        joints, of_columns = model.entries(columns).T
+        for at in spans:
+            parts.append(model.series(self.q[at], self.dq[at], self.ddq[at], columns))
+            for x, j in zip(parts[-1], joints, strict=True):
+                x *= self.weights[j, at]
+        return (joints, places[of_columns]), parts
 
     @cached_property
     def known(self) -> Array:
@@ -135,47 +157,3 @@ def predicted_torque(
     model = direct_model(dynamics, base.standard_parameters(beta))
     rigid = smooth(model.torques_of_links, motion, stride)
     return model.torque(motion.q, motion.dq, motion.ddq, rigid=rigid)
-
-
-def _decimated(
-    motion: Motion,
-    w: Array,
-    dynamics: InverseModel,
-    base: BaseParameters,
-    decimation: Decimation,
-    stride: int,
-) -> Array:
-    """Regressor (n, b, rows) with weights w (n, N), link columns at every `stride`-th sample."""
-    N, W = (
-        len(motion.q),
-        np.zeros((len(dynamics.robot.joints), len(base.names), decimation.rows(len(motion.q)))),
-    )
-    strided = stride > 1 and stride * decimation.end_samples < N  # else most of it is the ends
-    links = base.links & strided
-    if links.any():
-        at, end = (N - 1) % stride, decimation.end_samples
-        spans = (slice(at, None, stride), slice(0, at + end + 1), slice(N - end - 1, None))
-        entries, parts = _series(motion, dynamics, base, np.flatnonzero(links), spans)
-        parts = [part * w[entries[:, 0], span] for part, span in zip(parts, spans, strict=True)]
-        W[entries[:, 0], entries[:, 1]] = decimation.filtered_strided(*parts)
-    entries, (series,) = _series(motion, dynamics, base, np.flatnonzero(~links), (slice(None),))
-    for x, j in zip(series, entries[:, 0], strict=True):
-        x *= w[j]
-    W[entries[:, 0], entries[:, 1]] = decimation.filtered(series)
-    return W
-
-
-def _series(
-    motion: Motion,
-    dynamics: InverseModel,
-    base: BaseParameters,
-    places: Ints,
-    spans: Sequence[slice],
-) -> tuple[Ints, list[Array]]:
-    """Entries (E, 2), joint and place in `base`, and their series (E, N) in spans of a motion."""
-    columns = base.columns[places]
-    entries = dynamics.entries(columns)
-    entries[:, 1] = places[entries[:, 1]]
-    return entries, [
-        dynamics.series(motion.q[at], motion.dq[at], motion.ddq[at], columns) for at in spans
-    ]

@@ -58,7 +58,16 @@ def forward_backward_3db_hz(cutoff_hz: float, sample_rate_hz: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Decimation:
-    """Parallel decimation by `factor`; `smooth_ends` as in `decimate`."""
+    """Parallel decimation: zero-phase Chebyshev low-pass, then every `factor`-th sample.
+
+    Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's
+    `decimate` does. The paper's equation (6): the same filter for the torque and for every
+    column of the regressor.
+
+    The ends are reflected at a line through the last samples, as far as the filter reaches. Without
+    `smooth_ends` they are reflected at the end samples themselves, as in MATLAB: the rows next to
+    them have the noise of these two unfiltered.
+    """
 
     factor: int = 1
     smooth_ends: bool = True
@@ -81,11 +90,25 @@ class Decimation:
         return slice(max(0, start), stop)
 
     def filtered(self, x: Array) -> Array:
-        """x decimated along its last axis: low-pass, then every `factor`-th sample."""
-        y = _some_at_a_time(
-            lambda x: decimate(x, self.factor, smooth_ends=self.smooth_ends), np.atleast_2d(x)
-        )
-        return y.reshape(*x.shape[:-1], -1)
+        """x decimated along its last axis."""
+        return _some_at_a_time(self._filtered, np.atleast_2d(x)).reshape(*x.shape[:-1], -1)
+
+    def _filtered(self, x: Array) -> Array:
+        for r in decimation_passes(self.factor):
+            padding = 3 * CHEBYSHEV_ORDER
+            if x.shape[-1] <= padding:
+                raise NoFitError(
+                    key=f"samples to decimate by {r}",
+                    value=x.shape[-1],
+                    expected=f"more than {padding}",
+                )
+            first = (x.shape[-1] - 1) % r
+            x = (
+                _decimated(x, r)
+                if self.smooth_ends
+                else _chebyshev(r).forward_backward(x, padding)[..., first::r]
+            )
+        return np.ascontiguousarray(x)
 
     def filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
         """As `filtered`, of a series of which x is every `stride_behind`-th sample,
@@ -101,7 +124,7 @@ class Decimation:
         k, N = _chebyshev(r).reach // r + 1, x.shape[-1]
         size = _fast_size(N + 2 * k)
         extended = np.concatenate([x, np.repeat(x[..., -1:], size - N, -1)], axis=-1)
-        passed = np.fft.irfft(np.fft.rfft(extended) * _power(r, size * r)[: size // 2 + 1], size)[
+        passed = np.fft.irfft(np.fft.rfft(extended) * _gain(r, size)[: size // 2 + 1], size)[
             ..., k : N - k
         ]
         y = np.concatenate(
@@ -165,35 +188,6 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
     return min(plans, key=lambda plan: (max(plan) > MAX_PASS, len(plan), max(plan)))
 
 
-def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
-    """Parallel decimation along the LAST axis: zero-phase Chebyshev low-pass, then
-    every `factor`-th sample.
-
-    Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's
-    `decimate` does. The paper's equation (6): the same filter for the torque and for every
-    column of the regressor.
-
-    The ends are reflected at a line through the last samples, as far as the filter reaches. Without
-    `smooth_ends` they are reflected at the end samples themselves, as in MATLAB: the rows next to
-    them have the noise of these two unfiltered.
-    """
-    for r in decimation_passes(factor):
-        padding = 3 * CHEBYSHEV_ORDER
-        if x.shape[-1] <= padding:
-            raise NoFitError(
-                key=f"samples to decimate by {r}",
-                value=x.shape[-1],
-                expected=f"more than {padding}",
-            )
-        first = (x.shape[-1] - 1) % r
-        x = (
-            _decimated(x, r)
-            if smooth_ends
-            else _chebyshev(r).forward_backward(x, padding)[..., first::r]
-        )
-    return np.ascontiguousarray(x)
-
-
 def _some_at_a_time(f: Callable[..., Array], *series: Array) -> Array:
     """f of series, each (E, ..., N), of as many of E at a time as the cache holds."""
     size = max(1, _IN_CACHE // max(1, *(x[:1].size for x in series)))
@@ -243,16 +237,12 @@ def _line(near: int) -> Array:
     return np.asarray(np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0])
 
 
-@lru_cache(maxsize=8)
-def _power(r: int, size: int) -> Array:
-    """|H|² before decimation by r at the frequencies of the spectrum of `size` samples."""
-    return np.asarray(np.abs(_chebyshev(r).response(size)) ** 2)
-
-
 @lru_cache
 def _gain(r: int, rows: int) -> Array:
-    """`_power` for `rows` r samples, as far as it matters."""
-    gain = _power(r, rows * r)
+    """|H|² before decimation by r at the frequencies of the spectrum of `rows` r samples, as far as
+    it matters: beyond those of the rows.
+    """
+    gain = np.abs(_chebyshev(r).response(rows * r)) ** 2
     last = int(np.flatnonzero(gain > 1e-3 * MIN_RESPONSE)[-1])
     above = -(-last // rows) * rows  # the part that ends here is folded back whole
     return np.asarray(gain[: above + 1 if above - rows // 2 <= last else last + 1])

@@ -90,7 +90,7 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
             gains=np.array([places.get(f"K:{motor.name}", -1) for motor in robot.motors]),
             lag=int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)]),
         ),
-        load=load_of(problem, arm.P, arm.known),
+        load=load_of(problem, arm),
     )
 
 

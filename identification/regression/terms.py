@@ -15,6 +15,7 @@ from ..arrays import Array, Ints
 from ..model import direct_model
 from .blocks import MotionBlock
 from .problem import Problem
+from .unknowns import Arm
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,18 +82,17 @@ class Load:
     the best fit, and intervals are valid for mu and the links together.
 
     Attributes:
-        P, known: the base parameters P x + known, (b,), as of `Arm`.
+        arm: whose base parameters have it.
         joints, places: the joints (k,) with load friction, and the places of their mu in beta.
     """
 
-    P: Array
-    known: Array
+    arm: Arm
     joints: list[int]
     places: list[int]
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
         """Return F[w mu_j |tau_links| sign(dq_j)], (n, rows), equation (H)."""
-        beta, found = self.P @ x + self.known, np.zeros_like(motion.share)
+        beta, found = self.arm.beta(x), np.zeros_like(motion.share)
         found[self.joints] = beta[self.places, None] * self._sizes(beta, motion)[0]
         return found
 
@@ -100,13 +100,13 @@ class Load:
         """Return the derivatives (n, p, rows) by mu_j, and those by the links' parameters that load
         friction adds to their own.
         """
-        beta, W = self.P @ x + self.known, np.zeros_like(motion.W)
+        beta, W = self.arm.beta(x), np.zeros_like(motion.W)
         links = motion.problem.base.links
         each = zip(self.joints, self.places, *self._sizes(beta, motion), strict=True)
         for j, place, size, s in each:
             W[j, links] = beta[place] * s * motion.W[j, links]
             W[j, place] = size
-        return np.asarray(self.P.T @ W)
+        return np.asarray(self.arm.P.T @ W)
 
     def _sizes(self, beta: Array, motion: MotionBlock) -> tuple[Array, Array]:
         """F[w |tau_links| sign(dq)] and s at the rows, (k, rows) each."""
@@ -118,11 +118,11 @@ class Load:
         return motion.weighted((np.abs(links) * sign).T, joints), s
 
 
-def load_of(problem: Problem, P: Array, known: Array) -> tuple[Load, ...]:
+def load_of(problem: Problem, arm: Arm) -> tuple[Load, ...]:
     """Return the load friction of a robot; none if it has none."""
     places = [i for i, kind in enumerate(problem.kinds) if kind == "load"]
     joints = [int(problem.term_of(problem.base.names[i]).rows[0]) for i in places]
-    return (Load(P=P, known=known, joints=joints, places=places),) if places else ()
+    return (Load(arm=arm, joints=joints, places=places),) if places else ()
 
 
 def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Array) -> Array:

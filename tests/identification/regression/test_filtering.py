@@ -13,7 +13,6 @@ from identification.regression import (
     smooth,
 )
 from identification.regression.filtering import (
-    decimate,
     decimation_passes,
     decimation_reach,
     lowpass,
@@ -71,7 +70,7 @@ def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
     assert (told.value.key, told.value.value) == ("cut-off", 600.0)
     for filtered in (
         lambda: lowpass(np.zeros((12, 1)), 20.0, FS),
-        lambda: decimate(np.zeros(24), 10),
+        lambda: Decimation(factor=10).filtered(np.zeros(24)),
     ):
         with pytest.raises(NoFitError):
             filtered()
@@ -82,7 +81,7 @@ def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, fa
     """By scipy's filters, over the ends extended here as far as their ringing reaches."""
     x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
     near = 6 * factor
-    found = decimate(x, factor)
+    found = Decimation(factor=factor).filtered(x)
     # The value of the line at the end sample.
     first, last = (
         np.polyfit(np.arange(near), y.T, 1)[1][:, None]
@@ -109,7 +108,7 @@ def test_the_low_pass_is_the_recursive_filter_run_forward_and_backward(cutoff_hz
 def test_decimation_with_edges_of_matlab_is_filtfilt(samples, factor):
     x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
     expected = signal.sosfiltfilt(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"), x, padlen=24)
-    found = decimate(x, factor, smooth_ends=False)
+    found = Decimation(factor=factor, smooth_ends=False).filtered(x)
     np.testing.assert_allclose(
         found, expected[:, (samples - 1) % factor :: factor], atol=1e-11 * np.abs(x).max()
     )
