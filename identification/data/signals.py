@@ -125,6 +125,11 @@ class Signals:
         effort = robot.joint_effort(self.robot.motor_effort(self.effort))
         return replace(self, robot=robot, effort=effort)
 
+    def first(self, N: int) -> "Signals":
+        """The first N samples."""
+        columns = (*COLUMNS, "measured")
+        return replace(self, **{x: of[:N] for x in columns if (of := getattr(self, x)) is not None})
+
     @property
     def of_drives(self) -> bool:
         """Whether efforts are objects of drives, which have internal loops."""

@@ -90,8 +90,6 @@ class MotionBlock(Motion):
     @cached_property
     def known(self) -> Array:
         """Return F[w x] (n, rows) of the known torque x, zero for none."""
-        if self.problem.signals.known_torque is None:
-            return np.zeros_like(self.share)
         return self.weighted(self.problem.known(self.t_s).T)
 
     def weighted(self, x: Array, joints: Sequence[int] | Ints | slice = slice(None)) -> Array:
@@ -104,15 +102,11 @@ class MotionBlock(Motion):
 
     def kept(self, x: Array) -> Array:
         """Return the samples of x (N, k) at the instants of the rows, (rows, k)."""
-        return self.decimation.kept(x)[self.inside]
+        return x[self.decimation.instants(len(x))][self.inside]
 
     def rate(self, x: Array) -> Array:
         """Return dx/dt (N, k) of x (N, k), per second."""
         return differentiate(x, 1 / float(self.t_s[1] - self.t_s[0]))
-
-    def own(self, x: Array) -> Array:
-        """Return the samples of x (N, n) that no other block has."""
-        return x[self.decimation.samples(self.inside, len(x))]
 
     @property
     def torque_stride(self) -> int:

@@ -162,10 +162,6 @@ class Decimation:
             else 1
         )
 
-    def kept(self, x: Array) -> Array:
-        """The samples of x (N, n) at the decimated instants, unfiltered."""
-        return x[self.instants(len(x))]
-
     def instants(self, N: int) -> Ints:
         """Indices of the decimated instants in N samples: the last one, and every
         `factor`-th before it.

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -13,12 +12,12 @@ from acquisition.files import release_pages
 from acquisition.robot import Robot
 
 from ..arrays import Array, Bools
-from ..data import COLUMNS, RecordingFile, Signals
+from ..data import RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
 from .filtering import decimation_reach, nearby
 from .law import Law
-from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
+from .motion import SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
     LAG_REACH,
     Overrides,
@@ -78,8 +77,7 @@ class Problem:
         if s.known_torque is not None:
             tau = tau - s.known_torque[low:high]
         tau = sampled_at(np.arange(start - low, stop - low, dtype=np.float64) + by, tau)
-        if len(s.effort) > BLOCK_SAMPLES:
-            release_pages(s.effort)
+        release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
 
     def known(self, t_s: Array) -> Array:
@@ -88,10 +86,6 @@ class Problem:
         if known is None:
             return np.zeros((len(t_s), len(self.signals.robot.joints)))
         return np.asarray(known[np.rint(t_s * fs).astype(np.intp)])
-
-    def used_positions(self) -> Array:
-        """q (N, n) of the span used."""
-        return self.with_samples().signals.q[self.settings.start : self.settings.stop]
 
     def row_times_s(self) -> Array:
         """(rows,) instants of the decimated rows, s: decimation keeps the last sample and
@@ -157,9 +151,7 @@ class Problem:
 
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model, which were measured, and `source`."""
-        s = self.signals
-        none = {name: x[:0] for name in COLUMNS if (x := getattr(s, name)) is not None}
-        signals = replace(s, **none, health={})
+        signals = replace(self.signals.first(0), measured=self.signals.measured, health={})
         return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     def with_samples(self) -> "Problem":
@@ -183,17 +175,10 @@ class Problem:
         """The first minutes of the span used, and some seconds more for the filters; itself if it
         is no longer.
         """
-        whole, fs = self.signals, self.signals.sample_rate_hz
-        stop = self.settings.start + round(BEGINNING_S * fs)
-        if stop >= self.settings.stop:
+        s, fs = self.settings, self.signals.sample_rate_hz
+        if (stop := s.start + round(BEGINNING_S * fs)) >= s.stop:
             return self
-        N = stop + round(MARGIN_S * fs)
-        cut: dict[str, Any] = {
-            name: np.array(x[:N])
-            for name in (*COLUMNS, "measured")
-            if (x := getattr(whole, name)) is not None
-        }
-        signals, settings = replace(whole, **cut), replace(self.settings, stop=stop)
+        signals, settings = self.signals.first(stop + round(MARGIN_S * fs)), replace(s, stop=stop)
         motion = FilteredMotion(signals)
         return replace(self, signals=signals, source=None, motion=motion, settings=settings)
 

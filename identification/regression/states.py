@@ -20,14 +20,10 @@ STATES = 300  # rows of a recording to evaluate friction at
 
 def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:
     """About 300 rows (k,) of a recording, evenly spaced; q, dq, ddq (k, n) at their instants."""
-    problem, parts = problem.with_samples(), list[tuple[Array, ...]]()
-    rows = len(problem.settings.instants)
+    rows, blocks = len(problem.settings.instants), motion_blocks(problem.with_samples())
     wanted = np.arange(0, rows, max(1, rows // STATES))
-    for motion in motion_blocks(problem):
-        rows_here = np.arange(rows)[motion.near][motion.inside]
-        here = np.flatnonzero(np.isin(rows_here, wanted))
-        parts.append(tuple(motion.kept(x)[here] for x in (motion.q, motion.dq, motion.ddq)))
-    q, dq, ddq = (np.concatenate(x) for x in zip(*parts, strict=True))
+    parts = [[motion.kept(x) for x in (motion.q, motion.dq, motion.ddq)] for motion in blocks]
+    q, dq, ddq = (np.concatenate(x)[wanted] for x in zip(*parts, strict=True))
     return wanted, q, dq, ddq
 
 
@@ -66,7 +62,9 @@ def fast_for_lag(motion: MotionBlock, peak: Array) -> Bools:
     """Rows (n, T) of a motion in which a lag shows, by the `peak` speeds (c,) along the
     directions of Coulomb friction.
     """
-    fast = fast_for_lag_by(motion.problem, motion.decimation.kept(motion.dq), peak)
+    fast = fast_for_lag_by(
+        motion.problem, motion.dq[motion.decimation.instants(len(motion.dq))], peak
+    )
     return fast[:, motion.inside]
 
 

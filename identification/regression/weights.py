@@ -128,13 +128,15 @@ def _moves(problem: Problem) -> Bools:
     if that is more. Speeds have the low-pass of the fit, or of the rule if the fit has none or a
     higher one; the noise is the difference. The low-pass smears a speed by half a period of its
     cut-off, so a joint that sticks for a moment seems to creep.
+
+    A low-pass that was put where the motion ends smears a reversal over more than the reversal
+    takes: at twice that frequency speeds have little more noise, and rows beside reversals stay.
     """
-    settings, percent, N = (
-        problem.settings,
-        problem.settings.low_speed_percent,
-        len(problem.signals.q),
-    )
-    directions, cutoff_hz = problem.model.coulomb_directions, _speed_cutoff_hz(problem)
+    settings, fs, N = problem.settings, problem.signals.sample_rate_hz, len(problem.signals.q)
+    percent, directions = settings.low_speed_percent, problem.model.coulomb_directions
+    cutoff_hz = problem.slip_cutoff_hz
+    if problem.signals.motion_hz is not None:
+        cutoff_hz = min(LOOP_PER_MOTION * cutoff_hz, MAX_CUTOFF_SHARE * fs)
     measured = problem.measured_samples()[:, None]
     if percent == 0:
         return np.broadcast_to(measured, (N, directions.shape[1]))
@@ -159,20 +161,8 @@ def _moves(problem: Problem) -> Bools:
     slow = np.abs(speed) < threshold
     slow[1:] |= speed[1:] * speed[:-1] < 0  # a reversal between two samples
     stands = slow @ (directions != 0)
-    blur = round(0.5 * problem.signals.sample_rate_hz / cutoff_hz)
+    blur = round(0.5 * fs / cutoff_hz)
     return ~np.stack([nearby(own, blur) for own in stands.T], axis=1) & measured
-
-
-def _speed_cutoff_hz(problem: Problem) -> float:
-    """Cut-off of the speeds that tell whether a joint moves.
-
-    A low-pass that was put where the motion ends smears a reversal over more than the reversal
-    takes: at twice that frequency speeds have little more noise, and rows beside reversals stay.
-    """
-    if problem.signals.motion_hz is None:
-        return problem.slip_cutoff_hz
-    highest_hz = MAX_CUTOFF_SHARE * problem.signals.sample_rate_hz
-    return min(LOOP_PER_MOTION * problem.slip_cutoff_hz, highest_hz)
 
 
 def _ramped(moves: Bools, L: int) -> Array:

@@ -130,8 +130,9 @@ def _followed(
         q = robot.low_passed(problem.motion, motion.near).q
         torque = motion.tau + problem.known(motion.t_s)
         every = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
-        own = (motion.kept(x) if few else motion.own(x) for x in every)
-        kept.append([*own, motion.filtered(torque.T).T])
+        own = motion.decimation.samples(motion.inside, len(q))  # those that no other block has
+        parts = (motion.kept(x) if few else x[own] for x in every)
+        kept.append([*parts, motion.filtered(torque.T).T])
     t_s, q, dq, ddq, tau, wanted, torque = map(np.concatenate, zip(*kept, strict=True))
     errors, sizes = (q - wanted) * moves, (wanted - wanted.mean(axis=0)) * moves
     percents = [

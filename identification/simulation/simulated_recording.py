@@ -239,8 +239,7 @@ class SimulatedRecording:
             paths = q, dq, differentiate(dq, fs)
             # before the span the reference stands
             at = at - (law.common_delay_s * fs if law is not None else 0.0)
-            if self.instants > CHUNK:
-                release_pages(signals.q_ref)
+            release_pages(signals.q_ref)
         if feedforward is not None:  # held between samples: a cubic would overshoot
             held = np.minimum(each + 1e-6, settings.stop - 1).astype(np.intp)
             feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
@@ -285,8 +284,7 @@ class SimulatedRecording:
             (ddq,) = _on_lines(steps - 0.5, path[2:3])
             (tau,) = _on_lines(steps - self.loop.middle, path[3:])
             x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
-            if self.instants > CHUNK:
-                release_pages(path)
+            release_pages(path)
         return MotionBlock(
             **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
         )
