@@ -217,11 +217,7 @@ def make_unknowns(
         for label in labels
     ]
     carried = payload_columns(problems, labels, scale=bool(motors))
-    names = [
-        name
-        for i, name in enumerate(base.names)
-        for name in ([one[i] for one in of] if i in own else [name])
-    ]
+    names = list(dict.fromkeys(name for each in zip(*of, strict=True) for name in each))
     payloads = tuple(dict.fromkeys(one for one in carried if one is not None))
     names += [name for one in payloads for name in one.names]
     free = (*names, *(f"K:{robot.motors[m].name}" for m in motors))

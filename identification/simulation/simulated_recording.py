@@ -188,11 +188,7 @@ class SimulatedRecording:
             gains, reason = self.gains(model := self.model(beta))
             if reason is None:
                 path, reason = self._simulated(model, gains)
-        shown = path if reason is None else None
-        if len(self.blocks) == 1:  # of a short recording made once
-            made = self._block(*self.blocks[0], shown)
-            return lambda: iter((made,)), gains, reason
-        return lambda: (self._block(*at, shown) for at in self.blocks), gains, reason
+        return lambda: (self._block(*at, path) for at in self.blocks), gains, reason
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -254,17 +250,15 @@ class SimulatedRecording:
             last = min(self.instants, first + CHUNK)
             yield first, self._whole or self.reference(first, last)
 
-    def _simulated(self, model: DirectModel, gains: Array) -> tuple[Array, str | None]:
-        """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or why only the first."""
+    def _simulated(self, model: DirectModel, gains: Array) -> tuple[Array | None, str | None]:
+        """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or why there are none."""
         loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
         robot = ClosedLoop(model, loop, start, fastest=self.fastest, substeps=m)
-        if self._whole is not None:
-            return robot.follow(self._whole, self.bound)
         path = allocate((4, self.instants * m, len(gains)))
         for first, x in self._inputs():
             part, reason = robot.follow(x, self.bound)
             if reason is not None:
-                return part, reason
+                return None, reason
             path[:, first * m : first * m + part.shape[1]] = part
             release_pages(path)
         return path, None
