@@ -60,7 +60,7 @@ def effort_limits(robot: Robot) -> EffortLimits:
     sum. Stated efforts, in N m or N, are not used if the drive gain is not known. The rated effort,
     which drives exceed for seconds, and the range of the object that reports it are no limits.
     """
-    ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
+    ranges = robot.saturation
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
     to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]

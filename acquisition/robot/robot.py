@@ -121,6 +121,11 @@ class Robot:
         return gain
 
     @cached_property
+    def saturation(self) -> Array:
+        """Limits (n,) of the motors' efforts, as recorded; infinite where none is stated."""
+        return np.array([np.inf if m.saturation is None else m.saturation for m in self.motors])
+
+    @cached_property
     def effort_units(self) -> tuple[str, ...]:
         """Unit of each joint's effort: N m or N if the drive gains are known, else A or V."""
         if self.gain_known:

@@ -14,6 +14,7 @@ from .motion import (
     sampled_at,
     smooth,
 )
+from .motor_paths import SATURATED
 from .problem import MAX_CACHED_NUMBERS, Problem, make_problem, row_blocks
 from .rows import (
     Candidate,
@@ -31,7 +32,6 @@ from .settings import (
     Lag,
     Overrides,
     Settings,
-    Span,
     decimation_rule,
     largest_of_type,
     make_settings,

@@ -56,7 +56,7 @@ class MotorPaths:
         self._beside, self.u = beside[:, :-1], beside[:, -1]
         self.rate_hz, self.known = rate_hz, known
 
-    def solve(self, letters: str, late_s: float, near: Found | None = None) -> Found:
+    def solve(self, letters: str, late_s: float, near: Found | None) -> Found:
         """Least squares by the columns `letters`, the speed being `late_s` behind; `near`: the
         solution of another delay of the speed.
         """
@@ -149,11 +149,9 @@ def motor_paths(problem: "Problem", known: Lag, period_s: float) -> list[MotorPa
     step = max(1, n_d // SAMPLES_PER_ROW)
     assert s.q_ref is not None
     u, first = s.robot.motor_effort(s.effort[used]), s.q_ref[used.start] @ R.T
-    limits = SATURATED * np.array([motor.saturation or np.inf for motor in s.robot.motors])
-    saturated: Ints = np.cumsum(
-        (np.abs(u) >= limits) | ~problem.measured_samples()[used, None],  # neither follows the law
-        axis=0,
-    )
+    limited = np.abs(u) >= SATURATED * s.robot.saturation
+    # neither follows the law
+    saturated: Ints = np.cumsum(limited | ~problem.measured_samples()[used, None], axis=0)
     u = u if s.feedforward is None else u - s.feedforward[used]
     r, q, u = (
         lowpass(x, PASSBAND * fs / n_d, fs)

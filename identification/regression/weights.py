@@ -45,12 +45,11 @@ class SampleWeights:
     """
 
     def __init__(self, problem: Problem, moves: Bools) -> None:
-        settings, n = problem.settings, moves.shape[1]
+        settings, few = problem.settings, np.ones(moves.shape[1], dtype=bool)
         self._measured, self.moves = problem.measured_samples(), moves
-        moving, self.ramps = moves[settings.instants], (settings.ramp_rows,) * n
-        few = np.ones(n, dtype=bool)
+        moving, self.ramps = moves[settings.instants], np.zeros(len(few))
         for ramp in (settings.ramp_rows, *(one for one in RAMPS if one < settings.ramp_rows)):
-            self.ramps = tuple(ramp if x else own for x, own in zip(few, self.ramps, strict=True))
+            self.ramps[few] = ramp
             self._set_rows(problem, moving)
             few = (self.of_rows**2).sum(axis=0) < MIN_ROWS_LEFT * moving.sum(axis=0)
             if not few.any():
@@ -69,7 +68,7 @@ class SampleWeights:
             off = 1 - self.between(settings.start + samples.start, settings.start + samples.stop)
             parts.append(1 - decimation.filtered(off)[:, inside] / decimation.gain)
         share = np.concatenate(parts, axis=1).T
-        share = np.where(np.array(self.ramps) == ROWS, moving * share, share)
+        share = np.where(self.ramps == ROWS, moving * share, share)
         self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
 
     def between(self, start: int, stop: int) -> Array:

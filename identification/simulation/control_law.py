@@ -200,9 +200,7 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
         Ki=gains[2],
         position_share=np.array(c.position_gain) if cascade else np.ones(robot.n),
         feedforward=0.0 if cascade or c.structure == "pd" else 1.0,
-        saturation=np.array(
-            [m.saturation if m.saturation is not None else np.inf for m in robot.motors]
-        ),
+        saturation=robot.saturation,
         velocity_estimate=c.velocity_estimate or "backward_difference",
         computed_torque=c.structure == "computed_torque",
         gravity_at_q=c.gravity_feedforward,

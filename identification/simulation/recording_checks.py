@@ -11,7 +11,7 @@ from acquisition.robot import Joint
 
 from ..arrays import Array, Bools
 from ..errors import BadInputError
-from ..regression import BLOCK_SAMPLES, Problem, largest_of_type
+from ..regression import BLOCK_SAMPLES, SATURATED, Problem, largest_of_type
 
 MAX_DEVIATION = 0.5  # of a joint's travel, of a simulation or a reference from the recording
 MIN_TRAVEL = 0.01  # of the largest travel of a joint of the same type: a joint with less is held
@@ -69,12 +69,12 @@ def saturated_percents(problem: Problem) -> dict[str, float]:
     """Percentage of the recorded samples at each motor's limit, by motor and limit;
     empty if none is stated.
     """
-    motors, N = problem.signals.robot.motors, problem.settings.stop - problem.settings.start
-    limits = np.array([motor.saturation or np.inf for motor in motors])
-    at = [(np.abs(effort) >= 0.995 * limits).sum(axis=0) for effort in _motor_efforts(problem)]
+    robot, N = problem.signals.robot, problem.settings.stop - problem.settings.start
+    limits = SATURATED * robot.saturation
+    at = [(np.abs(effort) >= limits).sum(axis=0) for effort in _motor_efforts(problem)]
     return {
         f"{motor.name} ({motor.saturation:.4g} {motor.recorded_unit})": 100.0 * float(k) / N
-        for motor, k in zip(motors, np.sum(at, axis=0), strict=True)
+        for motor, k in zip(robot.motors, np.sum(at, axis=0), strict=True)
         if motor.saturation is not None
     }
 

@@ -169,7 +169,7 @@ def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_
     )
     weights, s = sample_weights(problem), problem.settings
     plain = rows_of_recording(*equation_alone(problem))
-    assert weights.ramps == (2.0, ROWS)
+    assert tuple(weights.ramps) == (2.0, ROWS)
     at = s.start + s.decimator.instants(s.stop - s.start)
     np.testing.assert_array_equal(plain.share[:, 1], weights.moves[at, 1])
     assert 0 < plain.share[:, 1].sum() < len(at)
