@@ -16,7 +16,6 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -155,13 +154,14 @@ def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: fl
     name = "pd" if name == "cascade_p_p" else name
     ways = {one: solved(STRUCTURES[name], one) for one in SPEED_DELAYS}
     estimate = _estimate(ways, motors[0], controller.velocity_estimate)
-    late_s, known = SPEED_DELAYS[estimate] * period_s, repeat(None) if stated is None else stated.T
+    late_s = SPEED_DELAYS[estimate] * period_s
+    known = [None] * len(motors) if stated is None else stated.T
     # a step further: the search ends once steps are small
     near = zip(motors, ways[estimate], strict=True)
     found = [motor.solve(STRUCTURES[name], late_s, one) for motor, one in near]
     each = [
         _values(motor, x, gains, name, late_s)
-        for motor, (_, x), gains in zip(motors, found, known, strict=False)
+        for motor, (_, x), gains in zip(motors, found, known, strict=True)
     ]
     gains, half, times = np.split(np.array(each).T, [3, 6])
     half[0] = np.hypot(half[0], unknown_s * gains[2])

@@ -60,15 +60,15 @@ class PayloadColumns:
         """First moments that are estimated though the centre of mass is stated, kg m:
         values and half-widths.
         """
-        payload, of = self.payload, {LINK[i]: i for i in MOMENTS}
+        payload = self.payload
         if payload.mass_kg is None or payload.center_of_mass_m is None:
             return {}
         phi, half = (
             payload_parameters(self.model, payload),
             payload.mass_kg * payload.center_half_width_m,
         )
-        by_name = {name: of.get(name.partition(":")[0]) for name in self.names}
-        return {name: (float(phi[i]), half) for name, i in by_name.items() if i is not None}
+        each = ((name, name.partition(":")[0]) for name in self.names)
+        return {name: (float(phi[i]), half) for name, of in each for i in MOMENTS if LINK[i] == of}
 
     def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
         """By the half-width of the mass, and of each coordinate of a centre of mass that is not
@@ -100,11 +100,9 @@ class PayloadColumns:
 
         Returns XX XY XZ YY YZ ZZ MX MY MZ M (10,), their deviations, and which come from the prior.
         """
-        given, stated = dict(zip(self.names, phi, strict=True)), np.flatnonzero(self.fixed)
-        by_place = [
-            next((x for n, x in given.items() if n.partition(":")[0] == LINK[i]), self.fixed[i])
-            for i in range(10)
-        ]
+        given = {name.partition(":")[0]: x for name, x in zip(self.names, phi, strict=True)}
+        by_place = [given.get(name, x) for name, x in zip(LINK, self.fixed, strict=True)]
+        stated = np.flatnonzero(self.fixed)
         mass = self.payload.mass_kg or (by_place[MASS] if by_place[MASS] > 0 else 1.0)
         x, y, z = (float(by_place[i] / mass) for i in MOMENTS)
         try:

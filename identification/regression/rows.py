@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, repeat
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -265,16 +265,16 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
     if len(each) == 1:
         return each[0]
     order = by_joint([rows.system for rows in each])
-    of_rows = {name: np.concatenate([getattr(r, name) for r in each])[order] for name in "LCGZ"}
-    of_time = {n: np.concatenate([getattr(r, n) for r in each]) for n in ("share", "tau", "speed")}
+    of: dict[str, Any] = {
+        name: np.concatenate([getattr(rows, name) for rows in each])
+        for name in ("L", "C", "fast", "G", "Z", "share", "tau", "speed")
+    }
+    of |= {name: of[name][order] for name in ("L", "C", "fast", "G", "Z")}
     late, instruments = zip(*(rows.late or (None, None) for rows in each), strict=True)
-    return Rows(
-        x=each[0].x,
+    return replace(
+        each[0],
         system=stacked([rows.system for rows in each]),
-        fast=np.concatenate([rows.fast for rows in each])[order],
-        **of_rows,
-        **of_time,
-        recorded=each[0].recorded,
+        **of,
         late=None if None in late else (stacked(late), np.concatenate(instruments)[by_joint(late)]),
     )
 

@@ -327,12 +327,8 @@ def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
     """(n,) largest of the `values` (n,) of joints of the same type, or of all
     joints where that is zero.
     """
-    found = np.array(
-        [
-            max(x for x, other in zip(values, joints, strict=True) if other.type == j.type)
-            for j in joints
-        ]
-    )
+    types = np.array([joint.type for joint in joints])
+    found = np.array([values[types == of].max() for of in types])
     return np.where(found > 0, found, values.max())
 
 
@@ -341,11 +337,8 @@ def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
     joint of the same type.
     """
     limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
-    return tuple(
-        joint.name
-        for joint, speed, limit in zip(joints, peak, limits, strict=True)
-        if not speed > limit
-    )
+    each = zip(joints, peak > limits, strict=True)
+    return tuple(joint.name for joint, moves in each if not moves)
 
 
 def rule_cutoff_hz(signals: Signals) -> float:
