@@ -171,13 +171,9 @@ class Decimation:
 
 def decimation_passes(factor: int) -> tuple[int, ...]:
     """Factors, each at most 13 if possible, whose product is `factor`: 100 is two passes by 10."""
-    if factor == 1:
-        return ()
-    if factor <= MAX_PASS:
-        return (factor,)
     divisors = [d for d in range(2, MAX_PASS + 1) if factor % d == 0]
-    if not divisors:
-        return (factor,)
+    if factor <= MAX_PASS or not divisors:
+        return (factor,) if factor > 1 else ()
     # The plan with the fewest passes, and of those the most even one: filters of
     # similar, moderate cut-offs.
     plans = [(d, *decimation_passes(factor // d)) for d in divisors]

@@ -88,14 +88,14 @@ class MotorPaths:
         _, v, dv, _ = self._q(L + late_s)
         e, de, none, half_s = r - q, dr - dq, 0.0 * r, self._half_s
         found = {
-            "e": lambda: (e, -dr, -de),
-            "f": lambda: (dr - v, -ddr, dv - ddr),
-            "v": lambda: (-v, none, dv),
-            "w": lambda: (dr, -ddr, -ddr),
-            "i": lambda: (ir - iq + half_s * e, -r - half_s * dr, -e - half_s * de),
-            "q": lambda: (-q, none, dq),
+            "e": (e, -dr, -de),
+            "f": (dr - v, -ddr, dv - ddr),
+            "v": (-v, none, dv),
+            "w": (dr, -ddr, -ddr),
+            "i": (ir - iq + half_s * e, -r - half_s * dr, -e - half_s * de),
+            "q": (-q, none, dq),
         }
-        c, by_d, by_L = np.array([found[one]() for one in letters]).transpose(1, 2, 0)
+        c, by_d, by_L = np.array([found[one] for one in letters]).transpose(1, 2, 0)
         return np.c_[c, self._beside], by_d, by_L
 
     def _first_delay(self, letters: str, late_s: float, by: str) -> float:

@@ -146,8 +146,9 @@ def payload_columns(
         dict[Payload, PayloadColumns](),
     )
     stated = [payload for payload in payloads if payload is not None]
-    by_mass = sorted(stated, key=lambda one: np.inf if one.mass_kg is None else one.mass_kg)
-    lightest = by_mass[0] if len(stated) == len(payloads) else None
+    lightest = None
+    if len(stated) == len(payloads):
+        lightest = min(stated, key=lambda one: np.inf if one.mass_kg is None else one.mass_kg)
     for problem, payload, label in zip(problems, payloads, labels, strict=True):
         if payload is not None and payload not in found:
             found[payload] = _columns(

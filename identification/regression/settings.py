@@ -187,22 +187,26 @@ def make_settings(
     )
     given = overrides.low_speed_percent
     low_speed = robot.low_speed_by_method(stored.low_speed if given is None else given)
-    places = robot.check_recorded_positions(
-        signals.robot, signals.t_s, signals.q, signals.recording
-    )
     # A fit with --gains starts with gains of one where none is described: its
     # efforts are no torques yet.
-    looked_for = signals.robot.identified_gain is not None
-    overloads = () if looked_for else robot.check_recorded_efforts(signals.robot, signals.effort)
-    warnings = [*signals.assumed, *places, *overloads]
+    overloads = (
+        robot.check_recorded_efforts(signals.robot, signals.effort)
+        if signals.robot.identified_gain is None
+        else ()
+    )
+    warnings = [
+        *signals.assumed,
+        *robot.check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording),
+        *overloads,
+    ]
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
     if fs <= least_hz:
-        expected = (
-            f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, "
-            "not a period"
-        )
         raise BadInputError(
-            place=signals.recording, key="sample_rate_hz", value=fs, expected=expected
+            place=signals.recording,
+            key="sample_rate_hz",
+            value=fs,
+            expected=f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in "
+            "Hz, not a period",
         )
     highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * bandwidth_hz
     stated_hz = stored.cutoff_hz if overrides.cutoff_hz is None else overrides.cutoff_hz
@@ -258,8 +262,10 @@ def make_settings(
     decimation = overrides.decimation or stored.decimation or rule
     passband_hz = 0.8 * fs / (2 * decimation)
     if decimation > rule and signals.motion_hz is None and passband_hz < rows_hz:
-        least = f"twice the bandwidth of {bandwidth_hz:g} Hz"
-        warnings.append(f"decimation by {decimation} keeps {passband_hz:g} Hz, less than {least}")
+        warnings.append(
+            f"decimation by {decimation} keeps {passband_hz:g} Hz, less than twice the bandwidth "
+            f"of {bandwidth_hz:g} Hz"
+        )
     span_rule = overrides.span or stored.span
     start, stop, span, standing = _span(
         signals, motion or FilteredMotion(signals), cutoff_hz, span_rule
@@ -366,13 +372,11 @@ def _span(
         return 0, N, "all samples", ()
     if signals.track is not None:
         return *signals.track, "the recording's tracking phase", ()
-    # the filter of the rule separates motion from noise, also if the fit has none
-    if cutoff_hz is None:
-        cutoff_hz = rule_cutoff_hz(signals)
     speed = np.empty(signals.q.shape, dtype=np.float32)
     for a in range(0, N, BLOCK_SAMPLES):
         b = min(N, a + BLOCK_SAMPLES)
-        speed[a:b] = np.abs(filtered.between(a, b, cutoff_hz).dq)
+        # the filter of the rule separates motion from noise, also if the fit has none
+        speed[a:b] = np.abs(filtered.between(a, b, cutoff_hz or rule_cutoff_hz(signals)).dq)
     peak = speed.max(axis=0)
     if not peak.any():
         raise NoFitError(

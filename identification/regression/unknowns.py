@@ -9,7 +9,7 @@ what is stated with a half-width, which is held at its value; and the lags, whic
 own.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -100,13 +100,16 @@ class Held:
     Attributes:
         name: in x.
         value: in x; `half`: half-width of its 95 % interval.
-        stated: moves of what is stated of the free unknowns (f,) per unit.
+        stated: moves of what is stated of the free unknowns (f,) per unit; `base`: those of the
+            base parameters (b,) that have the `payload`, None for a drive.
     """
 
     name: str
     value: float
     half: float
     stated: Array
+    base: Array
+    payload: PayloadColumns | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -222,22 +225,32 @@ def make_unknowns(
     names += [name for one in payloads for name in one.names]
     free = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
     held = [
-        Held(name=f"K:{motor.name}", value=1.0, half=half / gain, stated=np.zeros(len(free)))
+        Held(
+            name=f"K:{motor.name}",
+            value=1.0,
+            half=half / gain,
+            stated=np.zeros(len(free)),
+            base=np.zeros(base.b),
+            payload=None,
+        )
         for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
         if (half := motor.drive_gain_half_width) and m not in motors
     ]
-    of_payload = {
-        f"half-width {i}:{number}": (one, *both)
-        for number, one in enumerate(payloads)
-        for i, both in enumerate(one.half_widths(free))
-    }
     held += [
-        Held(name=name, value=0.0, half=1.0, stated=stated)
-        for name, (_, _, stated) in of_payload.items()
+        Held(
+            name=f"half-width {i}:{number}",
+            value=0.0,
+            half=1.0,
+            stated=stated,
+            base=moves,
+            payload=one,
+        )
+        for number, one in enumerate(payloads)
+        for i, (moves, stated) in enumerate(one.half_widths(free))
     ]
     groups = lag_groups(problems)
     x = (*free, *(one.name for one in held), *(f"lag {g}" for g in range(len(groups))))
-    arms = tuple(_arm(x, *one, of_payload) for one in zip(of, carried, strict=True))
+    arms = tuple(_arm(x, *one, held) for one in zip(of, carried, strict=True))
     return Unknowns(
         names=free,
         arms=arms,
@@ -263,15 +276,15 @@ def _arm(
     x: tuple[str, ...],
     names: tuple[str, ...],
     payload: PayloadColumns | None,
-    stated: Mapping[str, tuple[PayloadColumns, Array, Array]],
+    held: Sequence[Held],
 ) -> Arm:
     P, known = np.zeros((len(names), len(x))), np.zeros(len(names))
     P[np.arange(len(names)), _places(x, names)] = 1.0
     if payload is not None:
         P[:, _places(x, payload.names)], known = payload.columns, payload.known
-    for name, (of, moves, _) in stated.items():
-        if of is payload:
-            P[:, x.index(name)] = moves
+    for one in held:
+        if one.payload is payload:
+            P[:, x.index(one.name)] = one.base
     return Arm(names=names, unknowns=x, P=P, known=known, payload=payload)
 
 
