@@ -102,20 +102,16 @@ class PayloadColumns:
         """
         given = {name.partition(":")[0]: x for name, x in zip(self.names, phi, strict=True)}
         by_place = [given.get(name, x) for name, x in zip(LINK, self.fixed, strict=True)]
-        stated = np.flatnonzero(self.fixed)
+        stated, not_found = np.flatnonzero(self.fixed), (np.zeros(10), np.ones(10, dtype=bool))
         mass = self.payload.mass_kg or (by_place[MASS] if by_place[MASS] > 0 else 1.0)
         x, y, z = (float(by_place[i] / mass) for i in MOMENTS)
         try:
             ball = payload_parameters(self.model, Payload(mass, (x, y, z)))
+            if covariance is None or not len(phi):
+                return np.where(self.fixed != 0, self.fixed, ball), *not_found
             K = np.concatenate([self.grouping, np.eye(len(LINK))[stated]])
             sd = np.maximum(KNOWN_SHARE * np.abs(self.fixed[stated]), 1e-9)
             C = np.diag(np.r_[np.full(len(phi), 1e-12), sd**2])
-            if covariance is None or not len(phi):
-                return (
-                    np.where(self.fixed != 0, self.fixed, ball),
-                    np.zeros(len(LINK)),
-                    np.ones(len(LINK), dtype=bool),
-                )
             C[: len(phi), : len(phi)] = covariance
             body = PhysicalParameters(
                 links=np.arange(len(LINK))[None],
@@ -126,7 +122,7 @@ class PayloadColumns:
             found = consistent_parameters(np.r_[phi, self.fixed[stated]], C, K, body)
             (sigma, share), _ = parameter_certainty(found, C, K, body)
         except (NoFitError, np.linalg.LinAlgError):  # no body is near: what is known
-            return self.fixed, np.zeros(len(LINK)), np.ones(len(LINK), dtype=bool)
+            return self.fixed, *not_found
         return found.chi, sigma, share > PRIOR_SHARE
 
 

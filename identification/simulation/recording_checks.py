@@ -83,9 +83,14 @@ def unstated_limits(problem: Problem) -> list[str]:
     """Drives that saturate, below a stated limit or without one, in words."""
     found, motors = list[str](), problem.signals.robot.motors
     peaks = np.max([np.abs(effort).max(axis=0) for effort in _motor_efforts(problem)], axis=0)
-    each = (zip(np.abs(effort).T, peaks, strict=True) for effort in _motor_efforts(problem))
     counts = np.sum(
-        [[np.histogram(x, 1000, (0, peak or 1.0))[0][::-1] for x, peak in of] for of in each],
+        [
+            [
+                np.histogram(x, 1000, (0, peak or 1.0))[0][::-1]
+                for x, peak in zip(np.abs(effort).T, peaks, strict=True)
+            ]
+            for effort in _motor_efforts(problem)
+        ],
         axis=0,
     )
     for motor, peak, share in zip(motors, peaks, counts / counts[0].sum(), strict=True):
