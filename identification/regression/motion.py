@@ -70,8 +70,9 @@ class FilteredMotion:
         motion = motion_between(
             q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop
         )
-        release_pages(self._q)
-        release_pages(s.torque)
+        if q is self._q:
+            release_pages(q)
+            release_pages(s.torque)
         return motion
 
 

@@ -17,7 +17,7 @@ from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
 from .filtering import decimation_reach, nearby
 from .law import Law
-from .motion import SPLINE_REACH, FilteredMotion, sampled_at
+from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
     LAG_REACH,
     Overrides,
@@ -77,7 +77,8 @@ class Problem:
         if s.known_torque is not None:
             tau = tau - s.known_torque[low:high]
         tau = sampled_at(np.arange(start - low, stop - low, dtype=np.float64) + by, tau)
-        release_pages(s.effort)
+        if len(s.effort) > BLOCK_SAMPLES:
+            release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
 
     def known(self, t_s: Array) -> Array:

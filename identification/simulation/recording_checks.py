@@ -126,8 +126,9 @@ def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
     start, stop = problem.settings.start, problem.settings.stop
     for a in range(start, stop, BLOCK_SAMPLES):
         yield [x[a : min(stop, a + BLOCK_SAMPLES)] for x in series]
-        for x in series:
-            release_pages(x)
+        if stop - start > BLOCK_SAMPLES:
+            for x in series:
+                release_pages(x)
 
 
 def refuse_instants(problem: Problem, period_s: float, duration_s: float, substeps: int) -> None:

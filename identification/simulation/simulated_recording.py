@@ -188,7 +188,8 @@ class SimulatedRecording:
             gains, reason = self.gains(model := self.model(beta))
             if reason is None:
                 path, reason = self._simulated(model, gains)
-        return lambda: (self._block(*at, path) for at in self.blocks), gains, reason
+        shown = path if reason is None else None
+        return lambda: (self._block(*at, shown) for at in self.blocks), gains, reason
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -235,7 +236,8 @@ class SimulatedRecording:
             paths = q, dq, differentiate(dq, fs)
             # before the span the reference stands
             at = at - (law.common_delay_s * fs if law is not None else 0.0)
-            release_pages(signals.q_ref)
+            if self.instants > CHUNK:
+                release_pages(signals.q_ref)
         if feedforward is not None:  # held between samples: a cubic would overshoot
             held = np.minimum(each + 1e-6, settings.stop - 1).astype(np.intp)
             feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
@@ -250,15 +252,17 @@ class SimulatedRecording:
             last = min(self.instants, first + CHUNK)
             yield first, self._whole or self.reference(first, last)
 
-    def _simulated(self, model: DirectModel, gains: Array) -> tuple[Array | None, str | None]:
-        """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or why there are none."""
+    def _simulated(self, model: DirectModel, gains: Array) -> tuple[Array, str | None]:
+        """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or why only the first."""
         loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
         robot = ClosedLoop(model, loop, start, fastest=self.fastest, substeps=m)
+        if self._whole is not None:
+            return robot.follow(self._whole, self.bound)
         path = allocate((4, self.instants * m, len(gains)))
         for first, x in self._inputs():
             part, reason = robot.follow(x, self.bound)
             if reason is not None:
-                return None, reason
+                return part, reason
             path[:, first * m : first * m + part.shape[1]] = part
             release_pages(path)
         return path, None
@@ -278,7 +282,8 @@ class SimulatedRecording:
             (ddq,) = _on_lines(steps - 0.5, path[2:3])
             (tau,) = _on_lines(steps - self.loop.middle, path[3:])
             x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
-            release_pages(path)
+            if self.instants > CHUNK:
+                release_pages(path)
         return MotionBlock(
             **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
         )
