@@ -60,19 +60,22 @@ def effort_limits(robot: Robot) -> EffortLimits:
     sum. Stated efforts, in N m or N, are not used if the drive gain is not known. The rated effort,
     which drives exceed for seconds, and the range of the object that reports it are no limits.
     """
-    ranges = robot.saturation
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
     to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]
     uncoupled = np.count_nonzero(to_motor, axis=1) == 1
     for j, (joint, axis) in enumerate(zip(robot.joints, np.eye(robot.n), strict=True)):
-        stated = joint.si("effort") if robot.gain_known else None
         own = np.flatnonzero(uncoupled & (to_motor[:, j] != 0))
-        limit = np.min(ranges[own] / np.abs(to_motor[own, j]), initial=stated or math.inf)
+        limit = np.min(
+            robot.saturation[own] / np.abs(to_motor[own, j]),
+            initial=(robot.gain_known and joint.si("effort")) or math.inf,
+        )
         rows.append((f"joint {joint.name}", axis, float(limit), robot.effort_units[j]))
     rows += [
         (f"motor {motor.name}", row, float(limit), motor.recorded_unit)
-        for motor, row, limit, single in zip(robot.motors, to_motor, ranges, uncoupled, strict=True)
+        for motor, row, limit, single in zip(
+            robot.motors, to_motor, robot.saturation, uncoupled, strict=True
+        )
         if not single
     ]
     rows = [row for row in rows if math.isfinite(row[2])]

@@ -17,7 +17,6 @@ from ..estimation import (
     f_test,
     moves_of,
     relative_residual,
-    release_memory,
     spans_of,
     torque_errors,
 )
@@ -110,7 +109,6 @@ def fit_of(
     rows, predicted, predict = evidence.observed, evidence.predicted, partial(model.predicted, x)
     names = tuple(joint.name for joint in model.problem.signals.robot.joints)
     evidence = with_predictions(evidence, predict)
-    release_memory(rows.C)
     filtered, warnings = model, _warnings(model)
     measured, of_model, speed = rows.tau, predicted, rows.speed
     try:  # errors of the model, without the noise that passes the cut-off of the fit

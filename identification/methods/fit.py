@@ -125,9 +125,9 @@ class Pass:
 
 def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    reduced, narrow = set(essential.names), found.half < np.abs(estimate.beta)
-    names = (estimate.names[i] for i in base_places(estimate.names) if narrow[i])
-    return tuple(name for name in names if name in reduced)
+    at = base_places(estimate.names)
+    at = at[found.half[at] < np.abs(estimate.beta[at])]
+    return tuple(name for i in at if (name := estimate.names[i]) in essential.names)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,7 +16,7 @@ from itertools import groupby
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import deviations_of_sums, orthonormal
+from ..estimation import deviations_of_sums, orthonormal, release_memory
 from ..report import Assumed
 from . import candidates
 from .evidence import FitData, TrustLine, first_case
@@ -104,6 +104,7 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
         the sign of the speed.
     """
     found = list[candidates.MissingTerm]()
+    release_memory(evidence.observed.C)
     for kind, of in groupby(evidence.candidates.terms, lambda term: term.kind):
         terms = _scored(evidence, kind, list(of), fast=kind == candidates.CLOCKS)
         found += [x for x in terms if kind != candidates.STRIBECK or x.value > 0]
