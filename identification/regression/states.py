@@ -53,7 +53,7 @@ def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
 
 def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
-    motion = next(motion_blocks(problem))
+    motion = next(motion_blocks(problem.with_samples()))
     q, dq, ddq = (motion.kept(x) for x in (motion.q, motion.dq, motion.ddq))
     return dq, torque_of_links(problem, beta, q, dq, ddq)
 
