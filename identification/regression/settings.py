@@ -101,7 +101,7 @@ class Settings:
         cutoff_hz: low-pass of the position (one direction), None without.
         decimation: samples per decimated row, n_d.
         filtered: whether the low-pass is that of the rule, or a lower one.
-        edges: how the decimation treats the two ends (`filtering.decimate`).
+        edges: how the decimation treats the two ends (`filtering.Decimation`).
         low_speed: slower samples weigh nothing, by method; `low_speed_percent`: of the method
             of this fit (`weights`).
         ramp_rows: L of the weights, in rows.
