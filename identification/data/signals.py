@@ -126,9 +126,13 @@ class Signals:
         return replace(self, robot=robot, effort=effort)
 
     def first(self, N: int) -> "Signals":
-        """The first N samples."""
-        columns = (*COLUMNS, "measured")
-        return replace(self, **{x: of[:N] for x in columns if (of := getattr(self, x)) is not None})
+        """The first N samples, copied: a view would hold all of them."""
+        parts: dict[str, Any] = {
+            name: np.array(of[:N])
+            for name in (*COLUMNS, "measured")
+            if (of := getattr(self, name)) is not None
+        }
+        return replace(self, **parts)
 
     @property
     def of_drives(self) -> bool:
