@@ -261,10 +261,11 @@ def _cause(evidence: FitData) -> str:
     beta += payload.values(evidence.estimate) * base.links if payload else 0.0
     links = direct_model(problem.model, base.standard_parameters(beta)).torques_of_links
     recorded, counts = evidence.observed.tau[at], evidence.observed.share[at] > 0
+    as_recorded = links(*motion)
 
     def left(of_motion: Array, of_torque: Array) -> float:
-        q, dq, ddq = (x @ of_motion for x in motion)
-        tau, rigid = recorded @ of_torque, links(q, dq, ddq)
+        tau, (q, dq, ddq) = recorded @ of_torque, (x @ of_motion for x in motion)
+        rigid = as_recorded if of_motion is same else links(q, dq, ddq)
         moves = (counts @ np.abs(of_motion) > 0).T[..., None]
         others = np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2)
         others = np.linalg.qr(others * moves)[0]
