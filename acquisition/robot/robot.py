@@ -123,7 +123,9 @@ class Robot:
     @cached_property
     def saturation(self) -> Array:
         """Limits (n,) of the motors' efforts, as recorded; infinite where none is stated."""
-        return np.array([np.inf if m.saturation is None else m.saturation for m in self.motors])
+        return np.broadcast_to(  # read-only, as the robot is
+            [np.inf if m.saturation is None else m.saturation for m in self.motors], self.n
+        )
 
     @cached_property
     def effort_units(self) -> tuple[str, ...]:
