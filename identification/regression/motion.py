@@ -56,7 +56,7 @@ class FilteredMotion:
         self._made: dict[object, Any] = {}
 
     def once(self, key: object, make: Callable[[], Made]) -> Made:
-        """What is made of this motion with settings `key`, made once."""
+        """What is made of this motion, made once; `key`: what it is, and its settings."""
         if key not in self._made:
             self._made[key] = make()
         found: Made = self._made[key]
@@ -66,7 +66,10 @@ class FilteredMotion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
         s, q, fs = self._signals, self._q, self._signals.sample_rate_hz
         if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
-            q, cutoff_hz = self.once(cutoff_hz, partial(lowpass, q, cutoff_hz, fs)), None
+            q, cutoff_hz = (
+                self.once(("low-passed", cutoff_hz), partial(lowpass, q, cutoff_hz, fs)),
+                None,
+            )
         motion = motion_between(
             q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop
         )

@@ -92,8 +92,8 @@ def sample_weights(problem: Problem, given: SampleWeights | None = None) -> Samp
     s, once = problem.settings, problem.motion.once
     span = (s.start, s.stop, s.decimation, s.cutoff_hz, s.low_speed_percent)
     return once(
-        (*span, s.ramp_rows),
-        lambda: given or SampleWeights(problem, once(span, lambda: _moves(problem))),
+        ("weights", *span, s.ramp_rows),
+        lambda: given or SampleWeights(problem, once(("moves", *span), lambda: _moves(problem))),
     )
 
 

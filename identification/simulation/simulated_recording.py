@@ -188,8 +188,11 @@ class SimulatedRecording:
             gains, reason = self.gains(model := self.model(beta))
             if reason is None:
                 path, reason = self._simulated(model, gains)
-        shown = path if reason is None else None
-        return lambda: (self._block(*at, shown) for at in self.blocks), gains, reason
+        return (
+            lambda: (self._block(*at, path if reason is None else None) for at in self.blocks),
+            gains,
+            reason,
+        )
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -306,7 +309,7 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
     if (r := problem.signals.q_ref) is None:
         return problem.motion
     span = problem.settings.start, problem.settings.stop
-    return problem.motion.once(span, lambda: _predicted(problem.signals, r, *span))
+    return problem.motion.once(("predicted", *span), lambda: _predicted(problem.signals, r, *span))
 
 
 def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMotion:
