@@ -14,7 +14,6 @@ from .bus import (
 )
 from .description import (
     Capsule,
-    FrictionTerm,
     Joint,
     RobotFile,
 )
@@ -29,6 +28,7 @@ from .drives import (
     refuse_out_of_range,
 )
 from .fit_tables import Controller, Edges, LowSpeed, low_speed_by_method
+from .friction import FRICTION, FrictionTerm
 from .limits import (
     RADIANS_AS_DEGREES,
     EffortLimits,

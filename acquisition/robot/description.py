@@ -13,9 +13,9 @@ import numpy as np
 
 from .bus import BusFile
 from .fit_tables import GAINS, Controller, Identification, PayloadFile
+from .friction import FrictionTerm
 from .toml import Name, Positive, TomlTable, note
 
-FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
 Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
 Matrix = tuple[tuple[float, ...], ...]
 

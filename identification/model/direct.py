@@ -16,10 +16,12 @@ import eigenpy
 import numpy as np
 import pinocchio as pin
 
+from acquisition.robot import FRICTION
+
 from ..arrays import Array
 from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
-from .joint_terms import FRICTION, SHAPES, JointTerm, Kind
+from .joint_terms import SHAPES, JointTerm, Kind
 
 _POSES = 300  # positions of a trajectory at which M is checked
 # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples

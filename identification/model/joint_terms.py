@@ -20,71 +20,19 @@ one joint only belongs to that joint's Ia and Fv: on the Stäubli TX40 tau5 has 
 and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
-from acquisition.robot import FrictionTerm, Robot
+from acquisition.robot import FRICTION, FrictionTerm, Robot
 
 from ..arrays import Array, Ints
 
 Kind = Literal["rotor"] | FrictionTerm
 ROOT_ROUNDING = 1e-3  # rad/s or m/s, added to the speed under a rounded root
-
-
-@dataclass(frozen=True, kw_only=True)
-class Friction:
-    """A friction term of the description as a function of the speed u; to add a term,
-    add a row to `FRICTION`.
-
-    Attributes:
-        name: of its parameter; `motor_name` for a motor that turns with several joints, "" if
-            such a motor has none.
-        unit: of the parameter, from {effort} and {length}.
-        size: per unit of the parameter, of u, the described speed and the
-            size of the links' torque.
-        slope: its derivative by u, of u and the described speed.
-        has_sign: the term is sign(u) size, which jumps or is steep at 0; else it is the size.
-        is_steep: the slope is infinite at 0.
-    """
-
-    name: str
-    motor_name: str = ""
-    unit: str = "{effort}"
-    size: Callable[[Array, float | Array, float | Array], Array]
-    slope: Callable[[Array, float | Array], Array] = lambda u, u_s: 0.0 * u
-    has_sign: bool = True
-    is_steep: bool = False
-
-
-FRICTION: dict[Kind, Friction] = {
-    "coulomb": Friction(name="Fc", motor_name="Fcm", size=lambda u, u_s, load: np.ones_like(u)),
-    "asymmetric": Friction(
-        name="Fa",
-        unit="{effort} s/{length}",
-        size=lambda u, u_s, load: np.abs(u),
-        slope=lambda u, u_s: np.sign(u),
-        has_sign=False,
-    ),
-    "root": Friction(
-        name="Fr",
-        motor_name="Frm",
-        unit="{effort} (s/{length})^½",
-        size=lambda u, u_s, load: np.sqrt(np.abs(u)),
-        slope=lambda u, u_s: 0.5 * np.sign(u) / np.sqrt(np.abs(u)),
-        is_steep=True,
-    ),
-    "stribeck": Friction(
-        name="Fs",
-        motor_name="Fsm",
-        size=lambda u, u_s, load: np.exp(-((u / u_s) ** 2)),
-        slope=lambda u, u_s: -2 * u / u_s**2 * np.exp(-((u / u_s) ** 2)),
-    ),
-    "load": Friction(name="mu", unit="", size=lambda u, u_s, load: load + 0.0 * u),
-}
 # further friction: neither viscous nor Coulomb
 SHAPES = tuple(kind for kind in FRICTION if kind != "coulomb")
 SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign)
