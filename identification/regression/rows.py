@@ -24,7 +24,7 @@ from .lag import LagCollector
 from .problem import Problem
 from .states import fast_for_lag
 from .terms import Drives, Load, load_of
-from .unknowns import Arm, Unknowns, make_unknowns
+from .unknowns import Arm, Stated, Unknowns, make_unknowns
 from .weights import sample_weights
 
 # numbers of the positions of all recordings together whose measured motion is kept: 8 MB, a few
@@ -39,7 +39,7 @@ class Equation:
     Attributes:
         problem: recording, settings, and model of the robot.
         unknowns: x.
-        arm, drives, load: its terms.
+        arm, drives, load, stated: its terms.
     """
 
     problem: Problem
@@ -47,6 +47,7 @@ class Equation:
     arm: Arm
     drives: Drives
     load: tuple[Load, ...]
+    stated: tuple[Stated, ...]
 
     @cached_property
     def _made(self) -> tuple[MotionBlock, ...]:
@@ -59,9 +60,9 @@ class Equation:
         return motion_blocks(self.problem.with_samples())
 
     @property
-    def terms(self) -> tuple[Arm | Drives | Load, ...]:
+    def terms(self) -> tuple[Arm | Drives | Load | Stated, ...]:
         """All terms."""
-        return self.arm, self.drives, *self.load
+        return self.arm, self.drives, *self.load, *self.stated
 
     def residual(self, x: Array, motion: MotionBlock) -> Array:
         """Return the residual (n, rows), N m or N, about x (p,): the known torque that no term
@@ -78,7 +79,7 @@ class Equation:
 
 def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
     """Put together the equation of motion of recording k: its arm, its drives, and load friction
-    if the robot has any.
+    and what is stated if there is any.
     """
     arm, places = unknowns.arms[k], {name: i for i, name in enumerate(unknowns.all)}
     robot = problem.signals.robot
@@ -91,6 +92,7 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
             lag=int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)]),
         ),
         load=load_of(problem, arm),
+        stated=(Stated(held=held, first=len(unknowns.names)),) if (held := unknowns.held) else (),
     )
 
 

@@ -9,12 +9,15 @@ what is stated with a half-width, which is held at its value; and the lags, whic
 own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+
+from acquisition.robot import Payload
 
 from ..arrays import Array, Ints
 from ..errors import BadInputError
@@ -95,21 +98,44 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Held:
-    """Something stated of a recording or a drive, which an estimate holds.
+    """Something stated with a half-width, which an estimate holds; intervals count it.
 
     Attributes:
         name: in x.
         value: in x; `half`: half-width of its 95 % interval.
-        stated: moves of what is stated of the free unknowns (f,) per unit; `base`: those of the
-            base parameters (b,) that have the `payload`, None for a drive.
+        stated: moves of what else is stated of the free unknowns (f,) per unit.
+        column: the torque (n, rows) that it adds along a motion per unit, weighted and decimated;
+            None for the gain of a drive, whose term has it.
     """
 
     name: str
     value: float
     half: float
     stated: Array
-    base: Array
-    payload: PayloadColumns | None
+    column: Callable[[MotionBlock], Array] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stated:
+    """What is stated, as a term: the torques of those that have a column.
+
+    `held` are all, `first` is the place of their first in x.
+    """
+
+    held: tuple[Held, ...]
+    first: int
+
+    def torque(self, x: Array, motion: MotionBlock) -> Array:
+        """Return the torque (n, rows) by x (p,)."""
+        return np.asarray(x @ self.columns(x, motion))
+
+    def columns(self, x: Array, motion: MotionBlock) -> Array:
+        """Return its derivatives (n, p, rows)."""
+        found = np.zeros((len(motion.share), len(x), motion.share.shape[1]))
+        for place, one in enumerate(self.held, self.first):
+            if one.column is not None:
+                found[:, place] = one.column(motion)
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,14 +251,7 @@ def make_unknowns(
     names += [name for one in payloads for name in one.names]
     free = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
     held = [
-        Held(
-            name=f"K:{motor.name}",
-            value=1.0,
-            half=half / gain,
-            stated=np.zeros(len(free)),
-            base=np.zeros(base.b),
-            payload=None,
-        )
+        Held(name=f"K:{motor.name}", value=1.0, half=half / gain, stated=np.zeros(len(free)))
         for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
         if (half := motor.drive_gain_half_width) and m not in motors
     ]
@@ -242,15 +261,14 @@ def make_unknowns(
             value=0.0,
             half=1.0,
             stated=stated,
-            base=moves,
-            payload=one,
+            column=partial(_with_payload, one.payload, moves),
         )
         for number, one in enumerate(payloads)
         for i, (moves, stated) in enumerate(one.half_widths(free))
     ]
     groups = lag_groups(problems)
     x = (*free, *(one.name for one in held), *(f"lag {g}" for g in range(len(groups))))
-    arms = tuple(_arm(x, *one, held) for one in zip(of, carried, strict=True))
+    arms = tuple(_arm(x, *one) for one in zip(of, carried, strict=True))
     return Unknowns(
         names=free,
         arms=arms,
@@ -272,20 +290,17 @@ def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
     return tuple(map(tuple, groups.values()))
 
 
-def _arm(
-    x: tuple[str, ...],
-    names: tuple[str, ...],
-    payload: PayloadColumns | None,
-    held: Sequence[Held],
-) -> Arm:
+def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | None) -> Arm:
     P, known = np.zeros((len(names), len(x))), np.zeros(len(names))
     P[np.arange(len(names)), _places(x, names)] = 1.0
     if payload is not None:
         P[:, _places(x, payload.names)], known = payload.columns, payload.known
-    for one in held:
-        if one.payload is payload:
-            P[:, x.index(one.name)] = one.base
     return Arm(names=names, unknowns=x, P=P, known=known, payload=payload)
+
+
+def _with_payload(payload: Payload, moves: Array, motion: MotionBlock) -> Array:
+    """The torque (n, rows) of `moves` (b,) of the base parameters of recordings with a payload."""
+    return np.asarray(moves @ motion.W * (motion.problem.signals.payload == payload))
 
 
 def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
