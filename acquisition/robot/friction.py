@@ -25,7 +25,7 @@ class Friction:
             such a motor has none.
         unit: of the parameter, from {effort} and {length}.
         size: per unit of the parameter, of u, the described speed and the
-            size of the links' torque.
+            size of the links' torque; 1 at any speed, as of Coulomb friction, by default.
         slope: its derivative by u, of u and the described speed.
         has_sign: the term is sign(u) size, which jumps or is steep at 0; else it is the size.
         is_steep: the slope is infinite at 0.
@@ -34,14 +34,14 @@ class Friction:
     name: str
     motor_name: str = ""
     unit: str = "{effort}"
-    size: Callable[[Array, float | Array, float | Array], Array]
+    size: Callable[[Array, float | Array, float | Array], Array] = lambda u, *_: np.ones_like(u)
     slope: Callable[[Array, float | Array], Array] = lambda u, u_s: 0.0 * u
     has_sign: bool = True
     is_steep: bool = False
 
 
 FRICTION: dict[str, Friction] = {
-    "coulomb": Friction(name="Fc", motor_name="Fcm", size=lambda u, u_s, load: np.ones_like(u)),
+    "coulomb": Friction(name="Fc", motor_name="Fcm"),
     "asymmetric": Friction(
         name="Fa",
         unit="{effort} s/{length}",

@@ -92,7 +92,8 @@ class JointTerm:
         sign: Array | float = np.sign(u) if friction.has_sign else 1.0
         if self.side:
             sign = np.asarray(self.side * (self.side * u > 0), dtype=float)
-        return np.asarray(self.direction[j] * (sign * friction.size(u, self.speed, load)))
+        size = friction.size(u, self.speed, load) if self.kind in SHAPES else 1.0
+        return np.asarray(self.direction[j] * (sign * size))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
         """Derivatives of `entry` by speed (N, n) and by acceleration (n,); zero for terms with
@@ -122,8 +123,9 @@ class JointTerm:
         sign, steepness = x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5 / slow
         at = np.abs(u) + ROOT_ROUNDING * friction.is_steep
         size, slope = (
-            friction.size(at, self.speed, 0.0),
-            np.sign(u) * friction.slope(at, self.speed),
+            (friction.size(at, self.speed, 0.0), np.sign(u) * friction.slope(at, self.speed))
+            if self.kind in SHAPES
+            else (1.0, 0.0)
         )
         # friction of one direction is half of sign(u) + 1 or of sign(u) - 1
         share = 0.5 if self.side else 1.0

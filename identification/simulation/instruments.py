@@ -15,7 +15,7 @@ from ..estimation import one_thread
 from ..model import nearest_consistent
 from ..regression import Candidate, Equation, Motion, MotionBlock, Rows, rows_of_recording
 from ..report import DirectModelResidual
-from .simulated_recording import COARSE, FINE, ControllerKind, SimulatedRecording
+from .simulated_recording import COARSE, FINE, ControllerKind, SimulatedRecording, predicted_motion
 
 MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
@@ -87,10 +87,10 @@ def simulate(
     -------
     The simulated motion with how it follows the recording, and the rows.
     """
-    beta, (x, asked) = None, about
+    x, asked = about
     robot = prepared(COARSE if asked is None else FINE)
     kind: InstrumentKind = "reference"
-    why = None
+    why, gains = None, np.ones(len(robot.held))
     if asked is not None:
         beta, covariance, payload = asked
         why = robot.gains(robot.model(beta))[1]
@@ -101,10 +101,11 @@ def simulate(
                 beta = nearest_consistent(*own, covariance).beta + payload
             if why is None and beta is asked[0]:
                 why = "no physically consistent robot is near: that of the estimate itself"
-    along, gains, reason = robot.motion(beta)
-    if reason is not None:
-        kind, why = "reference", reason
-    rows = rows_of_recording(equation, x, further, along(), of_lag=of_lag)
+        path, gains, reason = robot.simulated(beta)
+        if reason is not None:
+            kind, why = "reference", reason
+    motion = predicted_motion(robot.problem) if kind == "reference" else path
+    rows = rows_of_recording(equation, x, further, robot.motion(motion), of_lag=of_lag)
     found = Simulated(
         recording=robot.problem.signals.recording,
         controller=robot.controller,
@@ -114,7 +115,9 @@ def simulate(
         gains=gains,
         prior_known=robot.prior_known,
     )
-    return found if kind == "reference" else _followed(found, robot, along(), rows.tau), rows
+    if kind != "reference":
+        found = _followed(found, robot, robot.motion(motion), rows.tau)
+    return found, rows
 
 
 def _followed(

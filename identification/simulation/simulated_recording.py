@@ -16,7 +16,7 @@ they are less efficient.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Literal
 
@@ -166,33 +166,34 @@ class SimulatedRecording:
         scales, self.held = position_scales(travel, robot.joints)
         self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
-    def motion(
-        self, beta: Array | None
-    ) -> tuple[Callable[[], Iterator[MotionBlock]], Array, str | None]:
-        """Simulate the robot of base parameters beta in closed loop.
-
-        If beta is None, or the robot cannot be simulated or leaves its reference, the motion is
-        that which the reference predicts, with the recorded torque.
-
-        Parameters
-        ----------
-        beta : (b,) base parameters of the robot, or None.
+    def simulated(self, beta: Array) -> tuple[Array, Array, str | None]:
+        """Simulate the robot of base parameters beta (b,) in closed loop.
 
         Returns
         -------
-        The motion, block by block, with the torque of its drives; the factors (n,) on the
-        controller's gains, equation (E); and why beta was not simulated, or None.
+        Its path (4, K, n), which is q, dq, ddq, tau at all steps; the factors (n,) on the
+        controller's gains, equation (E); and why it cannot be simulated, or where it leaves its
+        reference, or None.
         """
-        path, gains, reason = None, np.ones(len(self.held)), None
-        if beta is not None:
-            gains, reason = self.gains(model := self.model(beta))
-            if reason is None:
-                path, reason = self._simulated(model, gains)
-        return (
-            lambda: (self._block(*at, path if reason is None else None) for at in self.blocks),
-            gains,
-            reason,
-        )
+        gains, reason = self.gains(model := self.model(beta))
+        if reason is not None:
+            return np.zeros((4, 0, len(gains))), gains, reason
+        loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
+        robot = ClosedLoop(model, loop, start, fastest=self.fastest, substeps=m)
+        path = np.zeros(0) if self._whole else allocate((4, self.instants * m, len(gains)))
+        for first, x in self._inputs():
+            part, reason = robot.follow(x, self.bound)
+            if reason is not None or self._whole:
+                return part, gains, reason
+            path[:, first * m : first * m + part.shape[1]] = part
+            release_pages(path)
+        return path, gains, None
+
+    def motion(self, along: Array | FilteredMotion) -> Iterator[MotionBlock]:
+        """Return the motion of a simulated path (4, K, n), or another one with the recorded
+        torque, block by block.
+        """
+        return (self._block(*at, along) for at in self.blocks)
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -255,38 +256,23 @@ class SimulatedRecording:
             last = min(self.instants, first + CHUNK)
             yield first, self._whole or self.reference(first, last)
 
-    def _simulated(self, model: DirectModel, gains: Array) -> tuple[Array, str | None]:
-        """q, dq, ddq, tau (4, K, n) of the closed loop at all steps, or why only the first."""
-        loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
-        robot = ClosedLoop(model, loop, start, fastest=self.fastest, substeps=m)
-        if self._whole is not None:
-            return robot.follow(self._whole, self.bound)
-        path = allocate((4, self.instants * m, len(gains)))
-        for first, x in self._inputs():
-            part, reason = robot.follow(x, self.bound)
-            if reason is not None:
-                return part, reason
-            path[:, first * m : first * m + part.shape[1]] = part
-            release_pages(path)
-        return path, None
-
-    def _block(self, near: slice, inside: slice, path: Array | None) -> MotionBlock:
-        """A block of a simulated path, linear between steps, or of the predicted motion."""
+    def _block(self, near: slice, inside: slice, along: Array | FilteredMotion) -> MotionBlock:
+        """A block of a simulated path, linear between steps, or of another motion."""
         problem, fs = self.problem, self.problem.signals.sample_rate_hz
-        if path is None:
-            x = self.low_passed(predicted_motion(problem), near)
+        if isinstance(along, FilteredMotion):
+            x = self.low_passed(along, near)
         else:
             span = self.decimation.samples(near, self.N)
             k = np.arange(span.start, span.stop)
             steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
-            q, dq = _on_lines(steps, path[:2])
+            q, dq = _on_lines(steps, along[:2])
             # The acceleration is that of the middle of a step; a torque stands for the middle of
             # the controller's instants.
-            (ddq,) = _on_lines(steps - 0.5, path[2:3])
-            (tau,) = _on_lines(steps - self.loop.middle, path[3:])
+            (ddq,) = _on_lines(steps - 0.5, along[2:3])
+            (tau,) = _on_lines(steps - self.loop.middle, along[3:])
             x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
             if self.instants > CHUNK:
-                release_pages(path)
+                release_pages(along)
         return MotionBlock(
             **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
         )
