@@ -24,10 +24,11 @@ class Friction:
         name: of its parameter; `motor_name` for a motor that turns with several joints, "" if
             such a motor has none.
         unit: of the parameter, from {effort} and {length}.
-        size: per unit of the parameter, of u, the described speed and the
+        size: per unit of the parameter, of |u|, the described speed and the
             size of the links' torque; 1 at any speed, as of Coulomb friction, by default.
-        slope: its derivative by u, of u and the described speed.
-        has_sign: the term is sign(u) size, which jumps or is steep at 0; else it is the size.
+        slope: its derivative by |u|, of |u| and the described speed.
+        has_sign: the term is sign(u) size, which jumps or is steep at 0; false for |u| alone, which
+            a simulated robot knows as viscous friction by direction.
         is_steep: the slope is infinite at 0.
     """
 
@@ -45,16 +46,16 @@ FRICTION: dict[str, Friction] = {
     "asymmetric": Friction(
         name="Fa",
         unit="{effort} s/{length}",
-        size=lambda u, u_s, load: np.abs(u),
-        slope=lambda u, u_s: np.sign(u),
+        size=lambda u, u_s, load: u,
+        slope=lambda u, u_s: np.ones_like(u),
         has_sign=False,
     ),
     "root": Friction(
         name="Fr",
         motor_name="Frm",
         unit="{effort} (s/{length})^½",
-        size=lambda u, u_s, load: np.sqrt(np.abs(u)),
-        slope=lambda u, u_s: 0.5 * np.sign(u) / np.sqrt(np.abs(u)),
+        size=lambda u, u_s, load: np.sqrt(u),
+        slope=lambda u, u_s: 0.5 / np.sqrt(u),
         is_steep=True,
     ),
     "stribeck": Friction(

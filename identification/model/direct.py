@@ -122,7 +122,7 @@ class DirectModel:
         u = (dq if dq_sign is None else dq_sign) @ self.directions.T
         sliding = self.up * (u > 0) - self.down * (u < 0)
         if self.shapes:
-            sliding = sliding + np.sign(u) * self.shape(u, rigid @ self.directions.T)
+            sliding = sliding + np.sign(u) * self.shape(np.abs(u), rigid @ self.directions.T)
         return np.asarray(rigid + (self.without_sliding(dq, ddq) + sliding @ self.directions))
 
     def torques_of_links(
@@ -147,8 +147,8 @@ class DirectModel:
         return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + self.offset)
 
     def shape(self, u: Array, rigid: Array) -> Array:
-        """Size (..., c) of further friction at speeds u (..., c) and links' torques `rigid` (...,
-        c) along the directions.
+        """Size (..., c) of further friction at speeds u (..., c), not negative, and links' torques
+        `rigid` (..., c) along the directions.
         """
         load = np.abs(rigid)
         return sum(

@@ -92,7 +92,7 @@ class JointTerm:
         sign: Array | float = np.sign(u) if friction.has_sign else 1.0
         if self.side:
             sign = np.asarray(self.side * (self.side * u > 0), dtype=float)
-        size = friction.size(u, self.speed, load) if self.kind in SHAPES else 1.0
+        size = friction.size(np.abs(u), self.speed, load) if self.kind in SHAPES else 1.0
         return np.asarray(self.direction[j] * (sign * size))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
@@ -106,7 +106,9 @@ class JointTerm:
             acts = dq * self.side > 0 if self.side else np.ones(dq.shape)
             by_speed = acts * self.matrix[j]
         elif self.kind in SHAPES and self.kind not in SLIDING:
-            slope = FRICTION[self.kind].slope(dq @ self.direction, self.speed)
+            slope = np.sign(u := dq @ self.direction) * FRICTION[self.kind].slope(
+                np.abs(u), self.speed
+            )
             by_speed = self.direction[j] * np.outer(slope, self.direction)
         return by_speed, by_acceleration
 

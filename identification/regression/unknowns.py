@@ -104,15 +104,15 @@ class Held:
         name: in x.
         value: in x; `half`: half-width of its 95 % interval.
         stated: moves of what else is stated of the free unknowns (f,) per unit.
-        column: the torque (n, rows) that it adds along a motion per unit, weighted and decimated;
-            None for the gain of a drive, whose term has it.
+        column: the torque (n, rows) that it adds per unit about x (p,) along a motion, weighted and
+            decimated; None for the gain of a drive, whose term has it.
     """
 
     name: str
     value: float
     half: float
     stated: Array
-    column: Callable[[MotionBlock], Array] | None = None
+    column: Callable[[Array, MotionBlock], Array] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,7 +134,7 @@ class Stated:
         found = np.zeros((len(motion.share), len(x), motion.share.shape[1]))
         for place, one in enumerate(self.held, self.first):
             if one.column is not None:
-                found[:, place] = one.column(motion)
+                found[:, place] = one.column(x, motion)
         return found
 
 
@@ -298,7 +298,7 @@ def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | N
     return Arm(names=names, unknowns=x, P=P, known=known, payload=payload)
 
 
-def _with_payload(payload: Payload, moves: Array, motion: MotionBlock) -> Array:
+def _with_payload(payload: Payload, moves: Array, _: Array, motion: MotionBlock) -> Array:
     """The torque (n, rows) of `moves` (b,) of the base parameters of recordings with a payload."""
     return np.asarray(moves @ motion.W * (motion.problem.signals.payload == payload))
 

@@ -6,17 +6,25 @@ import tomllib
 import numpy as np
 from conftest import REPLAY
 
-from acquisition.robot import fourier_reference, robot_from_files
+from acquisition.robot import FRICTION, fourier_reference, robot_from_files
 from identification.data import Recordings, signals_from_arrays
 from identification.design import with_terms
 from identification.export import replace_in_tables
-from identification.model import InverseModel, base_parameters, described_parameters, direct_model
+from identification.model import (
+    SHAPES,
+    InverseModel,
+    base_parameters,
+    described_parameters,
+    direct_model,
+)
 from identification.regression import FilteredMotion, Motion, Overrides, make_problem
 from identification.study import Noise, closed_loop, random_reference
 
 USUAL = ["viscous", "coulomb", "offset"]
 RECORDED_HZ = 250.0  # of `recorded`, whose noise is as dense as 2 % at 1 kHz
 ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]
+# whatever `FRICTION` has, so that a term that is new is tried too
+EVERY = [*USUAL, *(kind for kind in SHAPES if kind != "stribeck"), "stribeck"]
 
 
 def with_friction(text: str, terms) -> str:
@@ -45,13 +53,19 @@ def direct_of(model, base, beta):
     return direct_model(model, base.standard_parameters(beta))
 
 
-def whole_arm():
-    """The TX40 with every term at every joint, and values for them."""
+def whole_arm(terms=ALL):
+    """The TX40 with these terms at every joint, and values for them."""
+    values = {FRICTION[kind].name: 0.2 for kind in terms if kind in {*SHAPES} - {"load"}} | {
+        "Fa": 0.1,
+        "Fr": 0.7,
+        "Fs": 0.4,
+    }
     more = "".join(
-        f"Off{j} = 0.{j}\nFa{j} = 0.1\nFr{j} = 0.7\nFs{j} = 0.4\nmu{j} = 0.{j + 1}\n"
+        f"Off{j} = 0.{j}\nmu{j} = 0.{j + 1}\n"
+        + "".join(f"{name}{j} = {value}\n" for name, value in values.items())
         for j in range(1, 7)
     )
-    return described("tx40", [ALL] * 6, f"{more}Frm6 = 0.5\nFsm6 = 0.3\n")
+    return described("tx40", [terms] * 6, f"{more}Frm6 = 0.5\nFsm6 = 0.3\n")
 
 
 class Exact(FilteredMotion):

@@ -12,6 +12,7 @@ from command_runs import refused
 from conftest import REPLAY
 from fits_of_records import signals_of
 from friction_models import (
+    EVERY,
     USUAL,
     axis,
     described,
@@ -107,11 +108,11 @@ def test_columns_and_units_are_those_of_the_formulas(arm):
     assert "Fam6" not in units
 
 
-def test_direct_and_inverse_model_agree_with_every_term(arm):
+def test_direct_and_inverse_model_agree_with_every_term():
     """tau = W beta + mu |tau_rigid| sign(dq), tau_rigid the base columns whose own parameter
     is a link's, times beta.
     """
-    model, base, beta = model_of(arm)
+    model, base, beta = model_of(whole_arm(EVERY))
     q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 40, 6))
     W = model.regressor(q, dq, ddq)[:, :, base.columns]
     links = [not re.fullmatch(r"(Ia|F..?|Off|mu)\d", model.names[c]) for c in base.columns]
@@ -125,11 +126,11 @@ def test_direct_and_inverse_model_agree_with_every_term(arm):
         )
 
 
-def test_slopes_of_the_terms_are_differences_of_their_columns(arm):
+def test_slopes_of_the_terms_are_differences_of_their_columns():
     """Of friction with a sign, those of the rounded column; this is the
     column itself but near rest.
     """
-    model, _, _ = model_of(arm)
+    model, _, _ = model_of(whole_arm(EVERY))
     dq = np.random.default_rng(2).uniform(0.2, 1.0, (30, 6)) * np.random.default_rng(3).choice(
         [-1.0, 1.0], (30, 1)
     )

@@ -359,7 +359,7 @@ def test_without_a_reference_the_gains_are_those_of_the_measured_motion(pair, fi
 
 def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
     free, loaded = with_reference(*pair)
-    monkeypatch.setattr(SimulatedRecording, "_simulated", None)
+    monkeypatch.setattr(SimulatedRecording, "simulated", None)
     fit = fit_with_gains(replace(free, payload=loaded.payload), replace(loaded, payload=None))
     line = fit.trust.line("fixed point")
     assert (line.level, fit.trust.verdict) == ("caution", "do not use")
