@@ -75,12 +75,8 @@ def write(
         writer.event(len(samples), "phase", "stop")
 
 
-def nothing_more(writer: Writer) -> None:
-    """Nothing else stands in the file."""
-
-
 def written_again(
-    path: Path, out: Path, more: Callable[[Writer], None] = nothing_more, **how: Any
+    path: Path, out: Path, more: Callable[[Writer], None] = lambda _: None, **how: Any
 ) -> Path:
     """The content of an MCAP file as another program writes it, and `more` before its end."""
     with path.open("rb") as file, out.open("wb") as other:

@@ -19,7 +19,8 @@ NONE = np.zeros(N, dtype=bool)
 
 def recorded(seed, *, speed=1.0, noise=1.0):
     """Positions and efforts (N, n) of six joints on sines, friction at their reversals."""
-    rng, w = np.random.default_rng(seed), speed * 2 * np.pi * rng_frequencies(seed)
+    rng, others = map(np.random.default_rng, (seed, 1000 + seed))
+    w = speed * 2 * np.pi * others.uniform(0.2, 0.7, ARM.n)
     phases = rng.uniform(0, 6, ARM.n)
     q, dq = np.sin(np.outer(T_S, w) + phases), w * np.cos(np.outer(T_S, w) + phases)
     effort = 30 * np.sin(q + JOINTS) - 4 * w * q + 6 * np.tanh(dq / 0.01) + 2 * dq
@@ -27,10 +28,6 @@ def recorded(seed, *, speed=1.0, noise=1.0):
         q + noise * 1e-5 * rng.normal(size=q.shape),
         effort + noise * 0.2 * rng.normal(size=q.shape),
     )
-
-
-def rng_frequencies(seed):
-    return np.random.default_rng(1000 + seed).uniform(0.2, 0.7, ARM.n)
 
 
 def judged(stamps, q, u):
@@ -55,10 +52,6 @@ def with_motors(effort, motors, lost, values):
 
 def on_lines(x):
     return np.stack([np.interp(T_S, T_S[~GAPS], own[~GAPS]) for own in x.T], 1)
-
-
-def held_long(x):
-    return frozen(x, LONG)
 
 
 BURSTS = rows_from(*((k, k + 30) for k in range(250, N, 500)))
@@ -88,7 +81,10 @@ LOSSES = {
     "efforts filled by lines": (lambda q, u: (q, on_lines(u)), GAPS),
     "all held, in bursts": (lambda q, u: (q, frozen(u, BURSTS)), BURSTS),
     "one motor zero": (lambda q, u: (q, with_motors(u, [1], LONG, np.zeros_like)), LONG),
-    "one motor held": (lambda q, u: (q, with_motors(u, [3], LONG, held_long)), LONG),
+    "one motor held": (
+        lambda q, u: (q, with_motors(u, [3], LONG, lambda x: frozen(x, LONG))),
+        LONG,
+    ),
     "one coupled motor zero": (lambda q, u: (q, with_motors(u, [5], LONG, np.zeros_like)), LONG),
     "gaps filled by a spline": (
         lambda q, u: tuple(CubicSpline(T_S[~GAPS], x[~GAPS])(T_S) for x in (q, u)),

@@ -374,3 +374,12 @@ def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
     np.testing.assert_allclose(
         accelerations, [17 / 2, (17 - 1.5 * 9.81 * 0.4) / inertia], rtol=2e-3
     )
+
+
+def test_a_brake_holds_its_joint_while_others_move():
+    """The elbow of the SCARA pushes the shoulder."""
+    plant, _ = described_robot(robot_named("scara"))
+    before, _ = plant.state()
+    plant.step(np.array([0.0, 1.0]), np.array([True, False]), 0.02)
+    shoulder, elbow = plant.state()[0] - before
+    assert abs(shoulder) < 1e-9 < 1e-4 < elbow

@@ -17,7 +17,7 @@ import identification.methods.idim as idim
 from acquisition.robot import Payload, load_robot
 from identification.commands import main
 from identification.data import Recordings, load_signals
-from identification.methods import identify, identify_ls, read_model
+from identification.methods import fit_document, identify, identify_ls, read_model
 from identification.methods.model import model_of
 from identification.model import (
     LINK,
@@ -43,10 +43,6 @@ ALL = Overrides(gains=("all",))
 
 def fitted(*signals, **overrides):
     return identify(Recordings(sources=signals), Overrides(**overrides))
-
-
-def with_reference(*signals):
-    return tuple(replace(one, q_ref=one.q.copy()) for one in signals)
 
 
 def exact(observed, case):
@@ -358,7 +354,7 @@ def test_without_a_reference_the_gains_are_those_of_the_measured_motion(pair, fi
 
 
 def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
-    free, loaded = with_reference(*pair)
+    free, loaded = (replace(one, q_ref=one.q.copy()) for one in pair)
     monkeypatch.setattr(SimulatedRecording, "simulated", None)
     fit = fit_with_gains(replace(free, payload=loaded.payload), replace(loaded, payload=None))
     line = fit.trust.line("fixed point")
@@ -424,6 +420,12 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
     true = payload_parameters(InverseModel(free.robot), loaded.payload)
     told = [(p, x) for p, x in zip(found.parameters, true, strict=True) if not p.from_prior]
     assert len(told) >= len(names) - 2
+    (table,) = (one.table for one in fit_document(fit).sections if "payload of" in one.title)
+    assert [row[-1] == "stated" for row in table.rows] == [
+        payload.mass_kg is not None,
+        *[payload.center_of_mass_m is not None] * 3,
+        *[False] * 6,
+    ]
     assert all(abs(p.value - x) <= 2.5 * p.half_width + 1e-6 for p, x in told)
 
 

@@ -22,7 +22,6 @@ from identification.study import Noise
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
-DENSE = Overrides(decimation=4, cutoff_hz=40.0)  # more rows, so that blocks are several
 VALUES = "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n"
 
 

@@ -24,15 +24,11 @@ FS = 1000.0
 T = np.arange(8000) / FS
 
 
-def gain_at(f_hz: float, cutoff_hz: float) -> float:
-    y = lowpass(np.sin(2 * np.pi * f_hz * T)[:, None], cutoff_hz, FS)[2000:6000, 0]
-    return float(np.sqrt(2 * np.mean(y**2)))
-
-
 @pytest.mark.parametrize("cutoff_hz", [10.0, 400.0])
 def test_forward_backward_3db_frequency_is_where_the_gain_is_minus_3_db(cutoff_hz):
     f_hz = forward_backward_3db_hz(cutoff_hz, FS)
-    assert 20 * np.log10(gain_at(f_hz, cutoff_hz)) == pytest.approx(-3.01, abs=0.02)
+    y = lowpass(np.sin(2 * np.pi * f_hz * T)[:, None], cutoff_hz, FS)[2000:6000, 0]
+    assert 10 * np.log10(2 * np.mean(y**2)) == pytest.approx(-3.01, abs=0.02)
 
 
 def test_derivatives_of_sines_for_every_joint():

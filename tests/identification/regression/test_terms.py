@@ -9,7 +9,12 @@ import pytest
 from friction_models import exact_problem, whole_arm
 
 from acquisition.robot import fourier_reference
-from identification.regression import equation_of, make_unknowns, motion_blocks
+from identification.regression import (
+    equation_of,
+    make_unknowns,
+    motion_blocks,
+    torque_of_recording,
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +40,8 @@ def test_terms_leave_nothing_of_an_exact_torque(exact):
     equation, x, motion = exact
     size = np.linalg.norm(equation.drives.torque(x, motion), axis=1)
     assert (np.linalg.norm(equation.residual(x, motion), axis=1) < 1e-9 * size).all()
+    tau, whole, _ = torque_of_recording(equation, x)  # from its first sample on
+    np.testing.assert_allclose(whole, tau, atol=1e-9 * np.abs(tau).max())
     predicted = motion.with_torque_of(equation.arm.beta(x))
     for drives, whole in ((motion, motion.tau), (predicted, motion.tau)):
         known = equation.drives.measured(x, drives)

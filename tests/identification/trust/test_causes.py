@@ -126,16 +126,20 @@ def test_radians_declared_as_degrees_are_asked_for():
     assert first(fit_by_least_squares(signals)) == ("caution", "radians declared as degrees?")
 
 
-@pytest.mark.parametrize("bandwidth_hz", [5.0, None])
-def test_a_period_for_a_rate_is_refused(bandwidth_hz):
+@pytest.mark.parametrize(
+    ("bandwidth_hz", "rate_hz", "least_hz"), [(5.0, 0.001, 10), (None, 0.001, 1), (None, 1.0, 1)]
+)
+def test_a_period_for_a_rate_is_refused(bandwidth_hz, rate_hz, least_hz):
     signals = setup("scara", duration_s=1.0).recording(1)
     robot = replace(
         signals.robot, controller=type(signals.robot.controller)(bandwidth_hz=bandwidth_hz)
     )
     with pytest.raises(BadInputError) as refused:
-        make_problem(replace(at_rate(signals, 0.001), robot=robot), Overrides())
+        make_problem(replace(at_rate(signals, rate_hz), robot=robot), Overrides())
     assert refused.value.key == "sample_rate_hz"
-    assert "not a period" in refused.value.expected
+    assert refused.value.expected == (
+        f"above {least_hz} Hz, twice the bandwidth of the position loop: a rate in Hz, not a period"
+    )
 
 
 def test_a_known_lag_and_the_data_are_compared_by_students_t():

@@ -44,14 +44,6 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     assert "## verdict: " in file.static["/report"]["TextDocument:text"][0]
 
 
-def error_scale(title, name, unit):
-    """What an error of 1 rad or 1 m is drawn as, by its plot's title."""
-    return {
-        f"position error {name} [{p}{unit}]": factor
-        for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))
-    }[title]
-
-
 @pytest.mark.parametrize("name", ["two joints, with reference", "one joint"])
 def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
     signals = made_up(types=("revolute",)) if name == "one joint" else scara()
@@ -68,9 +60,11 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
     np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
     np.testing.assert_allclose(x, simulated.q[:, 0])
     titles = {origin: title for origin, (_, title) in file.views.items()}
-    per_unit = error_scale(
-        titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit
-    )
+    # what an error of 1 rad or 1 m is drawn as, by its plot's title
+    per_unit = {
+        f"position error {name} [{p}{signals.robot.joints[0].position_unit}]": factor
+        for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))
+    }[titles[f"/error/{name}".replace(" ", "\\ ")]]
     k, x = file.curve("error", name, "simulated")
     np.testing.assert_allclose(x / per_unit, fit.recordings[0].simulated.error[:, 0])
     np.testing.assert_allclose(
