@@ -369,7 +369,7 @@ KINDS = (
         unit="{effort}",
         advice="look for a brake or a cable that drags then, or leave that time out",
         parts=PARTS,
-        least_percent=lambda _: 5.0,  # of as many tries, some t are large by chance
+        least_percent=lambda _: 10.0,  # of as many tries, some t are large by chance
         lacks=lambda of, k: "coulomb" in of.robot.joints[k // PARTS].terms,
         missing="",
     ),

@@ -170,6 +170,18 @@ def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     assert len(shares) == 3
 
 
+def test_a_lag_is_found_where_joints_reverse_often():
+    """A command acts for the period after it: half a sample early. Behind a filter of six rows no
+    joint has enough.
+    """
+    fit = fit_by_default(replace(white("scara"), highest_hz=2.0).recording(0))
+    (lag,), line = fit.data.lags, fit.trust.line("lag")
+    assert (lag.order, fit.trust.verdict) == (2, "trust")
+    assert line.text.endswith("whitened over 2 rows, not 6, as joints reverse often")
+    assert lag.found[0] == pytest.approx(-0.0005, abs=lag.half_width_s)
+    assert lag.half_width_s < 0.0002
+
+
 def test_a_late_elbow_is_named():
     def late(signals):
         effort = signals.effort.copy()
