@@ -221,23 +221,30 @@ def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
-def deviations_of_sums(system: System, z: Array, rho: Array, Q: Array) -> Array:
+def deviations_of_sums(
+    system: System, z: Array, rho: Array, Q: Array, common: Array | None = None
+) -> Array:
     """Standard deviations (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
 
     rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The
-    deviations are corrected for what the two remove, as in `estimate_deviations`.
+    deviations are corrected for what the two remove, as in `estimate_deviations`. `common` (r, m):
+    orthonormal directions beside Q that all columns together remove, in place of one each.
     """
     own, each = z - Q @ (Q.T @ z), []  # the direction that a column adds to Q, none in its span
     size, whole = (np.linalg.norm(x, axis=0) for x in (own, z))
     own = np.divide(own, size, out=np.zeros_like(own), where=size > MIN_OWN * whole)
     for B, spans in _by_span(system):
         order, cuts = np.concatenate(spans), np.cumsum([0, *map(len, spans)])
-        of_z, of_rho, of_own, of_Q = (x[order] for x in (z, rho, own, Q))
-        at = [slice(*both) for both in pairwise(cuts)]
-        cosine, each_Q = _family(B, len(at)), np.array([of_z[k].T @ of_Q[k] for k in at])
-        scores, squares, by_own = (_sums(of_z * x, cuts) for x in (of_rho, of_z, of_own))
-        along = np.tensordot(cosine, each_Q, axes=1)
-        lost = (along**2).sum(axis=-1) + (cosine @ by_own) ** 2
+        of_z, cosine = z[order], _family(B, len(spans))
+        scores, squares, by_own = (
+            _sums(of_z * x, cuts) for x in (rho[order], of_z, own[order] if common is None else 0.0)
+        )
+        lost = (cosine @ by_own) ** 2
+        for basis in (Q,) if common is None else (Q, common):
+            each_span = zip(pairwise(cuts), spans, strict=True)
+            products = [of_z[slice(*both)].T @ basis[at] for both, at in each_span]
+            along = np.tensordot(cosine, np.array(products), axes=1)
+            lost = lost + (along**2).sum(axis=-1)
         share = _share((cosine**2 @ squares - lost).mean(axis=0), squares.sum(axis=0))
         each.append(deviations(scores, B) / np.sqrt(share))
     return np.asarray(np.hypot.reduce(each))

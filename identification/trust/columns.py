@@ -124,7 +124,10 @@ def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
     """
     found = list[MissingTerm]()
     release_memory(evidence.observed.C)
-    for kind, of in groupby(evidence.candidates.terms, lambda term: term.kind):
+    # of parts of the time those of a joint, which have to be told apart
+    for (kind, _), of in groupby(
+        evidence.candidates.terms, lambda x: (x.kind, x.joint if x.kind == kinds.IN_PARTS else None)
+    ):
         terms = _scored(evidence, kind, list(of), fast=kind == kinds.CLOCKS)
         found += [x for x in terms if kind not in kinds.POSITIVE or x.value > 0 or not x.found]
     for i, term in enumerate(found):
@@ -173,11 +176,11 @@ def _scored(
     own = z[:, independent].T
     of_all = np.linalg.lstsq(own @ C[:, independent], own @ rho, rcond=1e-6)[0]
     with_term, with_all = rho[:, None] - g * apart, rho - apart[:, independent] @ of_all
-    noise, removed = with_term, Q
-    if kind == kinds.IN_PARTS:  # the others of a joint would count as noise
-        last = np.arange(1, len(terms) + 1) % kinds.PARTS == 0  # less the sum of the others
-        noise, removed = with_all[:, None] + 0 * z, orthonormal(np.c_[Q, z[:, independent & ~last]])
-    sigma = deviations_of_sums(observed.system, z, noise, removed) / np.abs(size)
+    noise, common = with_term, None
+    if kind == kinds.IN_PARTS:  # the others would count as noise; the last is less their sum
+        some = z[:, independent][:, :-1]
+        noise, common = with_all[:, None], orthonormal(some - Q @ (Q.T @ some))
+    sigma = deviations_of_sums(observed.system, z, noise, Q, common) / np.abs(size)
     found_well = np.isin(estimate.names, evidence.essential)
     within = np.where(found_well, evidence.intervals.half, np.inf)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
