@@ -232,7 +232,7 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
     rows = LagCollector(problem, share, x[:, None], speed)
     for z in motions:
         rows.add(np.outer([2, 1, 3], x[z.near][z.inside])[None], z)
-    white, Z, _ = rows.rows(("lag",))
+    white, Z = rows.rows(("lag",))
     np.testing.assert_allclose(Z, 2 * white.W, atol=1e-12)
     np.testing.assert_allclose(white.Y, 3 * white.W[:, 0], atol=1e-12)
     fast = np.abs(speed[:, 0]) > 0.2 * np.abs(speed).max()
