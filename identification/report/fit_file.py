@@ -118,7 +118,7 @@ class Assumed(msgspec.Struct, frozen=True):
 class PassFile(msgspec.Struct, frozen=True, kw_only=True):
     """A pass of the instrumental variable method."""
 
-    instruments: Literal["simulated", "consistent", "reference"]
+    instruments: str
     reason: str | None
     residual_norm: float
     largest_change_sigma: float | None
