@@ -25,7 +25,7 @@ class Friction:
             such a motor has none.
         unit: of the parameter, from {effort} and {length}.
         size: per unit of the parameter, of |u|, the described speed and the
-            size of the links' torque; 1 at any speed, as of Coulomb friction, by default.
+            size of the links' torque; None: 1 at any speed, as of Coulomb friction.
         slope: its derivative by |u|, of |u| and the described speed.
         has_sign: the term is sign(u) size, which jumps or is steep at 0; false for |u| alone, which
             a simulated robot knows as viscous friction by direction.
@@ -35,7 +35,7 @@ class Friction:
     name: str
     motor_name: str = ""
     unit: str = "{effort}"
-    size: Callable[[Array, float | Array, float | Array], Array] = lambda u, *_: np.ones_like(u)
+    size: Callable[[Array, float | Array, float | Array], Array] | None = None
     slope: Callable[[Array, float | Array], Array] = lambda u, u_s: 0.0 * u
     has_sign: bool = True
     is_steep: bool = False

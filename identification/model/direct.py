@@ -21,7 +21,7 @@ from acquisition.robot import FRICTION
 from ..arrays import Array
 from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
-from .joint_terms import SHAPES, JointTerm, Kind
+from .joint_terms import SHAPES, SIZES, JointTerm, Kind
 
 _POSES = 300  # positions of a trajectory at which M is checked
 # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
@@ -152,7 +152,7 @@ class DirectModel:
         """
         load = np.abs(rigid)
         return sum(
-            (x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.shapes.items()),
+            (x * SIZES[kind](u, u_s, load) for kind, (x, u_s) in self.shapes.items()),
             np.zeros_like(u),
         )
 
@@ -168,7 +168,7 @@ class DirectModel:
         """Maximum (c,) of the resisting shapes up to the speeds u (c,), without load friction."""
         largest = np.zeros_like(u)
         for kind, (factor, u_s) in self.shapes.items():
-            size = FRICTION[kind].size
+            size = SIZES[kind]
             largest += np.maximum(
                 factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0
             )

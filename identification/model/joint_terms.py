@@ -33,8 +33,9 @@ from ..arrays import Array, Ints
 
 Kind = Literal["rotor"] | FrictionTerm
 ROOT_ROUNDING = 1e-3  # rad/s or m/s, added to the speed under a rounded root
-# further friction: neither viscous nor Coulomb
-SHAPES = tuple(kind for kind in FRICTION if kind != "coulomb")
+# of further friction, neither viscous nor Coulomb, whose size depends on the speed or the load
+SIZES = {kind: friction.size for kind, friction in FRICTION.items() if friction.size is not None}
+SHAPES = tuple(SIZES)
 SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign)
 
 
@@ -92,7 +93,7 @@ class JointTerm:
         sign: Array | float = np.sign(u) if friction.has_sign else 1.0
         if self.side:
             sign = np.asarray(self.side * (self.side * u > 0), dtype=float)
-        size = friction.size(np.abs(u), self.speed, load) if self.kind in SHAPES else 1.0
+        size = SIZES[self.kind](np.abs(u), self.speed, load) if self.kind in SIZES else 1.0
         return np.asarray(self.direction[j] * (sign * size))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
@@ -125,8 +126,8 @@ class JointTerm:
         sign, steepness = x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5 / slow
         at = np.abs(u) + ROOT_ROUNDING * friction.is_steep
         size, slope = (
-            (friction.size(at, self.speed, 0.0), np.sign(u) * friction.slope(at, self.speed))
-            if self.kind in SHAPES
+            (SIZES[self.kind](at, self.speed, 0.0), np.sign(u) * friction.slope(at, self.speed))
+            if self.kind in SIZES
             else (1.0, 0.0)
         )
         # friction of one direction is half of sign(u) + 1 or of sign(u) - 1

@@ -115,9 +115,10 @@ def simulate(
         gains=gains,
         prior_known=robot.prior_known,
     )
-    if kind != "reference":
-        found = _followed(found, robot, robot.motion(motion), rows.tau)
-    return found, rows
+    return (
+        found if kind == "reference" else _followed(found, robot, robot.motion(motion), rows.tau),
+        rows,
+    )
 
 
 def _followed(

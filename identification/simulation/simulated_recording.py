@@ -183,7 +183,7 @@ class SimulatedRecording:
         path = np.zeros(0) if self._whole else allocate((4, self.instants * m, len(gains)))
         for first, x in self._inputs():
             part, reason = robot.follow(x, self.bound)
-            if reason is not None or self._whole:
+            if reason is not None or self._whole:  # the one part of a short recording is its path
                 return part, gains, reason
             path[:, first * m : first * m + part.shape[1]] = part
             release_pages(path)

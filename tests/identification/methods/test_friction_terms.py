@@ -29,7 +29,7 @@ from loops import free, simulate
 from stacked_recordings import system_of
 
 from acquisition.errors import BadInputError
-from acquisition.robot import fourier_reference, robot_from_files
+from acquisition.robot import FRICTION, FrictionTerm, fourier_reference, robot_from_files
 from identification.data import RecordingFile, Recordings, Work
 from identification.design import select_friction, with_terms
 from identification.estimation import one_thread
@@ -104,14 +104,14 @@ def test_columns_and_units_are_those_of_the_formulas(arm):
     assert [units[name] for name in ("Fa3", "Fr3", "Frm6", "Fs3", "mu3")] == [
         "N m s/rad", "N m (s/rad)^½", "N m (s/rad)^½", "N m", ""
     ]  # fmt: skip
-    assert "mum6" not in units
-    assert "Fam6" not in units
+    assert not {"mum6", "Fam6"} & {*units}
 
 
 def test_direct_and_inverse_model_agree_with_every_term():
     """tau = W beta + mu |tau_rigid| sign(dq), tau_rigid the base columns whose own parameter
     is a link's, times beta.
     """
+    assert {*FrictionTerm.__args__} == {*FRICTION, "viscous", "offset"}  # each name has its row
     model, base, beta = model_of(whole_arm(EVERY))
     q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 40, 6))
     W = model.regressor(q, dq, ddq)[:, :, base.columns]
