@@ -134,11 +134,10 @@ def add_work(parser: argparse.ArgumentParser) -> None:
 
 
 def work_of(options: argparse.Namespace, tasks: int) -> "Work":
-    """The workers of `add_work`, for this number of tasks."""
+    """The workers of `add_work`, by default one for each of so many tasks."""
     from ..data import Work
 
-    where = options.workers or os.cpu_count() or 1
-    return Work(where if isinstance(where, str) else min(where, tasks))
+    return Work(options.workers or min(os.cpu_count() or 1, tasks))
 
 
 def add_report(outputs: "argparse._ActionsContainer") -> None:

@@ -120,6 +120,10 @@ class Signals:
                 array.flags.writeable = False
                 release_pages(array)
 
+    def load(self) -> "Signals":
+        """Itself, as what is read already."""
+        return self
+
     def with_gains_of(self, robot: Robot) -> "Signals":
         """The same efforts by the drive gains of another description of the robot."""
         effort = robot.joint_effort(self.robot.motor_effort(self.effort))

@@ -18,9 +18,9 @@ class Work(NamedTuple):
 
     def run(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """The result for each tuple of positional arguments; an error of a task is raised
-        in place of its result.
+        in place of its result. A single task runs in this process.
         """
-        if (on := self.workers) == 1:
+        if (on := self.workers) == 1 or len(tasks) < 2:
             return (yield from (function(*task) for task in tasks))
         from asyncio import CancelledError
         from concurrent.futures import BrokenExecutor
@@ -30,7 +30,7 @@ class Work(NamedTuple):
         how = (
             _cluster(on)
             if isinstance(on, str)
-            else {"backend": "loky", "n_jobs": on, "inner_max_num_threads": 1}
+            else {"backend": "loky", "n_jobs": min(on, len(tasks)), "inner_max_num_threads": 1}
         )
         parallel = Parallel(
             **how, return_as="generator", pre_dispatch="all", batch_size=1, max_nbytes=None
@@ -43,6 +43,9 @@ class Work(NamedTuple):
             raise BadInputError(
                 str(error).split(".")[0], expected="more memory, or a smaller --workers"
             ) from error
+
+
+HERE = Work()
 
 
 def _cluster(address: str) -> dict[str, Any]:

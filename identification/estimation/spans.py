@@ -17,30 +17,39 @@ _RELEASED = 100  # factors that are copied before their memory is given back
 
 
 class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
-    """Collects the rows of a recording, such as [Z J r], by joint and span of time: by joint and
-    place the rows, and twice their span, one more for fast ones.
-
-    `share` (T, n) are the weights of all instants, 0 for rows that do not count.
+    """Rows of a recording, such as [Z J r], by joint and span of time: by joint and place the rows,
+    and twice their span, one more for fast ones. Those of blocks are made apart, and then added.
     """
 
-    def add(self, first: int, A: Array, share: Array, fast: Bools | None = None) -> None:
-        """Add the instants from `first` on, A (n, columns, K). Rows that are `fast` (n, K) have
-        factors of their own.
+    @classmethod
+    def of_block(
+        cls, instants: int, first: int, A: Array, share: Array, fast: Bools | None = None
+    ) -> "SpanRows":
+        """The rows A (n, columns, K) of the instants from `first` on, of so many `instants` in all,
+        by their weights `share` (n, K), 0 for rows that do not count. Rows that are `fast` (n, K)
+        have factors of their own.
         """
-        instants = np.arange(first, first + A.shape[2])
-        span = np.searchsorted(equal_spans(len(share)), instants, side="right") - 1
-        fast = np.zeros((len(A), len(span)), dtype=bool) if fast is None else fast
-        for j, own in enumerate(A):
-            counts = share[instants, j] > 0
+        at, found = np.arange(first, first + A.shape[2]), cls()
+        span = np.searchsorted(equal_spans(instants), at, side="right") - 1
+        fast = np.zeros(share.shape, dtype=bool) if fast is None else fast
+        for j, (own, counts) in enumerate(zip(A, share > 0, strict=True)):
             rows, kind = own[:, counts].T, 2 * span[counts] + fast[j, counts]
-            if is_short(len(share)):
-                self[j, first] = rows, kind
+            if is_short(instants):
+                found[j, first] = rows, kind
                 continue
-            self.setdefault((j, 2 * int(span[0])), (rows[:0], kind[:0]))  # where no row counts
+            found[j, 2 * int(span[0])] = rows[:0], kind[:0]  # where no row counts
             for k in np.unique(kind).tolist():
-                before, _ = self.get((j, k), (rows[:0], kind))
-                R = _reduced(np.r_[before, rows[kind == k]])
-                self[j, k] = R, np.full(len(R), k)
+                R = _reduced(rows[kind == k])
+                found[j, k] = R, np.full(len(R), k)
+        return found
+
+    def add(self, block: "SpanRows") -> None:
+        """Add the rows of the next block."""
+        for key, (rows, kind) in block.items():
+            if key in self:
+                rows = _reduced(np.r_[self[key][0], rows])
+                kind = np.full(len(rows), key[1])
+            self[key] = rows, kind
 
     def rows(self, share: Array) -> tuple[Array, Bools, dict[str, Any]]:
         """The rows (r, columns), joint by joint in the order of time, which are fast (r,), and how

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..data import RecordingFile, Recordings, Signals, Work, check_one_robot
+from ..data import HERE, RecordingFile, Recordings, Signals, Work, check_one_robot
 from ..estimation import Estimate, System, combined, one_thread
 from ..regression import (
-    MAX_CACHED_NUMBERS,
     Candidate,
     Equation,
     Lag,
@@ -37,6 +36,9 @@ from ..regression import (
 )
 from ..simulation import Simulated, SimulatedRecording, simulate
 from ..trust import Candidates
+
+# numbers of the positions of several recordings that are held: 64 MB, a few times as much in all
+MAX_HELD = 8_000_000
 
 Say = Callable[[str], None]
 # by recording, what prepares it at a rate per period of the bandwidth
@@ -78,13 +80,10 @@ class Model:
 
     @cached_property
     def equations(self) -> tuple[Equation, ...]:
-        """Of each recording, for tasks: without samples if a task can read them itself."""
-        here = self.work.workers == 1
-        each = (
-            one if here or not isinstance(one.source, RecordingFile) else one.without_samples()
-            for one in self.problems
-        )
-        return tuple(equation_of(one, self.unknowns, k) for k, one in enumerate(each))
+        """Of each recording."""
+        work = self.work if len(self.problems) == 1 else HERE
+        each = enumerate(self.problems)
+        return tuple(equation_of(one, self.unknowns, k, work) for k, one in each)
 
     @cached_property
     def load(self) -> Ints:
@@ -137,7 +136,7 @@ class Model:
         sliding = np.abs(speed @ self.problem.model.coulomb_directions.T)
         return tuple(
             Candidates(
-                problem=one.problem,
+                problem=one.apart.problem,
                 beta=one.arm.beta(x),
                 peak=np.abs(speed).max(axis=0),
                 sliding=sliding.max(axis=0),
@@ -191,8 +190,10 @@ class Model:
             )
             for one in self.equations
         ]
-        # Once in this process; each task of a worker prepares its own.
-        return [cache(one) for one in each] if self.work.workers == 1 else each
+        # Once in this process, if samples are held; else each task prepares its own.
+        here = 1 in (self.work.workers, len(self.problems))
+        held = here and all(len(one.signals.q) for one in self.problems)
+        return [cache(one) for one in each] if held else each
 
     def along(
         self,
@@ -256,9 +257,7 @@ class Model:
 
 
 def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
-    if len(each) < 2 or work.workers == 1:
-        return [task(*one) for one in each]
-    return list(work.run(task, each))
+    return [task(*one) for one in each] if work.workers == 1 else list(work.run(task, each))
 
 
 def model_of(
@@ -287,11 +286,10 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
     """Read a recording with its control law; without samples if there are more than `most`
     numbers.
     """
-    signals = source.load() if isinstance(source, RecordingFile) else source
-    problem = make_problem(signals, overrides)
+    problem = make_problem(source.load(), overrides)
     law = problem.law if problem.law is not None else law_of(problem)
     problem = replace(problem, law=law, source=source)
-    return problem.without_samples() if signals.q.size > most else problem
+    return problem.without_samples if problem.signals.q.size > most else problem
 
 
 def with_common_rate(
@@ -326,9 +324,9 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
-    count, most, work = len(given.sources), np.inf, Work()
+    count, most, work = len(given.sources), np.inf, given.work
     if count > 1:
-        most, work = MAX_CACHED_NUMBERS / count, given.work
+        most = MAX_HELD / count
         say(f"reading {count} recordings")
     found = _run(work, observe, [(source, overrides, most) for source in given.sources])
     check_one_robot([problem.signals for problem in found])

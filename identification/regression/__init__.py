@@ -15,7 +15,7 @@ from .motion import (
     smooth,
 )
 from .motor_paths import SATURATED
-from .problem import MAX_CACHED_NUMBERS, Problem, make_problem, row_blocks
+from .problem import Problem, make_problem, row_blocks
 from .rows import (
     Candidate,
     Equation,

@@ -7,9 +7,9 @@ unknowns of the term `Drives`.
 """
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +32,6 @@ class MotionBlock(Motion):
         near: the rows that it has samples of; `inside`: in these, its own ones; `decimation` leads
             from its samples to the rows.
         stride: step between samples that tell what links need: more than 1 for a low-passed motion.
-        recorded: whether the torque `tau` is the recorded one, which may be late; else it is that
-            of the drives of a simulated or predicted robot.
     """
 
     problem: Problem
@@ -41,7 +39,11 @@ class MotionBlock(Motion):
     inside: slice
     decimation: Decimation
     stride: int = 1
-    recorded: bool = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Take along all that rows need, so that another process needs no recording."""
+        own = {name: getattr(self, name) for name in ("weights", "share", "known_torque")}
+        return vars(self) | own | {"problem": self.problem.without_samples}
 
     @cached_property
     def weights(self) -> Array:
@@ -88,9 +90,13 @@ class MotionBlock(Motion):
         return (joints, places[of_columns]), parts
 
     @cached_property
-    def known(self) -> Array:
-        """Return F[w x] (n, rows) of the known torque x, zero for none."""
-        return self.weighted(self.problem.known(self.t_s).T)
+    def known_torque(self) -> Array:
+        """Return the known torque (N, n) of its samples, N m or N, zero for none."""
+        signals = self.problem.signals
+        if signals.known_torque is None:
+            return np.zeros(self.q.shape)
+        at = np.rint(self.t_s * signals.sample_rate_hz).astype(np.intp)
+        return np.asarray(signals.known_torque[at])
 
     def weighted(self, x: Array, joints: Sequence[int] | Ints | slice = slice(None)) -> Array:
         """Return F[w x] (k, rows) of series x (k, N), one for each of some joints."""
@@ -119,8 +125,12 @@ class MotionBlock(Motion):
         """
         problem, stride = self.problem, self.torque_stride
         tau = predicted_torque(self, problem.model, problem.base, beta, stride)
-        found = copy(self)  # with its W
-        vars(found).update(tau=tau - problem.known(self.t_s), recorded=False)
+        return self.with_torque(tau - self.known_torque)
+
+    def with_torque(self, tau: Array) -> "MotionBlock":
+        """Return the same motion, and all that was made of it, with another torque (N, n)."""
+        found = object.__new__(MotionBlock)
+        vars(found).update(vars(self), tau=tau)
         return found
 
 
@@ -138,7 +148,6 @@ def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
             inside=inside,
             decimation=decimation,
             stride=1 if problem.exact else stride,
-            recorded=True,
         )
 
 

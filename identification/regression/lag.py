@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import NoFitError
 from ..estimation import (
     LEVEL,
@@ -117,39 +117,39 @@ def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> li
     return known
 
 
-class LagCollector:
-    """Collects the rows of a recording that show its lag, block by block."""
+class LagFilters:
+    """The filters that whiten the rows of a recording that show its lag; `of` are the places in x
+    of the unknowns that have columns in them, the lags last.
+    """
 
-    def __init__(self, problem: Problem, share: Array, left: Array, speed: Array) -> None:
+    def __init__(self, problem: Problem, of: Ints, share: Array, left: Array, speed: Array) -> None:
         """Of a recording with the weights `share`, whose residuals `left` set the filters, by the
         measured `speed`; all (T, n).
         """
-        self._share = share.copy()
-        self._sliding = np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
+        self.of, self._sliding = of, np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
         used = fast_for_lag_by(problem, speed, self._sliding) & (share.T > 0)
         self._filters = [
             np.r_[1.0, -autoregression(r * fast, LAG_ORDER)]
             for r, fast in zip(left.T, used, strict=True)
         ]
-        self._collected = SpanRows()
 
-    def add(self, rows: Array, z: MotionBlock) -> None:
-        """Add the rows [Z J r] (n, columns, T) of a block. A row loses its weight where it, or one
-        that its filter reaches, is not fast along z.
+    def whitened(self, rows: Array, z: MotionBlock) -> tuple[Array, Array]:
+        """The rows [Z J r] (n, columns, T) of a block, filtered, and their weights (n, T): none
+        where a row, or one that its filter reaches, is not fast along z.
         """
-        share = self._share[z.near][z.inside]
-        used = fast_for_lag(z, self._sliding) & (share.T > 0)
+        used = fast_for_lag(z, self._sliding) & (z.share > 0)
         white, counts, T = np.zeros_like(rows), used.copy(), rows.shape[2]
         counts[:, :LAG_ORDER] = False
         for k in range(LAG_ORDER + 1):
             h = np.array([own[k] for own in self._filters])[:, None, None]
             white[..., k:] += h * rows[..., : T - k]
             counts[:, LAG_ORDER:] &= used[:, LAG_ORDER - k : T - k]
-        share *= counts.T
-        self._collected.add(z.first, white, self._share)
+        return white, z.share * counts
 
-    def rows(self, names: tuple[str, ...]) -> tuple[System, Array]:
-        """The system of the unknowns with these `names`, and its instruments (r, columns)."""
-        A, _, followed = self._collected.rows(self._share)
-        Z, J, r = np.split(A, [len(names), 2 * len(names)], axis=1)
-        return System(W=J, Y=r[:, 0], names=names, **followed), Z
+    def system(self, rows: SpanRows, share: Array, names: Sequence[str]) -> tuple[System, Array]:
+        """The system and its instruments (r, columns), from whitened rows with the weights `share`
+        (T, n); `names` are those of x.
+        """
+        A, _, followed = rows.rows(share)
+        Z, J, r = np.split(A, [len(self.of), 2 * len(self.of)], axis=1)
+        return System(W=J, Y=r[:, 0], names=tuple(names[i] for i in self.of), **followed), Z

@@ -27,8 +27,6 @@ from .settings import (
     with_bandwidth,
 )
 
-# of positions in the cache of a process: 64 MB, a few times as much in all
-MAX_CACHED_NUMBERS = 8_000_000
 BEGINNING_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
 # numbers of the regressor of a block, 64 MB; short blocks spend more time on margins
 _SERIES_BLOCK = 8_000_000
@@ -42,7 +40,7 @@ class Problem:
         signals: the recording, as recorded.
         motion: low-passed motion of the recording.
         poses: (P, n) positions in the span used, at which the inertia matrix is checked.
-        source: where a task reads the recording, if the samples are left out.
+        source: where the recording is read again, if the samples are left out.
         law: the control law of its drives, once looked for.
         gains: (n,) factors on the described drive gains that a fit found; None before.
     """
@@ -80,13 +78,6 @@ class Problem:
         if len(s.effort) > BLOCK_SAMPLES:
             release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
-
-    def known(self, t_s: Array) -> Array:
-        """The known torque (K, n) at samples of the recording at `t_s` (K,); zero for none."""
-        known, fs = self.signals.known_torque, self.signals.sample_rate_hz
-        if known is None:
-            return np.zeros((len(t_s), len(self.signals.robot.joints)))
-        return np.asarray(known[np.rint(t_s * fs).astype(np.intp)])
 
     def row_times_s(self) -> Array:
         """(rows,) instants of the decimated rows, s: decimation keeps the last sample and
@@ -150,27 +141,19 @@ class Problem:
         far = self.measured_samples(8 * self.settings.decimation)[self.settings.instants]
         return far | ~far.any()
 
+    @cached_property
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model, which were measured, and `source`."""
         signals = replace(self.signals.first(0), measured=self.signals.measured, health={})
         return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     def with_samples(self) -> "Problem":
-        """The same with its samples, read and filtered once per process."""
+        """The same with its samples, read again if they are left out."""
         if len(self.signals.q) or self.source is None:
             return self
-        source, of = self.source, self.signals
-        key = source, of.robot.identified_gain is None
-        if (found := _read.pop(key, None)) is None:
-            signals = source.load() if isinstance(source, RecordingFile) else source
-            # with its bandwidth
-            signals = replace(signals, robot=of.robot, motion_hz=of.motion_hz)
-            found = signals, FilteredMotion(signals)
-        if isinstance(source, RecordingFile):
-            _read[key] = found
-        while len(_read) > 1 and sum(s.q.size for s, _ in _read.values()) > MAX_CACHED_NUMBERS:
-            del _read[next(iter(_read))]
-        return replace(self, signals=found[0], motion=found[1])
+        of = self.signals  # with its bandwidth
+        signals = replace(self.source.load(), robot=of.robot, motion_hz=of.motion_hz)
+        return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     def beginning(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it
@@ -189,10 +172,6 @@ class Problem:
         """
         settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
         return replace(self, base=self.base.without(left_out), settings=settings)
-
-
-# in this process, in the order of use
-_read: dict[tuple[Signals | RecordingFile, bool], tuple[Signals, FilteredMotion]] = {}
 
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:

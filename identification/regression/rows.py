@@ -9,24 +9,26 @@ Where a span has more rows than columns it has their QR factor, with the same pr
 Linear terms give Y = W beta + rho with W = J and Y = r + J x.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import pairwise, repeat
+from functools import cached_property, partial
+from itertools import chain, islice, pairwise, repeat, starmap
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
+from ..data import HERE, Work
 from ..estimation import SpanRows, System, by_joint, one_thread, stacked
 from .blocks import MotionBlock, motion_blocks, predicted_torque
-from .lag import LagCollector
+from .lag import LagFilters
 from .problem import Problem
 from .states import fast_for_lag
 from .terms import Drives, Load, load_of
 from .unknowns import Arm, Stated, Unknowns, make_unknowns
 from .weights import sample_weights
 
+MOST_AT_ONCE = 16  # blocks that are sent to workers: a block has some 10 MB
 # numbers of the positions of all recordings together whose measured motion is kept: 8 MB, a few
 # times as much in all
 MAX_KEPT = 1_000_000
@@ -48,16 +50,46 @@ class Equation:
     drives: Drives
     load: tuple[Load, ...]
     stated: tuple[Stated, ...]
+    work: Work = HERE
 
     @cached_property
     def _made(self) -> tuple[MotionBlock, ...]:
-        return tuple(motion_blocks(self.problem))
+        """Of a short recording, made once, with its regressor."""
+        found = tuple(motion_blocks(self.problem))
+        _ = [motion.W for motion in found]
+        return found
 
-    def motions(self) -> Iterable[MotionBlock]:
-        """The measured motion in blocks: of a short recording made once, with its regressor."""
-        if 0 < self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT:
-            return self._made
-        return motion_blocks(self.problem.with_samples())
+    def read(self) -> "Equation":
+        """The same with the samples of its recording."""
+        problem = self.problem.with_samples()
+        return self if problem is self.problem else replace(self, problem=problem)
+
+    @property
+    def apart(self) -> "Equation":
+        """The same for tasks of other processes, without samples; itself if there are none."""
+        return (
+            self
+            if self.work.workers == 1
+            else replace(self, problem=self.problem.without_samples, work=HERE)
+        )
+
+    def by_block(
+        self, task: Callable[..., Any], x: Array, along: Iterable[MotionBlock | None] | None = None
+    ) -> Iterator[Any]:
+        """The results of a task for each block of the measured motion, with the torque that the
+        drives have by x (p,), and of another motion; on workers some blocks at a time.
+        """
+        few = self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT
+        measured = self._made if few else motion_blocks(self.problem)
+        each = zip(
+            (self.drives.about(x, motion) for motion in measured),
+            repeat(None) if along is None else along,
+            strict=False,
+        )
+        if self.work.workers == 1:
+            return starmap(task, each)
+        several = iter(lambda: list(islice(each, MOST_AT_ONCE)), [])
+        return chain.from_iterable(self.work.run(task, some) for some in several)
 
     @property
     def terms(self) -> tuple[Arm | Drives | Load | Stated, ...]:
@@ -70,14 +102,17 @@ class Equation:
 
             r(x) = F[w (known + drives(x) - arm(x) - load(x))]                           (C)
         """
-        return np.asarray(motion.known - sum(term.torque(x, motion) for term in self.terms))
+        return np.asarray(
+            motion.weighted(motion.known_torque.T)
+            - sum(term.torque(x, motion) for term in self.terms)
+        )
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
         """Return J = -dr/dx (n, p, rows) about x (p,), or Z along another motion."""
         return np.asarray(sum(term.columns(x, motion) for term in self.terms))
 
 
-def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
+def equation_of(problem: Problem, unknowns: Unknowns, k: int, work: Work = HERE) -> Equation:
     """Put together the equation of motion of recording k: its arm, its drives, and load friction
     and what is stated if there is any.
     """
@@ -93,6 +128,7 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int) -> Equation:
         ),
         load=load_of(problem, arm),
         stated=(Stated(held=held, first=len(unknowns.names)),) if (held := unknowns.held) else (),
+        work=work,
     )
 
 
@@ -184,6 +220,45 @@ class Candidate(Protocol):
 
 
 @one_thread
+def _rows_of_block(
+    equation: Equation,
+    x: Array,
+    asked: tuple[Ints, Candidate | None, LagFilters | None],
+    motion: MotionBlock,
+    z: MotionBlock | None,
+) -> tuple[Ints, SpanRows, SpanRows, Array, Array, Array]:
+    """Of a block, along its measured motion and along `z`, None for the same: where [G C Z J r] are
+    split, these rows, and those of the lag; (rows, n) torque, speed, and weights of the rows of the
+    lag. What is `asked`: the places (k,) of Z in x, further columns, filters of the lag.
+    """
+    (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
+    instants = len(motion.problem.settings.instants)
+    J, r = equation.columns(x, motion), equation.residual(x, motion)[:, None]
+    z = motion if z is None else z
+    z = z.with_torque_of(equation.arm.beta(x)) if len(places) else z
+    Z = equation.columns(x, z) if len(places) else J
+    C, G, fast, late, of_lag = J[:, :0], J[:, :0], None, SpanRows(), share
+    if lag is not None:
+        J[:, lags] = Z[:, lags]
+        rows = np.concatenate([Z[:, lag.of], J[:, lag.of], r], axis=1)
+        white, of_lag = lag.whitened(rows, z)
+        late = SpanRows.of_block(instants, motion.first, white, of_lag)
+    if further is not None:
+        C, fast = further.columns(z), fast_for_lag(z, further.sliding)
+        G = further.at_rest(motion)
+    # not the columns of the lags: the rate of a recorded torque is noise
+    each = G, C, Z[:, places], J[:, : -len(lags)]
+    return (
+        np.cumsum([part.shape[1] for part in each]),
+        SpanRows.of_block(instants, motion.first, np.concatenate([*each, r], axis=1), share, fast),
+        late,
+        motion.filtered((motion.tau + motion.known_torque).T).T,
+        motion.kept(motion.dq),
+        of_lag.T,
+    )
+
+
+@one_thread
 def rows_of_recording(
     equation: Equation,
     x: Array,
@@ -210,55 +285,43 @@ def rows_of_recording(
     -------
     The rows, torques in N m or N, stacked by joint and span of time.
     """
-    problem = equation.problem.with_samples()
-    unknowns, share, beta = equation.unknowns, sample_weights(problem).of_rows, equation.arm.beta(x)
-    names, lags, parts = unknowns.names, unknowns.lags, list[tuple[Array, Array]]()
-    collected, of_late, lag = SpanRows(), np.r_[unknowns.arm, lags], None
+    problem, unknowns, lag = (equation := equation.read()).problem, equation.unknowns, None
+    share = sample_weights(problem).of_rows
     if of_lag:
         tau, predicted, speed = torque_of_recording(equation, x, exact=False)
-        lag = LagCollector(problem, share, share * (tau - predicted), speed)
-    f, K = len(names), len(lags)
-    own = f if along is not None or unknowns.motors else 0
+        of = np.r_[unknowns.arm, unknowns.lags]
+        lag = LagFilters(problem, of, share, share * (tau - predicted), speed)
+    names, f = unknowns.all, len(unknowns.names)
+    own = bool(unknowns.motors) or along is not None
     # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
-    asked = own > 0 or further is not None
-    places = np.r_[np.arange(own), lags] if asked else np.arange(0)
-    others: Iterable[MotionBlock | None] = repeat(None) if along is None else along
-    for motion, other in zip(equation.motions(), others, strict=False):
-        J = equation.columns(x, motion)
-        # The robot may have been prepared for other weights.
-        z = motion if other is None else replace(other, problem=problem)
-        z = z.with_torque_of(beta) if asked else z
-        Z = equation.columns(x, z) if asked else J
-        r, C, G, fast = equation.residual(x, motion)[:, None], J[:, :0], J[:, :0], None
-        if lag is not None:
-            J[:, lags] = Z[:, lags]
-            lag.add(np.concatenate([Z[:, of_late], J[:, of_late], r], axis=1), z)
-        if further is not None:
-            C, fast = further.columns(z), fast_for_lag(z, further.sliding)
-            G = further.at_rest(motion)
-        # not the columns of the lags: the rate of a recorded torque is noise
-        A = np.concatenate([G, C, Z[:, places], J[:, :-K], r], axis=1)
-        collected.add(motion.first, A, share, fast)
-        measured = equation.drives.measured(x, motion)
-        parts.append((motion.filtered(measured.T).T, motion.kept(motion.dq)))
-    tau, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
+    asked = own or further is not None
+    places = np.r_[np.arange(f * own), unknowns.lags] if asked else np.arange(0)
+    task = partial(_rows_of_block, equation.apart, x, (places, further, lag))
+    collected, late, parts = SpanRows(), SpanRows(), list[Sequence[Array]]()
+    # The robot may have been prepared for other weights.
+    along = None if along is None else (replace(z, problem=problem) for z in along)
+    for edges, rows, of_late, *arrays in equation.by_block(task, x, along):
+        split_at = edges
+        collected.add(rows)
+        late.add(of_late)
+        parts.append(arrays)
+    tau, speed, of_lags = (np.concatenate(each) for each in zip(*parts, strict=True))
     rows, fast_rows, followed = collected.rows(share)
-    sizes = G.shape[1], C.shape[1], len(places), J.shape[1] - K
-    G, C, Z, J, r = np.split(rows, np.cumsum(sizes), axis=1)
+    G, C, Z, J, r = np.split(rows, split_at, axis=1)
     W = J[:, :f]
     return Rows(
         x=x,
-        system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names, **followed),
-        L=np.c_[J[:, f:], Z[:, own:]],
+        system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names[:f], **followed),
+        L=np.c_[J[:, f:], Z[:, f * own :]],
         C=C,
         fast=fast_rows,
         G=G,
-        Z=Z[:, :own],
+        Z=Z[:, : f * own],
         share=share,
         tau=tau,
         speed=speed,
         recorded=along is None,
-        late=None if lag is None else lag.rows(tuple(unknowns.all[i] for i in of_late)),
+        late=lag.system(late, of_lags, names) if lag else None,
     )
 
 
@@ -300,27 +363,33 @@ def torque_of_recording(
     -------
     Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
     """
-    problem, betas = equation.problem.with_samples(), betas or (equation.arm.beta(x),)
-    parts, settings, of = list[tuple[Array, ...]](), problem.settings, (problem.model, problem.base)
-    rows, fs = len(settings.instants), problem.signals.sample_rate_hz
+    task = partial(_torque_of_block, betas or (equation.arm.beta(x),), exact)
+    blocks = equation.read().by_block(task, x)
+    tau, predicted, speed = (np.concatenate(each) for each in zip(*blocks, strict=True))
+    return tau, predicted, speed
+
+
+@one_thread
+def _torque_of_block(
+    betas: Sequence[Array], exact: bool, motion: MotionBlock, _: None
+) -> tuple[Array, Array, Array]:
+    settings, N = motion.problem.settings, len(motion.q)
+    of, stride = (motion.problem.model, motion.problem.base), 1 if exact else motion.torque_stride
+    rows, fs = len(settings.instants), motion.problem.signals.sample_rate_hz
     # as spans of time end
     edges = settings.stop - settings.decimation * (
         rows + -np.arange(len(betas) + 1) * rows // len(betas)
     )
-    for motion in equation.motions():
-        N = len(motion.q)
-        stride = 1 if exact else motion.torque_stride
-        cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
-        predicted = np.concatenate(
-            [
-                predicted_torque(motion.part(slice(first, last)), *of, beta, stride)
-                for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
-                if first < last
-            ]
-        )
-        measured = equation.drives.measured(x, motion)
-        parts.append(
-            (motion.filtered(measured.T).T, motion.filtered(predicted.T).T, motion.kept(motion.dq))
-        )
-    tau, predicted, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return tau, predicted, speed
+    cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
+    predicted = np.concatenate(
+        [
+            predicted_torque(motion.part(slice(first, last)), *of, beta, stride)
+            for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
+            if first < last
+        ]
+    )
+    return (
+        motion.filtered((motion.tau + motion.known_torque).T).T,
+        motion.filtered(predicted.T).T,
+        motion.kept(motion.dq),
+    )

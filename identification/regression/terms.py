@@ -38,29 +38,24 @@ class Drives:
         of = self.gains >= 0
         return np.where(of, x[self.gains], 1.0) if of.any() else None
 
-    def at_joints(self, x: Array, motion: MotionBlock) -> Array:
-        """Return sum_m kappa_m E_m(t + L) (N, n), N m or N, of equation (I); a torque that is not
-        recorded is that already.
+    def about(self, x: Array, motion: MotionBlock) -> MotionBlock:
+        """Return a measured motion with the torque sum_m kappa_m E_m(t + L) (N, n), N m or N, of
+        equation (I) in place of the recorded one.
         """
-        if not motion.recorded:
-            return motion.tau
-        first = round(motion.t_s[0] * motion.problem.signals.sample_rate_hz)
-        last = first + len(motion.t_s)
-        return motion.problem.drives(first, last, x[self.lag], self.factors(x))
-
-    def measured(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the torque (N, n), N m or N, of the drives and the known one at the joints."""
-        return self.at_joints(x, motion) + motion.problem.known(motion.t_s)
+        problem, t_s = motion.problem, motion.t_s
+        first = round(t_s[0] * problem.signals.sample_rate_hz)
+        tau = problem.drives(first, first + len(t_s), x[self.lag], self.factors(x))
+        return motion.with_torque(tau)
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
         """Return -F[w sum_m kappa_m E_m(t + L)], (n, rows)."""
-        return -motion.weighted(self.at_joints(x, motion).T)
+        return -motion.weighted(motion.tau.T)
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
         """Return the derivatives (n, p, rows): -F[w E_m(t + L)] by kappa_m, and by L
         -F[w d/dt sum_m kappa_m E_m(t + L)], equation (G).
         """
-        tau, R = self.at_joints(x, motion), motion.problem.signals.robot.R
+        tau, R = motion.tau, motion.problem.signals.robot.R
         found = np.zeros((len(R), len(x), len(motion.share.T)))
         if (kappa := self.factors(x)) is not None:
             E = np.linalg.solve(R.T, tau.T) / kappa[:, None]

@@ -132,7 +132,7 @@ def _followed(
     few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
     for motion in along:
         q = robot.low_passed(problem.motion, motion.near).q
-        torque = motion.tau + problem.known(motion.t_s)
+        torque = motion.tau + motion.known_torque
         every = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
         own = motion.decimation.samples(motion.inside, len(q))  # those that no other block has
         parts = (motion.kept(x) if few else x[own] for x in every)

@@ -93,8 +93,11 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
         s.decimator.filtered(x.T).T / s.decimator.gain
         for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
     ]
-    drives, known = problem.drives(s.start, s.stop, s.known_lag.value_s), problem.known(motion.t_s)
-    drives, known = (s.decimator.filtered(x.T) for x in (drives, known))
+    known = 0 * motion.tau if (x := signals.known_torque) is None else x[s.start : s.stop]
+    drives, known = (
+        s.decimator.filtered(one.T)
+        for one in (problem.drives(s.start, s.stop, s.known_lag.value_s), known)
+    )
     return moved, np.array([np.c_[drives.T, of_joint] for of_joint in known])
 
 

@@ -174,7 +174,7 @@ def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monke
     quick = rng.uniform(size=(n, T)) > 0.3
     rows = SpanRows()
     for a, z in ((0, 13), (13, 500), (500, 501), (501, T)):
-        rows.add(a, columns[..., a:z], share, quick[:, a:z])
+        rows.add(SpanRows.of_block(T, a, columns[..., a:z], share[a:z].T, quick[:, a:z]))
     found, fast, followed = rows.rows(share)
     (spans,), (joint, span) = followed["spans"], (followed[x] for x in ("joint_of_row", "span"))
     assert (spans[-1], len(spans)) == (T, count + 1)
@@ -190,5 +190,5 @@ def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monke
         own = found[(joint == j) & (span == k) & (fast == kind)]
         np.testing.assert_allclose(own.T @ own, one @ one.T, rtol=1e-9, atol=1e-12)
         assert len(own) == min(one.shape[1], T if short else (7, 3)[j])
-    rows.add(0, columns, 0.0 * share)
+    rows.add(SpanRows.of_block(T, 0, columns, 0.0 * share.T))
     assert rows.rows(0.0 * share)[0].shape == (0, 7)  # no row counts

@@ -74,13 +74,27 @@ def test_two_recordings_are_fitted_with_what_they_have(
         assert again.warnings == []
 
 
-def test_long_recordings_are_fitted_the_same_by_two_workers(tmp_path):
-    paths = written(tmp_path, concerns := frozenset(CONCERNS), frozenset({"payload"}), 25.0)
+@pytest.mark.parametrize(
+    ("count", "concerns", "columns"),
+    [(2, CONCERNS, ["payload"]), (1, ["load"], COLUMNS), (1, [], ["known_torque"])],
+)
+def test_long_recordings_are_fitted_the_same_by_two_workers(
+    count, concerns, columns, tmp_path, monkeypatch
+):
+    """Each of several; the blocks of one, which end within spans of time."""
+    if count == 1:
+        monkeypatch.setattr(problem, "_SERIES_BLOCK", 20_000)
+        monkeypatch.setattr("identification.regression.rows.MOST_AT_ONCE", 4)
+    run, ran = Work.run, list[int]()
+    monkeypatch.setattr(Work, "run", lambda *of: ran.append(of[0].workers) or run(*of))
+    paths = written(tmp_path, concerns := frozenset(concerns), frozenset(columns), 25.0)[:count]
     fit, other = (fitted(paths, concerns, Work(n), decimation=1) for n in (1, 2))
-    assert len(fit.tau_predicted) / 2 > system.SHORT
+    assert len(fit.tau_predicted) / count > system.SHORT
+    assert len(problem.row_blocks(fit.problem)) > 4 * (2 - count)
+    assert set(ran) == {2}
     assert bits(fit) == bits(other)
-    again = validate(identification.Fit(**vars(fit)), paths[1]).relative_error_percent
-    assert again == pytest.approx(fit.recordings[1].errors[-1].relative_error_percent, rel=0.06)
+    again = validate(identification.Fit(**vars(fit)), paths[-1]).relative_error_percent
+    assert again == pytest.approx(fit.recordings[-1].errors[-1].relative_error_percent, rel=0.06)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +116,7 @@ def test_long_recordings_are_fitted_as_short_ones(
     short = fitted(paths, concerns, Work(), decimation=2)
     monkeypatch.setattr(system, "SHORT", 0)
     monkeypatch.setattr(problem, "_SERIES_BLOCK", block or problem._SERIES_BLOCK)
-    monkeypatch.setattr("identification.methods.model.MAX_CACHED_NUMBERS", 100)
+    monkeypatch.setattr("identification.methods.model.MAX_HELD", 100)
     fit = fitted(paths, concerns, Work(), decimation=2)
     assert (len(problem.row_blocks(fit.problem)) > 1) == bool(block)
     assert len(fit.data.observed.system.Y) < 0.7 * len(short.data.observed.system.Y)

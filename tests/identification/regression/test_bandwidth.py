@@ -131,7 +131,7 @@ def test_a_stated_cutoff_stays_and_moves_no_loop(ur5, given_hz, told):
 
 def test_a_recording_read_again_has_the_same(ur5):
     problem = make_problem(ur5, Overrides())
-    again = (light := replace(problem, source=ur5).without_samples()).with_samples()
+    again = (light := replace(problem, source=ur5).without_samples).with_samples()
     # and meanwhile nothing holds the samples
     assert (light.signals.q.base, again.signals.robot.bandwidth_hz) == (
         None,

@@ -38,14 +38,16 @@ def exact():
 
 def test_terms_leave_nothing_of_an_exact_torque(exact):
     equation, x, motion = exact
-    size = np.linalg.norm(equation.drives.torque(x, motion), axis=1)
-    assert (np.linalg.norm(equation.residual(x, motion), axis=1) < 1e-9 * size).all()
+    drives = equation.drives.about(x, motion)
+    size = np.linalg.norm(equation.drives.torque(x, drives), axis=1)
+    assert (np.linalg.norm(equation.residual(x, drives), axis=1) < 1e-9 * size).all()
     tau, whole, _ = torque_of_recording(equation, x)  # from its first sample on
     np.testing.assert_allclose(whole, tau, atol=1e-9 * np.abs(tau).max())
     predicted = motion.with_torque_of(equation.arm.beta(x))
-    for drives, whole in ((motion, motion.tau), (predicted, motion.tau)):
-        known = equation.drives.measured(x, drives)
-        np.testing.assert_allclose(known, whole, atol=1e-9 * np.abs(whole).max())
+    for of in (drives, predicted):
+        np.testing.assert_allclose(
+            of.tau + of.known_torque, motion.tau, atol=1e-9 * np.abs(motion.tau).max()
+        )
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.0013])
@@ -57,7 +59,7 @@ def test_columns_are_the_derivatives_of_torques(exact, late_s):
     x = x + np.where(np.isin(np.arange(len(x)), equation.drives.gains), 0.1, 0.0)
     x[equation.unknowns.lags] = late_s
     for term, rel in zip(equation.terms, (1e-6, 0.05, 0.05), strict=True):
-        J = term.columns(x, motion)
+        J = term.columns(x, equation.drives.about(x, motion))
         for i in [
             *np.random.default_rng(0).permutation(len(x))[:20].tolist(),
             *equation.drives.gains[[0, 5]],
@@ -65,5 +67,8 @@ def test_columns_are_the_derivatives_of_torques(exact, late_s):
         ]:
             h = np.zeros(len(x))
             h[i] = 1e-4 if i == -1 else 1e-3 * max(abs(x[i]), 1e-3)
-            slope = (term.torque(x + h, motion) - term.torque(x - h, motion)) / (2 * h[i])
+            above, below = (
+                term.torque(at, equation.drives.about(at, motion)) for at in (x + h, x - h)
+            )
+            slope = (above - below) / (2 * h[i])
             assert np.linalg.norm(J[:, i] - slope) <= rel * np.linalg.norm(slope)

@@ -14,9 +14,10 @@ from independent_simulator import Imperfections, described_controller, reference
 from looked_at import looked_at
 
 from identification.data import Recordings, Signals, load_signals
+from identification.estimation import SpanRows
 from identification.methods import Fit, identify, identify_ls
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
-from identification.regression.lag import LagCollector
+from identification.regression.lag import LagFilters
 from identification.regression.law import law_of
 from identification.trust import TrustLine, trust_in
 
@@ -229,10 +230,13 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
     x, e = np.zeros(len(speed)), rng.standard_normal(len(speed))
     for k in range(2, len(x)):
         x[k] = 1.2 * x[k - 1] - 0.5 * x[k - 2] + e[k]
-    rows = LagCollector(problem, share, x[:, None], speed)
+    lag, late, shares = LagFilters(problem, np.array([0]), share, x[:, None], speed), SpanRows(), []
     for z in motions:
-        rows.add(np.outer([2, 1, 3], x[z.near][z.inside])[None], z)
-    white, Z = rows.rows(("lag",))
+        vars(z)["share"] = share[z.near][z.inside].T
+        rows, of_lag = lag.whitened(np.outer([2, 1, 3], x[z.near][z.inside])[None], z)
+        late.add(SpanRows.of_block(len(x), z.first, rows, of_lag))
+        shares.append(of_lag.T)
+    white, Z = lag.system(late, np.concatenate(shares), ("lag",))
     np.testing.assert_allclose(Z, 2 * white.W, atol=1e-12)
     np.testing.assert_allclose(white.Y, 3 * white.W[:, 0], atol=1e-12)
     fast = np.abs(speed[:, 0]) > 0.2 * np.abs(speed).max()

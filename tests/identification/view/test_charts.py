@@ -191,7 +191,7 @@ def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
         charts,
         "rigid_torque_at_rows",
         # of a recording that is too long to be held
-        lambda of, beta: tuple(x * [1.0, 0.0] for x in rows(of.without_samples(), beta)),
+        lambda of, beta: tuple(x * [1.0, 0.0] for x in rows(of.without_samples, beta)),
     )
     _, still = charts.friction_charts(fitted(made_up()))
     assert sum(len(dots) for dots, _ in still.dots) == 0
