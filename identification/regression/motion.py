@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any, TypeVar
 
 import numpy as np
@@ -117,19 +118,15 @@ def spline_coefficients(x: Array) -> Array:
     that go through x (N, n).
 
     Unser, Aldroubi, Eden, IEEE Trans. Signal Processing 41 (1993): the inverse of the filter (1, 4,
-    1)/6 falls by 2 - sqrt(3) from sample to sample, to rounding within `SPLINE_REACH`. Beyond the
-    ends x is reflected at its end samples.
+    1)/6 falls by the pole 2 - sqrt(3) from sample to sample, to rounding within `SPLINE_REACH`. It
+    is 1/(1 - pole B), B the sample before, and the same backward; each as (1 + pole B)
+    (1 + pole² B²) (1 + pole⁴ B⁴) and so on. Beyond the ends x is reflected at its end samples.
     """
-    far, pole = min(SPLINE_REACH, len(x) - 1), np.sqrt(3.0) - 2.0
-    beyond = far + 2
-    around = ((beyond, beyond), (0, 0))
-    whole = (
-        np.pad(x, around, mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
-    )
-    N, c = len(x) + 3, np.zeros((len(x) + 3, *x.shape[1:]))
-    for k in range(-far, far + 1):
-        c += pole ** abs(k) * whole[beyond - 1 + k : beyond - 1 + k + N]
-    return np.asarray(np.sqrt(3.0) * c)
+    pole, beyond = np.sqrt(3.0) - 2.0, SPLINE_REACH + 2
+    c = np.pad(x, ((beyond, beyond), (0, 0)), mode="reflect", reflect_type="odd")
+    for way, k in product((c, c[::-1]), 2 ** np.arange(SPLINE_REACH.bit_length())):
+        way[k:] += pole**k * way[:-k]
+    return np.asarray(np.sqrt(3.0) * (1 - pole**2) * c[beyond - 1 : beyond + 2 + len(x)])
 
 
 def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
