@@ -28,7 +28,7 @@ from .start import solution_of
 
 # samples; the column of the lag is of first order, not exact for many
 MAX_LAST_LAG = 0.25
-# passes; later ones simulate the mean of the last two values, which damps oscillation
+# passes; later ones take the mean of the last two values and lags, which damps oscillation
 MAX_FULL_STEPS = 4
 MIN_F = 1.0  # of the first stage: with less, instruments explain nothing of W
 
@@ -124,7 +124,7 @@ class Loop:
         tests = not of_lag or number > 1 or all(lag.stated for lag in before[-1].lags)
         speed = self.speed if tests else None  # q_s, dq_s, ddq_s, with (E), and (6)
         z, rows = self.model.along(self.robots, x, asked, speed, of_lag=of_lag)
-        rows, lags, settled = with_lags_found(rows, before[-1].lags, first=number == 1)  # (G)
+        rows, lags, settled = with_lags_found(rows, before[-1].lags, number)  # (G)
         try:
             estimate = self.step(rows)  # (C), (D)
         except NoFitError as error:
@@ -189,7 +189,7 @@ def next_values(model: Model, passes: Sequence[Pass]) -> Array:
 
 
 def with_lags_found(
-    rows: Rows, lags: Sequence[Lag], *, first: bool
+    rows: Rows, lags: Sequence[Lag], number: int
 ) -> tuple[Rows, tuple[Lag, ...], bool]:
     """Find the lag L of each group of recordings from the rows of the lag and what is known.
 
@@ -199,8 +199,9 @@ def with_lags_found(
     ----------
     rows : [C Z J r] about the last lags, with rows of the lag; unchanged where it has none.
     lags : as found so far, with what is known of each.
-    first : whether it is the first pass: its rows of the lag are whitened by the residuals of
-        least squares, which have the lag in them, so its lags have not settled unless stated.
+    number : of the pass. In the first one rows of the lag are whitened by the residuals of least
+        squares, which have the lag in them, so its lags have not settled unless stated. From the
+        fourth pass on a lag takes half its step, as values do.
 
     Returns
     -------
@@ -211,9 +212,12 @@ def with_lags_found(
         return rows, tuple(lags), True
     f, before = len(rows.x) - len(lags), rows.x[-len(lags) :]
     lags = tuple(lags_in(rows.late, before, lags))
+    if number >= MAX_FULL_STEPS:
+        each = zip(lags, before.tolist(), strict=True)
+        lags = tuple(replace(lag, value_s=0.5 * (lag.value_s + was)) for lag, was in each)
     values = np.array([lag.value_s for lag in lags])
     small = np.abs(values - before) < MAX_LAST_LAG * np.array([lag.period_s for lag in lags])
-    settled = bool(small.all()) and (not first or all(lag.stated for lag in lags))
+    settled = bool(small.all()) and (number > 1 or all(lag.stated for lag in lags))
     return rows.about(np.r_[rows.x[:f], values]), lags, settled
 
 
