@@ -29,7 +29,7 @@ from acquisition.simulated.node import SimulatedNode
 
 Serve = Callable[[SimulatedNode, bytes, bytes], bytes]
 Key = tuple[int, int]
-ENABLED, OFF, PERIOD = 0x0237, 1 << 31, 0x60C2
+OFF, PERIOD = 1 << 31, 0x60C2
 MAPPING = {*range(0x1600, 0x1604), *range(0x1A00, 0x1A04)}
 
 

@@ -4,6 +4,7 @@ simulator and the real EMPS.
 
 from dataclasses import replace
 from functools import cache, partial
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -16,6 +17,7 @@ from looked_at import looked_at
 from identification.data import Recordings, Signals, load_signals
 from identification.estimation import SpanRows
 from identification.methods import Fit, identify, identify_ls
+from identification.methods.iteration import with_lags_found
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
 from identification.regression.lag import LagFilters
 from identification.regression.law import law_of
@@ -110,6 +112,17 @@ def test_noise_that_is_fed_back_or_missing_friction_do_not_pass_for_a_lag(cell, 
         (cell.get("lag", 0) - 0.5) * 1e-3, abs=within * found.half_width_s
     )
     assert 1e3 * found.half_width_s < most_ms
+
+
+def test_a_lag_takes_half_its_step_from_the_fourth_pass_on(monkeypatch):
+    """As values do: of the two alone a lag may go to and fro for ever."""
+    before = make_problem(recorded("scara"), Overrides()).settings.known_lag
+    found = [replace(before, value_s=2e-3)]
+    monkeypatch.setattr("identification.methods.iteration.lags_in", lambda *_: found)
+    rows = SimpleNamespace(late=(), x=np.array([1.0, 1e-3]), about=lambda x: x)
+    for number, value_s in ((3, 2e-3), (4, 1.5e-3)):
+        x, (lag,), _ = with_lags_found(rows, [before], number)
+        assert (x[-1], lag.value_s) == pytest.approx((value_s, value_s))
 
 
 def test_data_that_contradict_what_is_known_count_alone():
