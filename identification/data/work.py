@@ -18,9 +18,9 @@ class Work(NamedTuple):
 
     def run(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """The result for each tuple of positional arguments; an error of a task is raised
-        in place of its result. A single task runs in this process.
+        in place of its result.
         """
-        if (on := self.workers) == 1 or len(tasks) < 2:
+        if (on := self.workers) == 1:
             return (yield from (function(*task) for task in tasks))
         from asyncio import CancelledError
         from concurrent.futures import BrokenExecutor

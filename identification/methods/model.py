@@ -257,7 +257,11 @@ class Model:
 
 
 def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
-    return [task(*one) for one in each] if work.workers == 1 else list(work.run(task, each))
+    return (
+        [task(*one) for one in each]
+        if work.workers == 1 or len(each) < 2
+        else list(work.run(task, each))
+    )
 
 
 def model_of(

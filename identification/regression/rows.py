@@ -89,7 +89,9 @@ class Equation:
         if self.work.workers == 1:
             return starmap(task, each)
         several = iter(lambda: list(islice(each, MOST_AT_ONCE)), [])
-        return chain.from_iterable(self.work.run(task, some) for some in several)
+        return chain.from_iterable(
+            (self.work if len(some) > 1 else HERE).run(task, some) for some in several
+        )
 
     @property
     def terms(self) -> tuple[Arm | Drives | Load | Stated, ...]:
