@@ -53,11 +53,10 @@ class Equation:
     work: Work = HERE
 
     @cached_property
-    def _made(self) -> tuple[MotionBlock, ...]:
-        """Of a short recording, made once, with its regressor."""
-        found = tuple(motion_blocks(self.problem))
-        _ = [motion.W for motion in found]
-        return found
+    def kept(self) -> tuple[MotionBlock, ...]:
+        """The measured motion of a short recording in blocks, made once; empty for a long one."""
+        few = self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT
+        return tuple(motion_blocks(self.problem)) if few else ()
 
     def read(self) -> "Equation":
         """The same with the samples of its recording."""
@@ -68,9 +67,7 @@ class Equation:
     def apart(self) -> "Equation":
         """The same for tasks of other processes, without samples; itself if there are none."""
         return (
-            self
-            if self.work.workers == 1
-            else replace(self, problem=self.problem.without_samples, work=HERE)
+            self if self.work.workers == 1 else replace(self, problem=self.problem.without_samples)
         )
 
     def by_block(
@@ -79,10 +76,8 @@ class Equation:
         """The results of a task for each block of the measured motion, with the torque that the
         drives have by x (p,), and of another motion; on workers some blocks at a time.
         """
-        few = self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT
-        measured = self._made if few else motion_blocks(self.problem)
         each = zip(
-            (self.drives.about(x, motion) for motion in measured),
+            (self.drives.about(x, motion) for motion in self.kept or motion_blocks(self.problem)),
             repeat(None) if along is None else along,
             strict=False,
         )
@@ -302,14 +297,15 @@ def rows_of_recording(
     collected, late, parts = SpanRows(), SpanRows(), list[Sequence[Array]]()
     # The robot may have been prepared for other weights.
     along = None if along is None else (replace(z, problem=problem) for z in along)
-    for edges, rows, of_late, *arrays in equation.by_block(task, x, along):
-        split_at = edges
+    _ = [motion.W for motion in equation.kept]  # for all passes: blocks share what was made before
+    for block in equation.by_block(task, x, along):
+        edges, rows, of_late, *arrays = block
         collected.add(rows)
         late.add(of_late)
         parts.append(arrays)
     tau, speed, of_lags = (np.concatenate(each) for each in zip(*parts, strict=True))
     rows, fast_rows, followed = collected.rows(share)
-    G, C, Z, J, r = np.split(rows, split_at, axis=1)
+    G, C, Z, J, r = np.split(rows, edges, axis=1)
     W = J[:, :f]
     return Rows(
         x=x,

@@ -81,16 +81,16 @@ def test_two_recordings_are_fitted_with_what_they_have(
 def test_long_recordings_are_fitted_the_same_by_two_workers(
     count, concerns, columns, tmp_path, monkeypatch
 ):
-    """Each of several; the blocks of one, which end within spans of time."""
+    """Each of several, which is read again; the blocks of one, which end within spans of time."""
     if count == 1:
-        monkeypatch.setattr(problem, "_SERIES_BLOCK", 20_000)
-        monkeypatch.setattr("identification.regression.rows.MOST_AT_ONCE", 4)
+        monkeypatch.setattr(problem, "_SERIES_BLOCK", 4_000)
+    monkeypatch.setattr("identification.methods.model.MAX_HELD", 100)
     run, ran = Work.run, list[int]()
     monkeypatch.setattr(Work, "run", lambda *of: ran.append(of[0].workers) or run(*of))
     paths = written(tmp_path, concerns := frozenset(concerns), frozenset(columns), 25.0)[:count]
     fit, other = (fitted(paths, concerns, Work(n), decimation=1) for n in (1, 2))
     assert len(fit.tau_predicted) / count > system.SHORT
-    assert len(problem.row_blocks(fit.problem)) > 4 * (2 - count)
+    assert len(problem.row_blocks(fit.problem)) > 16 * (2 - count)  # more than are sent at once
     assert set(ran) == {2}
     assert bits(fit) == bits(other)
     again = validate(identification.Fit(**vars(fit)), paths[-1]).relative_error_percent
