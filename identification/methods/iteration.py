@@ -205,18 +205,19 @@ def with_lags_found(
 
     Returns
     -------
-    The rows about the new lags, to first order; these lags, s; and whether they have settled: all
-    change by less than a quarter of a sample.
+    The rows about the new lags, to first order; these lags, s; and whether they have settled: the
+    whole step of each is less than a quarter of a sample.
     """
     if rows.late is None:
         return rows, tuple(lags), True
     f, before = len(rows.x) - len(lags), rows.x[-len(lags) :]
     lags = tuple(lags_in(rows.late, before, lags))
-    if number >= MAX_FULL_STEPS:
-        each = zip(lags, before.tolist(), strict=True)
-        lags = tuple(replace(lag, value_s=0.5 * (lag.value_s + was)) for lag, was in each)
     values = np.array([lag.value_s for lag in lags])
     small = np.abs(values - before) < MAX_LAST_LAG * np.array([lag.period_s for lag in lags])
+    if number >= MAX_FULL_STEPS:
+        values = 0.5 * (values + before)
+        each = zip(lags, values.tolist(), strict=True)
+        lags = tuple(replace(lag, value_s=value_s) for lag, value_s in each)
     settled = bool(small.all()) and (number > 1 or all(lag.stated for lag in lags))
     return rows.about(np.r_[rows.x[:f], values]), lags, settled
 
