@@ -9,6 +9,7 @@ the cosines of the lowest frequencies measure it.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,6 +23,7 @@ MIN_COSINES = 4
 # with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
 MAX_COSINES = 16
 WHITE_COSINES = 48  # of rows that were whitened
+MIN_OWN = 1e-9  # of a column's norm outside a span; less is rounding
 MIN_VARIANCE_SHARE = 0.1  # of a very short recording
 
 
@@ -219,24 +221,40 @@ def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
-def deviations_of_sums(system: System, z: Array, rho: Array, Q: Array) -> Array:
+def deviations_of_sums(
+    system: System, z: Array, rho: Array, Q: Array, common: Array | None = None
+) -> Array:
     """Standard deviations (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
 
     rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The
-    deviations are corrected for what the two remove, as in `estimate_deviations`.
+    deviations are corrected for what the two remove, as in `estimate_deviations`. `common` (r, m):
+    orthonormal directions beside Q that all columns together remove, in place of one each.
     """
-    own = z - Q @ (Q.T @ z)  # the direction that a column adds to Q
-    own, each = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), []
+    own, each = z - Q @ (Q.T @ z), []  # the direction that a column adds to Q, none in its span
+    size, whole = (np.linalg.norm(x, axis=0) for x in (own, z))
+    own = np.divide(own, size, out=np.zeros_like(own), where=size > MIN_OWN * whole)
     for B, spans in _by_span(system):
-        cosine, each_Q = _family(B, len(spans)), np.array([z[at].T @ Q[at] for at in spans])
+        order, cuts = np.concatenate(spans), np.cumsum([0, *map(len, spans)])
+        of_z, cosine = z[order], _family(B, len(spans))
         scores, squares, by_own = (
-            np.array([(z[at] * x[at]).sum(axis=0) for at in spans]) for x in (rho, z, own)
+            _sums(of_z * x, cuts) for x in (rho[order], of_z, own[order] if common is None else 0.0)
         )
-        along = np.tensordot(cosine, each_Q, axes=1)
-        lost = (along**2).sum(axis=-1) + (cosine @ by_own) ** 2
+        lost = (cosine @ by_own) ** 2
+        for basis in (Q,) if common is None else (Q, common):
+            each_span = zip(pairwise(cuts), spans, strict=True)
+            products = [of_z[slice(*both)].T @ basis[at] for both, at in each_span]
+            along = np.tensordot(cosine, np.array(products), axes=1)
+            lost = lost + (along**2).sum(axis=-1)
         share = _share((cosine**2 @ squares - lost).mean(axis=0), squares.sum(axis=0))
         each.append(deviations(scores, B) / np.sqrt(share))
     return np.asarray(np.hypot.reduce(each))
+
+
+def _sums(x: Array, cuts: Ints) -> Array:
+    """Sums (K, k) of the rows of x (r, k) between borders (K + 1,)."""
+    found, full = np.zeros((len(cuts) - 1, x.shape[1])), np.diff(cuts) > 0
+    found[full] = np.add.reduceat(x, cuts[:-1][full])
+    return found
 
 
 def deviations(scores: Array, B: int) -> Array:

@@ -39,6 +39,6 @@ from .settings import (
     standing_joints,
     with_bandwidth,
 )
-from .states import friction_states, recorded_power, rigid_torque_at_rows, row_states
+from .states import LAG_ORDERS, friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
 from .weights import refuse_standing_joints, sample_weights, weights_at

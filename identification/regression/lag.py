@@ -6,7 +6,8 @@ is that of the simulated torque, as column and as instrument, so that position n
 it; least squares would find a false lag. Near a reversal friction rises smoothly where the model
 has a step, which looks like a lag, so only rows faster than a fifth of the peak speed count.
 Position noise grows with frequency and hides a lag: the rows of joint j are filtered along time by
-1 - a_1 B ... - a_6 B^6, B the row before, of its residual. Drive gains are held in them, as the
+1 - a_1 B ... - a_6 B^6, B the row before, of its residual; with four rows before or two where
+joints reverse so often that few rows would be left. Drive gains are held in them, as the
 recorded torque is noise in whitened rows.
 """
 
@@ -16,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..errors import NoFitError
 from ..estimation import (
     LEVEL,
@@ -32,10 +33,11 @@ from ..estimation import (
 from .blocks import MotionBlock
 from .problem import Problem
 from .settings import NOTHING, Lag
-from .states import LAG_ORDER, fast_for_lag, fast_for_lag_by
+from .states import LAG_ORDERS, fast_for_lag, fast_for_lag_by
 
 MAX_LAW_PERCENT = 5.0  # of the effort's variation that a law does not give
 DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
+MIN_ROWS = 20  # of a joint that moves, behind the filter; with fewer the next order is taken
 CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
 
 
@@ -93,19 +95,19 @@ def combined_lag(prior: Lag, found: tuple[float, float, int]) -> Lag:
     return replace(counted, reach=reach, prior=prior, found=found)
 
 
-def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
+def lags_in(late: tuple[System, Array, int], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
     """Solve rows of the lag by instrumental variables, and combine each lag with what is known.
 
         tau(t - L) = tau(t) - L dtau/dt                                                  (G)
 
     Parameters
     ----------
-    late : the rows of the lag and their instruments (r, p), both whitened.
+    late : the rows of the lag and their instruments (r, p), both whitened, by this order.
     now_s : (K,) lags about which the rows are, s.
     lags : (K,) of each group, with what is known; only that is used where the rows do not
         determine a lag.
     """
-    (system, Z), known = late, [lag.prior or lag for lag in lags]
+    (system, Z, order), known = late, [lag.prior or lag for lag in lags]
     with suppress(NoFitError):  # the rows do not determine them
         if system.Y.any():  # else the fit is exact
             step = instrumental_variables(system, Z, weights_of(system, system.Y))
@@ -113,7 +115,10 @@ def lags_in(late: tuple[System, Array], now_s: Array, lags: Sequence[Lag]) -> li
             last = slice(-len(lags), None)
             values, sd = (now_s + step.beta[last]).tolist(), within.sigma[last].tolist()
             each = zip(known, values, sd, strict=True)
-            return [combined_lag(lag, (value, sd, within.freedom)) for lag, value, sd in each]
+            return [
+                replace(combined_lag(lag, (value, sd, within.freedom)), order=order)
+                for lag, value, sd in each
+            ]
     return known
 
 
@@ -127,9 +132,13 @@ class LagFilters:
         measured `speed`; all (T, n).
         """
         self.of, self._sliding = of, np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
-        used = fast_for_lag_by(problem, speed, self._sliding) & (share.T > 0)
+        for self.order in LAG_ORDERS:
+            used = fast_for_lag_by(problem, speed, self._sliding, self.order) & (share.T > 0)
+            rows = _behind(used, self.order).sum(axis=1)
+            if (rows >= np.where(share.any(axis=0), MIN_ROWS, 0)).all():
+                break
         self._filters = [
-            np.r_[1.0, -autoregression(r * fast, LAG_ORDER)]
+            np.r_[1.0, -autoregression(r * fast, self.order)]
             for r, fast in zip(left.T, used, strict=True)
         ]
 
@@ -137,19 +146,29 @@ class LagFilters:
         """The rows [Z J r] (n, columns, T) of a block, filtered, and their weights (n, T): none
         where a row, or one that its filter reaches, is not fast along z.
         """
-        used = fast_for_lag(z, self._sliding) & (z.share > 0)
-        white, counts, T = np.zeros_like(rows), used.copy(), rows.shape[2]
-        counts[:, :LAG_ORDER] = False
-        for k in range(LAG_ORDER + 1):
+        used = fast_for_lag(z, self._sliding, self.order) & (z.share > 0)
+        white, T = np.zeros_like(rows), rows.shape[2]
+        for k in range(self.order + 1):
             h = np.array([own[k] for own in self._filters])[:, None, None]
             white[..., k:] += h * rows[..., : T - k]
-            counts[:, LAG_ORDER:] &= used[:, LAG_ORDER - k : T - k]
-        return white, z.share * counts
+        return white, z.share * _behind(used, self.order)
 
-    def system(self, rows: SpanRows, share: Array, names: Sequence[str]) -> tuple[System, Array]:
-        """The system and its instruments (r, columns), from whitened rows with the weights `share`
-        (T, n); `names` are those of x.
+    def system(
+        self, rows: SpanRows, share: Array, names: Sequence[str]
+    ) -> tuple[System, Array, int]:
+        """The system, its instruments (r, columns), and the order of the filter, from whitened rows
+        with the weights `share` (T, n); `names` are those of x.
         """
         A, _, followed = rows.rows(share)
         Z, J, r = np.split(A, [len(self.of), 2 * len(self.of)], axis=1)
-        return System(W=J, Y=r[:, 0], names=tuple(names[i] for i in self.of), **followed), Z
+        system = System(W=J, Y=r[:, 0], names=tuple(names[i] for i in self.of), **followed)
+        return system, Z, self.order
+
+
+def _behind(used: Bools, order: int) -> Bools:
+    """Rows (n, T) that are used with those that a filter of this order reaches, before them."""
+    found, T = used.copy(), used.shape[1]
+    found[:, :order] = False
+    for k in range(1, order + 1):
+        found[:, order:] &= used[:, order - k : T - k]
+    return found

@@ -153,7 +153,8 @@ class Rows:
         speed: (T, n) joint speeds.
         recorded: whether Z are along the measured motion.
         late: rows of the lag, of unknowns but gains: residual r, columns J and last of the lags;
-            and their instruments. None along the measured motion.
+            their instruments, and the order of the filter that whitens them. None along the
+            measured motion.
     """
 
     x: Array
@@ -167,7 +168,7 @@ class Rows:
     tau: Array
     speed: Array
     recorded: bool
-    late: tuple[System, Array] | None = None
+    late: tuple[System, Array, int] | None = None
 
     @property
     def parts(self) -> tuple[int, ...]:
@@ -333,12 +334,14 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
         for name in ("L", "C", "fast", "G", "Z", "share", "tau", "speed")
     }
     of |= {name: of[name][order] for name in ("L", "C", "fast", "G", "Z")}
-    late, instruments = zip(*(rows.late or (None, None) for rows in each), strict=True)
+    late, Z, orders = zip(*(rows.late or (None, None, None) for rows in each), strict=True)
     return replace(
         each[0],
         system=stacked([rows.system for rows in each]),
         **of,
-        late=None if None in late else (stacked(late), np.concatenate(instruments)[by_joint(late)]),
+        late=None
+        if None in late
+        else (stacked(late), np.concatenate(Z)[by_joint(late)], min(orders)),
     )
 
 

@@ -55,6 +55,7 @@ class Lag:
         by_law_s: the lag where the described control law gives the effort, else None.
         moved: (b,) shift of each parameter by one deviation of the lag.
         recordings: their names.
+        order: of the filter that whitens the rows of the lag; 0 without such rows.
     """
 
     value_s: float
@@ -67,6 +68,7 @@ class Lag:
     by_law_s: float | None = None
     moved: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[str, ...] = ()
+    order: int = 0
 
     @property
     def stated(self) -> bool:

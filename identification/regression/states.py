@@ -13,8 +13,9 @@ from .problem import Problem
 from .terms import torque_of_links
 
 MIN_LAG_SPEED_PERCENT = 20.0  # of the peak speed; a lag is looked for in faster rows
-# of its whitening filter: shorter, model error looks like a lag; longer, few rows are left
-LAG_ORDER = 6
+# of its whitening filter: shorter, model error looks like a lag; longer, few rows are left, so that
+# where moves between reversals are short the next one is taken
+LAG_ORDERS = (6, 4, 2)
 STATES = 300  # rows of a recording to evaluate friction at
 
 
@@ -58,17 +59,17 @@ def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     return dq, torque_of_links(problem, beta, q, dq, ddq)
 
 
-def fast_for_lag(motion: MotionBlock, peak: Array) -> Bools:
+def fast_for_lag(motion: MotionBlock, peak: Array, order: int = LAG_ORDERS[0]) -> Bools:
     """Rows (n, T) of a motion in which a lag shows, by the `peak` speeds (c,) along the
-    directions of Coulomb friction.
+    directions of Coulomb friction, behind a whitening filter of this order.
     """
     fast = fast_for_lag_by(
-        motion.problem, motion.dq[motion.decimation.instants(len(motion.dq))], peak
+        motion.problem, motion.dq[motion.decimation.instants(len(motion.dq))], peak, order
     )
     return fast[:, motion.inside]
 
 
-def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> Bools:
+def fast_for_lag_by(problem: Problem, speed: Array, peak: Array, order: int) -> Bools:
     """Rows (n, T) in which a lag shows, by their speeds (T, n): no direction of Coulomb friction
     that acts on the joint is slower than a share of its peak.
     """
@@ -78,6 +79,6 @@ def fast_for_lag_by(problem: Problem, speed: Array, peak: Array) -> Bools:
     fast = ~(slow @ (directions != 0)).T
     # Not soon before a slow row, as zero-phase decimation spreads a reversal both ways; the
     # whitening leaves out rows soon after one.
-    for _ in range(LAG_ORDER):
+    for _ in range(order):
         fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
     return np.asarray(fast)

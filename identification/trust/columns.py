@@ -18,21 +18,28 @@ import numpy as np
 from ..arrays import Array
 from ..estimation import deviations_of_sums, orthonormal, release_memory
 from ..report import Assumed
-from . import candidates
+from . import kinds
+from .candidates import MIN_T, MissingTerm
 from .evidence import FitData, TrustLine, first_case
+from .kinds import KINDS
 
+AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 # share of a column's norm outside the span of W, for a usable coefficient
 MIN_INDEPENDENT_NORM = 0.01
 # the same, and of a column's norm beside the torque's: below, it is rounding and biases nothing
 MIN_BIAS = 1e-6
 MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording shows it
+# of what a kind takes together, for its rank: any slow error looks like a spring, and many columns
+# take more than one
+SHARES = {kinds.SPRING: 0.5, kinds.HYSTERESIS: 0.5, kinds.IN_PARTS: 0.8}
+MIN_RIVAL = 0.8  # of what the first kind takes: another that takes as much may be the cause too
 # error of a zero; a larger one that is not noticed is assumed away
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
 ASSUMED = (
-    (candidates.ZERO, "right at {}", "a wrong zero turns the links' parameters"),
+    (kinds.ZERO, "right at {}", "a wrong zero turns the links' parameters"),
     (
-        candidates.ROTOR,
+        kinds.ROTOR,
         "none at {} (rotor_inertia = false)",
         "the links' parameters take a rotor",
     ),
@@ -46,7 +53,7 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
     every, robot = missing_terms(evidence), evidence.robot
     assumed, terms = tuple(_assumed(every)), [term for term in every if np.isfinite(term.noticed)]
     found = [term for term in terms if term.found]
-    first = max(found or terms or every, key=_rank)
+    first = max(found, key=_rank) if found else max(terms or every, key=lambda x: abs(x.t))
     strongest = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
     strongest += f", t = {first.t:.1f}, {first.taken_percent:.1f} % of the residual"
     untried = (
@@ -56,19 +63,32 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         if not robot.gain_known
         else ""
     )
-    more = f"; {len(found) - 1} more with t above {candidates.MIN_T:g}" if len(found) > 1 else ""
+    told = [first, *(x for x in found if _is_rival(x, first))][:2]
+    more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
+    each = [x.advice if x is first else f"{x.finding}: {x.advice}" for x in told]
     none = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
     return first_case(
         "added columns",
         (not terms, "not made", "not made: the model has every term that is tried"),
-        (found, "caution", f"{strongest}{more}: {first.advice}", first.finding),
+        (
+            found,
+            "caution",
+            f"{strongest}{more}: {' or, as it explains as much, '.join(each)}",
+            ", or ".join(x.finding for x in told),
+        ),
         (True, "ok", none),
         value=first.t if terms else None,
         assumed=assumed,
     )
 
 
-def _assumed(terms: Sequence[candidates.MissingTerm]) -> Iterator[Assumed]:
+def _is_rival(term: MissingTerm, first: MissingTerm) -> bool:
+    """Whether another kind at the same joint explains as much as the first."""
+    share = MIN_RIVAL * first.together_percent
+    return term.kind != first.kind and term.where == first.where and term.together_percent > share
+
+
+def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
     """Zeros whose large error is not noticed, and rotors that the description denies."""
     for kind, value, why in ASSUMED:
         unnoticed = [
@@ -85,31 +105,34 @@ def _assumed(terms: Sequence[candidates.MissingTerm]) -> Iterator[Assumed]:
             yield Assumed(f"{kind}s", value.format(joints), f"{why}; not noticed: {each}")
 
 
-def _rank(term: candidates.MissingTerm) -> tuple[float, float]:
+def _rank(term: MissingTerm) -> tuple[float, float]:
     """Sort key. Several joints may lack the same term, so all columns of a kind count together.
 
     Asymmetric Coulomb friction contains an offset, so it wins a tie. A tilt of gravity follows the
-    position, as springs do.
+    position, as springs do. A wrong ratio looks like a rotor, and can be checked.
     """
-    ahead = MAX_TIE_PERCENT if term.kind in (candidates.ASYMMETRIC, candidates.TILT) else 0.0
-    share = 0.5 if term.kind == candidates.SPRING else 1.0
+    ahead = MAX_TIE_PERCENT if term.kind in AHEAD else 0.0
+    share = SHARES.get(term.kind, 1.0)
     return share * term.together_percent + ahead, term.taken_percent
 
 
-def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
+def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
     """All columns that are independent of W; and zeros and rotors in its span,
     which bias the parameters.
 
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth
-        the sign of the speed.
+        the sign of the speed. There are no negative rotors.
     """
-    found = list[candidates.MissingTerm]()
+    found = list[MissingTerm]()
     release_memory(evidence.observed.C)
-    for kind, of in groupby(evidence.candidates.terms, lambda term: term.kind):
-        terms = _scored(evidence, kind, list(of), fast=kind == candidates.CLOCKS)
-        found += [x for x in terms if kind != candidates.STRIBECK or x.value > 0]
+    # of parts of the time those of a joint, which have to be told apart
+    for (kind, _), of in groupby(
+        evidence.candidates.terms, lambda x: (x.kind, x.joint if x.kind == kinds.IN_PARTS else None)
+    ):
+        terms = _scored(evidence, kind, list(of), fast=kind == kinds.CLOCKS)
+        found += [x for x in terms if kind not in kinds.POSITIVE or x.value > 0 or not x.found]
     for i, term in enumerate(found):
-        if term.kind == candidates.LAG and abs(term.t) > candidates.MIN_T:
+        if term.kind == kinds.LAG and abs(term.t) > MIN_T:
             # In fast rows only: friction near reversals looks like a lag.
             again = _scored(evidence, term.kind, [term], fast=True)
             told = next((x for x in again if x.t * term.t > 0), replace(term, t=0.0))
@@ -118,21 +141,21 @@ def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
 
 
 def _scored(
-    evidence: FitData, kind: str, terms: Sequence[candidates.MissingTerm], *, fast: bool
-) -> list[candidates.MissingTerm]:
+    evidence: FitData, kind: str, terms: Sequence[MissingTerm], *, fast: bool
+) -> list[MissingTerm]:
     """Terms of a kind with their figures; `fast`: of a single one, with the rows of its joint in
     which a lag shows only, and clocks beside the common lag, which its prior holds.
     """
     observed, estimate, W, Y = evidence.observed, evidence.estimate, evidence.W, evidence.Y
     joint, weight = observed.system.joint_of_row, evidence.weight[:, None]
     acts = np.stack([(joint == term.joint) | (term.joint is None) for term in terms], axis=1)
-    C = observed.C[:, [term.column for term in terms]] * weight
-    C *= acts & (observed.fast[:, None] | (kind not in candidates.IN_FAST_ROWS))
+    C = _columns(evidence, terms) * weight
+    C *= acts & (observed.fast[:, None] | (kind not in kinds.IN_FAST_ROWS))
     Q, bread, rho, rows = estimate.Q, estimate.bread, Y - W @ estimate.beta, np.ones(1)
     if fast:
         rows = (observed.fast | ~acts[:, 0]).astype(float)  # so that no product is a further copy
         common = observed.L[:, -len(evidence.lags) :].sum(axis=1, keepdims=True)
-        common = common[:, : int(kind == candidates.CLOCKS)] * -weight
+        common = common[:, : int(kind == kinds.CLOCKS)] * -weight
         Q = np.c_[Q, common]
         Q *= rows[:, None]  # in place: a copy fewer of a long recording
         Q = orthonormal(Q)
@@ -145,28 +168,30 @@ def _scored(
     norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
     stays = independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
     # A zero may act nowhere, and a rotor in the span to rounding is a part of a link's parameter.
-    if kind in (candidates.ZERO, candidates.ROTOR):
+    if kind in (kinds.ZERO, kinds.ROTOR):
         stays = (
-            norm > MIN_BIAS * np.linalg.norm(Y)
-            if kind == candidates.ZERO
-            else left > MIN_BIAS * norm
+            norm > MIN_BIAS * np.linalg.norm(Y) if kind == kinds.ZERO else left > MIN_BIAS * norm
         )
     size = np.where(independent, (z * C).sum(axis=0), np.inf)
     g = z.T @ rho / size
-    with_term = rho[:, None] - g * apart
-    sigma = deviations_of_sums(observed.system, z, with_term, Q) / np.abs(size)
+    own = z[:, independent].T
+    of_all = np.linalg.lstsq(own @ C[:, independent], own @ rho, rcond=1e-6)[0]
+    with_term, with_all = rho[:, None] - g * apart, rho - apart[:, independent] @ of_all
+    noise, common = with_term, None
+    if kind == kinds.IN_PARTS:  # the others would count as noise; the last is less their sum
+        some = z[:, independent][:, :-1]
+        noise, common = with_all[:, None], orthonormal(some - Q @ (Q.T @ some))
+    sigma = deviations_of_sums(observed.system, z, noise, Q, common) / np.abs(size)
     found_well = np.isin(estimate.names, evidence.essential)
     within = np.where(found_well, evidence.intervals.half, np.inf)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         moves = np.nan_to_num(np.abs(by_column[: len(within)] * g) / within)
         t = np.where(sigma > 0, g / sigma, 0.0)
-        large = np.sqrt(0.01 * candidates.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
+        large = np.sqrt(0.01 * kinds.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
         large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
-        large = np.maximum((candidates.MIN_T + MARGIN_T) * sigma, large)
+        large = np.maximum((MIN_T + MARGIN_T) * sigma, large)
     noticed = np.where(independent, large, np.inf)
-    own, taken = z[:, independent].T, _taken_percent(rho, with_term)
-    of_all = np.linalg.lstsq(own @ C[:, independent], own @ rho, rcond=1e-6)[0]
-    together = _taken_percent(rho, rho - apart[:, independent] @ of_all)
+    taken, together = (_taken_percent(rho, left) for left in (with_term, with_all))
     figures = np.stack([g, t, taken, moves.max(axis=0), noticed], axis=1).tolist()
     names = "value", "t", "taken_percent", "moves", "noticed"
     return [
@@ -174,6 +199,22 @@ def _scored(
         for term, of_term, stay in zip(terms, figures, stays, strict=True)
         if stay
     ]
+
+
+def _columns(evidence: FitData, terms: Sequence[MissingTerm]) -> Array:
+    """Columns (r, k) of terms of a kind: of C, or torques of the model by span of time."""
+    system, kind = evidence.observed.system, KINDS[terms[0].place[0]]
+    if kind.torque is not None:
+        return evidence.observed.C[:, [term.column for term in terms]]
+    middle = np.cumsum(evidence.lengths) - 0.5 * evidence.lengths
+    k = np.searchsorted(evidence.ends, middle) - 1
+    u = (middle - evidence.ends[k]) / np.diff(evidence.ends)[k] - 0.5
+    beta = np.where(
+        [name.startswith(kind.of) for name in evidence.estimate.names], evidence.estimate.beta, 0.0
+    )
+    torque = evidence.Z[:, evidence.places] @ beta
+    each = [kind.in_time(u, term.place[1]) for term in terms]
+    return torque[:, None] * np.stack(each, axis=1)[system.span]
 
 
 def _taken_percent(rho: Array, left: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..estimation import by_rows_alone, differs, intervals_of
-from ..regression import MAX_LAW_PERCENT, Lag, Law, Problem
+from ..regression import LAG_ORDERS, MAX_LAW_PERCENT, Lag, Law, Problem
 from ..report import Assumed
 from .evidence import LEVELS, FitData, TrustLine, figures_of, first_case, worst_of
 
@@ -62,6 +62,8 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
         + f"; {prior.source} gives {prior.value_s * fs:.2f}, which contradicts it and is not used"
         * (lag.source == "data")
         + f"; it acts {delay:.2f} ± {off:.2f} samples after the command" * (lag.delay_s is not None)
+        + f"; whitened over {lag.order} rows, not {LAG_ORDERS[0]}, as joints reverse often"
+        * (0 < lag.order < LAG_ORDERS[0])
     )
     return first_case(
         "lag",
@@ -75,7 +77,12 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
         (
             lag.found is None and moved[worst] > 1,
             "caution",
-            f"{known}: state effort_timing, or record the reference",
+            f"{known}: state effort_timing, "
+            + (
+                "or record longer moves: joints reverse too often for their rows to show it"
+                if evidence.candidates.simulated
+                else "or record the reference"
+            ),
         ),
         (lag.found is None, "ok", known),
         (

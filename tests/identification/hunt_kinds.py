@@ -1,4 +1,4 @@
-"""The 33 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and
+"""The 37 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and
 which test should say so.
 
 A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A
@@ -201,9 +201,16 @@ def late(s: SetUp, rng: Rng) -> SetUp:
     return s.in_cell(lag=rng.integers(2, 11) / 2, recorded="mean" if mean else "command")
 
 
-def ratio(s: SetUp, rng: Rng) -> SetUp:
+def ratio_of_one(s: SetUp, rng: Rng) -> SetUp:
+    """Of the elbow, or of one of the first four joints."""
+    factor = np.ones(s.body.n)
+    factor[1 if s.name == "scara" else rng.integers(4)] = off(rng, 5, 10)
+    return ratio(s, rng, factor)
+
+
+def ratio(s: SetUp, rng: Rng, factor: Array | None = None) -> SetUp:
     """Positions, reference and efforts were turned into those of joints by the wrong ratio."""
-    factor = of_a_joint(s, rng, off(rng, 2, 30))
+    factor = of_a_joint(s, rng, off(rng, 2, 30)) if factor is None else factor
     R = s.robot.R * factor[:, None]
     motors = tuple(
         msgspec.structs.replace(m, ratio=float(R[j, j])) for j, m in enumerate(s.robot.motors)
@@ -429,6 +436,23 @@ KINDS = {
     ),
     "zero of a joint 2°": Kind(
         change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)
+    ),
+    "torque constant drifts 3-10 %": Kind(
+        change=lambda s, rng: s.in_cell(gain_drift=rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)),
+        named=(("added columns", "torque constant"),),
+    ),
+    "hysteresis 10-20 %": Kind(
+        change=lambda s, rng: s.in_cell(hysteresis_percent=rng.uniform(10, 20)),
+        named=(("added columns", "hysteresis"),),
+    ),
+    "brake drags for 30 % of the time": Kind(
+        change=lambda s, rng: s.in_cell(
+            dragging=rng.uniform(0.5, 1.5), dragging_from=rng.uniform(0.0, 0.7)
+        ),
+        named=(("added columns", "of the time"), ("halves", "")),
+    ),
+    "ratio of one joint 5-10 %": Kind(
+        change=ratio_of_one, named=(("added columns", "ratio"),), robots=("scara", "tx40")
     ),
     "clocks 0.1 % apart": Kind(change=clocks_apart, named=(("added columns", "clock"),)),
 }

@@ -184,7 +184,10 @@ class Imperfections:
     encoder_correlation: of the noise from sample to sample, 0 if white. torque_noise_percent,
     coloured_noise_percent: of the recorded torque, white and AR(0.98). disturbance_percent:
     AR(0.98), of the torque that acts. drift_percent: torque that grows from 0 to this over the run.
-    friction_drift: friction grows over the run by this part of itself, about its mean.
+    friction_drift, gain_drift: friction, and the record of the torque, grow over the run by this
+    part of themselves, about their mean. dragging: friction is this part more for 30 % of the
+    run, from that share of it on (`dragging_from`). hysteresis_percent: friction of Dahl that acts,
+    over 15 % of each joint's travel.
     recorded: the `command` of the tick, or the `mean` of the torque that acts over the period about
     the tick. lag: samples by which the record of it is late, between two samples on the straight
     line. actuation_delay_s: a command acts this much after its tick.
@@ -198,6 +201,10 @@ class Imperfections:
     disturbance_percent: float = 0.0
     drift_percent: float = 0.0
     friction_drift: float = 0.0
+    gain_drift: float = 0.0
+    dragging: float = 0.0
+    dragging_from: float = 0.35
+    hysteresis_percent: float = 0.0
     recorded: Literal["command", "mean"] = "command"
     lag: float = 0.0
     actuation_delay_s: float = 0.0
@@ -336,6 +343,7 @@ def simulate(
         else np.zeros((1, N, 1))
     )
     push = push + level * cell.drift_percent * np.linspace(0, 1, N)[:, None]
+    z, travel = np.zeros((S, n)), np.ptp(reference.q, axis=1)
 
     q, v = reference.q[:, 0].copy(), np.zeros((S, n))
     held = plant.inertia_and_bias(q, v)[1]
@@ -381,10 +389,14 @@ def simulate(
         measured[:, k], commanded[:, k], q_true[:, k], dq_true[:, k] = seen @ back, tau, q, v
         if later is not None and k == N // 2:
             body = later
-        if cell.friction_drift:
-            body = replace(
-                body, friction=plant.friction.times(1 + cell.friction_drift * (k / N - 0.5))
-            )
+        if cell.friction_drift or cell.dragging:
+            drags = cell.dragging_from < k / N < cell.dragging_from + 0.3
+            more = cell.dragging * drags + cell.friction_drift * (k / N - 0.5)
+            body = replace(body, friction=plant.friction.times(1 + more))
+        if cell.hysteresis_percent:
+            way = v * T / (0.15 * travel)
+            z = z + way - np.abs(way) * z
+            push[:, k] -= level[:, 0] * cell.hysteresis_percent * z
         acceleration, v_before, newest = (v - v_before) / T, v, k - int(periods)
         for part, from_tick in ((begun, newest - 1), (1 - begun, newest)):
             if part:
@@ -399,6 +411,7 @@ def simulate(
     if cell.recorded == "mean":
         recorded = shifted(recorded, 0.5 + cell.actuation_delay_s / T)
     recorded = shifted(recorded, cell.lag)
+    recorded = recorded * (1 + cell.gain_drift * np.linspace(-0.5, 0.5, N)[:, None])
     recorded = recorded + level * cell.torque_noise_percent * rng.standard_normal((S, N, n))
     if cell.coloured_noise_percent:
         recorded = recorded + level * cell.coloured_noise_percent * coloured(rng, (S, N, n))

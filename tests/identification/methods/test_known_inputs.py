@@ -30,7 +30,8 @@ from identification.regression import (
     make_problem,
 )
 from identification.study import write_signals
-from identification.trust.candidates import SPRING, Candidates, MissingTerm
+from identification.trust.candidates import Candidates, MissingTerm
+from identification.trust.kinds import SPRING
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m
 PULSE_V, EVERY, WIDTH = 2.0, 700, 60  # and samples

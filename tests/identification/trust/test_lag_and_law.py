@@ -251,7 +251,7 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
         rows, of_lag = lag.whitened(np.outer([2, 1, 3], x[z.near][z.inside])[None], z)
         late.add(SpanRows.of_block(len(x), z.first, rows, of_lag))
         shares.append(of_lag.T)
-    white, Z = lag.system(late, np.concatenate(shares), ("lag",))
+    white, Z, _ = lag.system(late, np.concatenate(shares), ("lag",))
     np.testing.assert_allclose(Z, 2 * white.W, atol=1e-12)
     np.testing.assert_allclose(white.Y, 3 * white.W[:, 0], atol=1e-12)
     fast = np.abs(speed[:, 0]) > 0.2 * np.abs(speed).max()

@@ -18,6 +18,7 @@ from identification.methods import Fit
 from identification.trust import columns
 from identification.trust.candidates import MissingTerm
 from identification.trust.columns import missing_terms
+from identification.trust.kinds import IN_PARTS
 
 
 def white(name: str) -> SetUp:
@@ -57,7 +58,10 @@ def test_a_rotor_that_the_description_denies_is_named_with_its_size():
     setup = white("scara")
     fit = fit_by_default(denied_rotor(setup, np.random.default_rng(1)).recording(3))
     told = fit.trust.line("added columns")
-    assert (told.level, told.finding) == ("caution", "rotor of joint elbow missing")
+    assert (told.level, told.finding) == (
+        "caution",
+        "ratio of joint elbow off, or rotor of joint elbow missing",
+    )
     ((_, value, t),) = figures(fit, "rotor")
     assert value == pytest.approx(0.3 * setup.robot.parameters["ZZ2"], rel=0.15)
     assert abs(t) > 10
@@ -111,6 +115,30 @@ def test_clocks_that_run_apart_are_named():
     assert abs(t) < 4
 
 
+@pytest.mark.parametrize(
+    ("what", "name", "kind", "found"),
+    [
+        ("torque constant drifts 3-10 %", "scara", "drift of the torque constant", 6.6),
+        ("friction drifts 20-40 %", "emps", "drift of friction", 30.2),
+        ("hysteresis 10-20 %", "scara", "hysteresis", None),
+        ("brake drags for 30 % of the time", "scara", IN_PARTS, None),
+        ("ratio of one joint 5-10 %", "scara", "ratio", 7.6),
+    ],
+)
+def test_faults_in_time_and_of_a_ratio_are_named_with_their_size(what, name, kind, found):
+    """Least squares of white noise; values as drawn, where the description says what is right."""
+    fit = fit_by_least_squares(
+        KINDS[what].change(white(name), np.random.default_rng(4)).recording(3)
+    )
+    told = fit.trust.line("added columns")
+    assert (told.level, told.finding.startswith(kind)) == ("caution", True), told.text
+    value, t = max((x[1:] for x in figures(fit, kind)), key=lambda x: abs(x[1]))
+    assert abs(t) > 7
+    assert found is None or value == pytest.approx(found, rel=0.2)
+    sound_t = [t for _, _, t in figures(clean(name), kind)]
+    assert max(map(abs, sound_t), default=0.0) < 4.5
+
+
 def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     """Of the elbow; the rows of the shoulder stay."""
     data, scored, shares = clean("scara").data, columns._scored, []
@@ -140,6 +168,18 @@ def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     assert not lag_of_elbow(-5.5).found
     assert all(shoulder == 1.0 and elbow < 1 for shoulder, elbow in shares)
     assert len(shares) == 3
+
+
+def test_a_lag_is_found_where_joints_reverse_often():
+    """A command acts for the period after it: half a sample early. Behind a filter of six rows no
+    joint has enough.
+    """
+    fit = fit_by_default(replace(white("scara"), highest_hz=2.0).recording(0))
+    (lag,), line = fit.data.lags, fit.trust.line("lag")
+    assert (lag.order, fit.trust.verdict) == (2, "trust")
+    assert line.text.endswith("whitened over 2 rows, not 6, as joints reverse often")
+    assert lag.found[0] == pytest.approx(-0.0005, abs=lag.half_width_s)
+    assert lag.half_width_s < 0.0002
 
 
 def test_a_late_elbow_is_named():

@@ -35,7 +35,7 @@ from identification.regression import (
     torque_of_recording,
     weights_at,
 )
-from identification.trust import LEVELS, FitData, Trust, TrustLine, candidates, trust_in
+from identification.trust import LEVELS, FitData, Trust, TrustLine, candidates, kinds, trust_in
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
     TESTS,
@@ -348,7 +348,7 @@ def test_two_kinds_of_one_name_are_two_columns_that_count_together(monkeypatch):
     phase = 20 * signals.q[:, 1]
     ripple = 3.0 * (np.cos(phase) + np.sin(phase))
     two = (
-        candidates.Kind(
+        kinds.Kind(
             name="ripple",
             torque=lambda of, x, *_, turn=turn: turn(20 * x.q),
             unit="{effort}",

@@ -1,0 +1,355 @@
+"""Kinds of terms that a model may lack, each with its torque along a motion, what to do about it,
+and where it is looked for. A new one is an entry of `KINDS`.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from acquisition.robot import Robot
+
+from ..arrays import Array, Ints
+from ..model import DirectModel, direct_model
+from ..regression import MotionBlock, Problem, smooth
+
+MIN_TAKEN_PERCENT = 2.0  # of the residual's square
+# of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
+STRIBECK_SPEED_RATIO = 0.2
+STRIBECK, ASYMMETRIC, SPRING = "Stribeck friction", "asymmetric friction", "spring"
+TILT, LAG, ROTOR, ZERO, CLOCKS = "tilt of gravity", "lag", "rotor", "zero", "clock drift"
+RATIO, HYSTERESIS, IN_PARTS = "ratio", "hysteresis", "friction of a part of the time"
+PARTS = 6  # of the time
+# of a joint's travel, in which hysteresis turns from one side to the other
+TRAVELS = (0.1, 0.2)
+POSITIVE = (STRIBECK, ROTOR)  # their values
+# Near reversals, friction that rises smoothly looks like these; they hardly show in the residual.
+IN_FAST_ROWS = (LAG, CLOCKS)
+MIN_ARM_M = 1e-9  # of a weight about an axis
+# at which the torque of the links is computed: smooth, and low-passed to half a sample a row
+SAMPLES_A_ROW = 4
+SELECT_TERMS = "run `robot-identify friction`"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class About:
+    """The model of a recording about values of its parameters, of which terms are made.
+
+    Attributes:
+        problem: of the recording; `beta`: (b,) its base parameters.
+        peak: (n,) largest speeds of the joints.
+        simulated: whether the motion has the torque of a simulated robot that
+            follows a recorded reference.
+    """
+
+    problem: Problem
+    beta: Array
+    peak: Array
+    simulated: bool
+
+    @cached_property
+    def weighs(self) -> Ints:
+        """(g,) places of the base parameters of links that weigh."""
+        idm, columns = self.problem.model, self.problem.base.columns
+        q = np.sin(np.outer(np.arange(1, 6), np.arange(1, idm.robot.n + 1)))  # some poses
+        still = np.abs(idm.regressor(q, 0 * q, 0 * q)[:, :, columns] * idm.of_links[columns])
+        return np.flatnonzero(
+            still.max(axis=(0, 1)) > MIN_ARM_M * np.linalg.norm(self.robot.gravity)
+        )
+
+    @property
+    def robot(self) -> Robot:
+        """Its robot."""
+        return self.problem.signals.robot
+
+    @property
+    def span_s(self) -> Array:
+        """Instants of the first and the last sample used."""
+        settings = self.problem.settings
+        return np.array([settings.start, settings.stop - 1]) / self.problem.signals.sample_rate_hz
+
+    @cached_property
+    def links(self) -> DirectModel:
+        """The links, with nothing of parameters that are regrouped."""
+        idm, chi = self.problem.model, np.zeros(self.problem.model.p)
+        chi[self.problem.base.columns] = self.beta
+        return direct_model(idm, np.where(idm.of_links, chi, 0.0))
+
+    def friction(self, name: str) -> Array:
+        """(n,) a hundredth of the friction of each joint by this name, Fc or Fv."""
+        names = (self.problem.model.names[c] for c in self.problem.base.columns)
+        value = dict(zip(names, 0.01 * self.beta, strict=True))
+        return np.array([value.get(f"{name}{j + 1}", 0.0) for j in range(len(self.peak))])
+
+
+Places = Callable[[About], Iterable[tuple[str, int]]]
+# (N, n) per unit of a candidate along a motion, by what `_of_links` gives there, of its k-th place
+Torque = Callable[[About, MotionBlock, Array, int], Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of term, at one place or several: at joints, axes, or directions of friction.
+
+    Attributes:
+        name, torque: terms of one joint each share a column, unless they act `everywhere`. None for
+            those that are torques `of` the model, by the beginnings of their parameters' names,
+            times a function `in_time` of the time (S,), from -1/2 to 1/2, and of the place.
+        parts: columns of each joint, in sequence at its places.
+        unit: of the coefficient, by those of the joint that tells it.
+        advice: what to do; where friction is a list in which it may be `listed`, to add it.
+        friction: the term of a joint's description that is this one.
+        at: its places, each its name and the joint that tells it.
+        lacks: whether a model without that may lack it at its k-th place.
+        missing: of `finding`, its end.
+        least_percent: as of `MissingTerm`.
+    """
+
+    name: str
+    unit: str
+    advice: str
+    torque: Torque | None = None
+    of: tuple[str, ...] = ()
+    in_time: Callable[[Array, int], Array] = lambda u, _: u
+    listed: bool = False
+    everywhere: bool = False
+    parts: int = 1
+    friction: str = ""
+    lacks: Callable[[About, int], bool] = lambda *_: True
+    at: Places = lambda of: [
+        (f"of joint {joint.name}", j) for j, joint in enumerate(of.robot.joints)
+    ]
+    missing: str = " missing"
+    least_percent: Callable[[About], float] = lambda _: MIN_TAKEN_PERCENT
+
+
+def stride_of(motion: MotionBlock) -> int:
+    """Step between samples that tell what links need."""
+    return motion.decimation.factor // SAMPLES_A_ROW
+
+
+def _directions(of: About) -> list[tuple[str, int]]:
+    """Of Coulomb friction: of a joint, or of the motor of the last joint that it moves."""
+    names = [joint.name for joint in of.robot.joints]
+    return [
+        (f"of{' the motor of' if len(at) > 1 else ''} joint {names[at[-1]]}", int(at[-1]))
+        for at in map(np.flatnonzero, of.problem.model.coulomb_directions)
+    ]
+
+
+def _turned(of: About, k: int) -> Array:
+    """Gravity (3,) per rad of a rotation about an axis of the base."""
+    return np.cross(np.eye(3)[k], np.array(of.robot.gravity))
+
+
+def _root(of: About, x: MotionBlock, links: Array, k: int) -> Array:
+    along = of.problem.model.coulomb_directions[k]
+    v = x.dq @ along
+    return np.asarray((np.sign(v) * np.sqrt(np.abs(v)))[:, None] * along)
+
+
+def _with_ratio(of: About, x: MotionBlock, links: Array, k: int) -> Array:
+    """Where joint k moves by a hundredth more than told, and its motor's torque is as much more."""
+    torque = links[..., 1 + len(of.peak) + k].copy()
+    torque[:, k] += x.tau[:, k]
+    return np.asarray(0.01 * torque)
+
+
+def _of_parts(of: About) -> list[tuple[str, int]]:
+    """Of each joint in each part of the time."""
+    first, last = of.span_s
+    borders = np.linspace(first, last, PARTS + 1)
+    times = [f"from {a:.3g} to {b:.3g} s" for a, b in pairwise(borders)]
+    return [
+        (f"of joint {joint.name} {time}", j)
+        for j, joint in enumerate(of.robot.joints)
+        for time in times
+    ]
+
+
+def _hysteresis(of: About, x: MotionBlock, _: Array, k: int) -> Array:
+    """z (N, n) with dz = (dq - |dq| z) / x, friction of Dahl, x a share of each joint's travel.
+
+    A step is z <- a z + b; steps are put together in twos, fours and so on.
+    """
+    travel = TRAVELS[k % len(TRAVELS)] * np.ptp(of.problem.poses, axis=0)
+    steps = np.diff(x.q, axis=0, prepend=x.q[:1]) / np.maximum(travel, np.finfo(float).tiny)
+    a, reach = np.exp(-np.abs(steps)), 1
+    z = np.asarray(np.sign(steps) * (1 - a))
+    while reach < len(z):
+        z[reach:] += a[reach:] * z[:-reach]
+        a[reach:] *= a[:-reach].copy()
+        reach *= 2
+    return z
+
+
+KINDS = (
+    Kind(
+        name=ASYMMETRIC,
+        torque=lambda of, x, *_: of.friction("Fc") + of.friction("Fv") * np.abs(x.dq),
+        unit="% of it",
+        advice='describe it as friction = "asymmetric", which includes an offset',
+        listed=True,
+        friction="asymmetric",
+        lacks=lambda of, k: (
+            not (joint := of.robot.joints[k]).one_sided
+            and not {"viscous", "coulomb"}.isdisjoint(joint.terms)
+        ),
+    ),
+    Kind(
+        name="offset",
+        torque=lambda of, x, *_: np.ones_like(x.q),
+        unit="{effort}",
+        advice="describe it as offset = true",
+        listed=True,
+        friction="offset",
+    ),
+    Kind(
+        name="drift",
+        torque=lambda of, x, *_: ((x.t_s - of.span_s[0]) / np.ptp(of.span_s))[:, None] + 0 * x.q,
+        unit="{effort} over the recording",
+        advice="warm the robot up, or record a shorter motion",
+        missing="",
+    ),
+    Kind(
+        name=SPRING,
+        torque=lambda of, x, *_: x.q,
+        unit="{effort}/{position}",
+        advice="record its torque (of a spring, a hose or a weight) as known_torque",
+        # any slow error correlates with a slow position
+        least_percent=lambda of: MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0,
+    ),
+    Kind(
+        name=STRIBECK,
+        torque=lambda of, x, *_: (
+            np.sign(x.dq)
+            * np.exp(-((x.dq / (STRIBECK_SPEED_RATIO * np.maximum(of.peak, 1e-300))) ** 2))
+        ),
+        unit="{effort}",
+        advice="leave out slow samples by a larger low_speed_percent of [identification]",
+        friction="stribeck",
+    ),
+    Kind(
+        name=ZERO,
+        torque=lambda of, x, links, k: (
+            links[..., 1 + k] * (np.pi / 180 if of.robot.joints[k].type == "revolute" else 1e-3)
+        ),
+        unit="{zero}",
+        advice="check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
+        everywhere=True,
+        missing="",
+    ),
+    Kind(
+        name=ROTOR,
+        torque=lambda of, x, *_: x.ddq,
+        unit="{inertia}",
+        advice="rotor_inertia = true",
+        lacks=lambda of, k: not of.robot.joints[k].rotor_inertia,
+    ),
+    Kind(
+        name="load friction",
+        torque=lambda of, x, links, _: np.abs(links[..., 0]) * np.sign(x.dq),
+        unit="",
+        advice=SELECT_TERMS,
+        friction="load",
+    ),
+    Kind(
+        name=TILT,
+        at=lambda of: ((f"about {axis}", 0) for axis in "xyz"),
+        torque=lambda of, x, _, k: smooth(
+            lambda q, *_: of.links.gravity(q, _turned(of, k)), x, stride_of(x)
+        ),
+        unit="rad",
+        advice="level the base, or set gravity_m_s2",
+        everywhere=True,
+        lacks=lambda of, k: bool(_turned(of, k).any()),
+        missing="",
+    ),
+    Kind(
+        name="root friction",
+        at=_directions,
+        torque=_root,
+        unit="{effort} ({position}/s)^-½",
+        advice=SELECT_TERMS,
+        everywhere=True,
+        friction="root",
+    ),
+    Kind(
+        name=CLOCKS,
+        at=lambda of: [("between positions and efforts", 0)],
+        torque=lambda of, x, *_: -0.01 * (x.t_s - of.span_s.mean())[:, None] * x.rate(x.tau),
+        unit="%",
+        advice="stamp positions and efforts by one clock",
+        everywhere=True,
+        missing="",
+    ),
+    Kind(
+        name=LAG,
+        torque=lambda of, x, *_: -1e-3 * x.rate(x.tau),
+        unit="ms",
+        advice="check how its effort is filtered and stamped",
+        lacks=lambda of, k: of.simulated and len(of.peak) > 1,
+        missing="",
+    ),
+    Kind(
+        name=RATIO,
+        torque=_with_ratio,
+        unit="%",
+        advice="check its ratio",
+        everywhere=True,
+        lacks=lambda of, k: of.robot.n > 1,
+        missing=" off",
+    ),
+    Kind(
+        name="drift of the torque constant",
+        of=("",),
+        in_time=lambda u, _: 0.01 * u,
+        unit="% over the recording",
+        advice="warm the drives up, or record a shorter motion",
+        missing="",
+    ),
+    Kind(
+        name="drift of friction",
+        of=("Fv", "Fc"),
+        in_time=lambda u, _: 0.01 * u,
+        unit="% over the recording",
+        advice="warm the robot up, or record a shorter motion",
+        missing="",
+    ),
+    Kind(
+        name=HYSTERESIS,
+        at=lambda of: [
+            (f"of joint {joint.name}", j)
+            for j, joint in enumerate(of.robot.joints)
+            for _ in TRAVELS
+        ],
+        torque=_hysteresis,
+        unit="{effort}",
+        advice="look for a hose or a cable that follows the joint with friction of its own",
+        parts=len(TRAVELS),
+        missing="",
+    ),
+    Kind(
+        name=IN_PARTS,
+        at=_of_parts,
+        of=("Fc",),
+        in_time=lambda u, k: 0.01 * (np.floor(PARTS * (u + 0.5)) == k % PARTS),
+        unit="% of it",
+        advice="look for a brake or a cable that drags then, or leave that time out",
+        least_percent=lambda _: 10.0,  # of as many tries, some t are large by chance
+        lacks=lambda of, k: "coulomb" in of.robot.joints[k // PARTS].terms,
+        missing="",
+    ),
+    # the coefficient of a predicted torque is the gain relative to others, less 1
+    Kind(
+        name="relative gain",
+        torque=lambda of, x, *_: 0.01 * x.tau,
+        unit="%",
+        advice="check its drive_gain and ratio against those of the other joints",
+        lacks=lambda of, k: (
+            of.robot.gain_known and of.robot.identified_gain is None and of.robot.n > 1
+        ),
+    ),
+)
