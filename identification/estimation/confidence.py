@@ -19,6 +19,7 @@ from .estimators import Estimate
 from .system import System
 
 LEVEL = 0.95
+NORMAL_REACH = 1.96  # deviations of a normal distribution at that level
 MIN_COSINES = 4
 # with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
 MAX_COSINES = 16
@@ -64,6 +65,9 @@ def intervals_of(
 
         beta ± t sigma,     sigma² = (1/B) sum_b L_b²,     L_b = sum_t c_b(t) e(t)
 
+    but no narrower than those of the covariance C of white residuals: few cosines are small by
+    chance.
+
     Parameters
     ----------
     system : the rows W, Y that it was estimated from, not weighted.
@@ -83,7 +87,9 @@ def intervals_of(
         scores = np.array([Q[at].T @ weighted[at] for at in spans]) @ estimate.bread.T
         found.append((scores, np.array([Q[at].T @ Q[at] for at in spans]), B))
     sigma, freedom = estimate_deviations(estimate.bread, found)
-    return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
+    sigma = np.hypot.reduce([sigma, *estimate.stated.T])
+    white = NORMAL_REACH * estimate.sigma / t_quantile(0.5 + LEVEL / 2, freedom)
+    return intervals_from(estimate, np.maximum(sigma, white), freedom)
 
 
 def combined(
