@@ -1,4 +1,4 @@
-"""The 37 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and
+"""The 38 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and
 which test should say so.
 
 A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A
@@ -167,6 +167,20 @@ def drive_gain(s: SetUp, rng: Rng) -> SetUp:
 def sign(s: SetUp, rng: Rng) -> SetUp:
     factor = of_a_joint(s, rng, -1.0) if rng.random() < 1 / 2 else -np.ones(s.body.n)
     return s.changed(times_effort(factor))
+
+
+def two_signs(s: SetUp, rng: Rng) -> SetUp:
+    """Of two motors, each of its effort or of its position."""
+    motors = rng.choice(s.body.n, 2, replace=False)
+    of_effort, of_position = np.ones((2, s.body.n))
+    for motor in motors:
+        (of_effort if rng.random() < 1 / 2 else of_position)[motor] = -1.0
+    turn = np.linalg.solve(s.robot.R, of_position[:, None] * s.robot.R).T
+
+    def turned(signals: Signals) -> Signals:
+        return replace(signals, q=signals.q @ turn, q_ref=signals.q_ref @ turn)
+
+    return s.changed(of_motors(lambda efforts: of_effort * efforts)).changed(turned)
 
 
 def of_motors(change: Callable[[Array], Array]) -> Callable[[Signals], Signals]:
@@ -358,6 +372,11 @@ KINDS = {
     "sign": Kind(
         change=sign,
         named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign")),
+    ),
+    "two wrong signs": Kind(
+        change=two_signs,
+        named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign")),
+        robots=("scara", "tx40"),
     ),
     "efforts of two motors exchanged": Kind(
         change=exchanged, named=(("signs and order", "are exchanged"),), robots=("scara", "tx40")
