@@ -194,7 +194,9 @@ def prior_test(evidence: FitData) -> TrustLine | None:
         f"the {evidence.prior_source}'s links",
     )
     factor, half, explained, needed = _factors(evidence)
-    told = np.flatnonzero(explained > MIN_EXPLAINED)
+    lost = (needed > MIN_LEFT) & (half > 0) & (half < 0.5 * MIN_FACTOR)
+    lost &= np.abs(factor) + half < MIN_FACTOR
+    told = np.flatnonzero((explained > MIN_EXPLAINED) | lost)
     low, high = factor[told] - half[told], factor[told] + half[told]
     outside = told[(high < MIN_FACTOR) | (low > MAX_FACTOR)]
     unlike = ((needed > MIN_LEFT) & (explained < MIN_ALIKE)).any()
@@ -204,6 +206,7 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     between = " to ".join(dict.fromkeys(f"{x:.2g}" for x in [*values[:1], *values[-1:]]))
     text = f"torques are {between} times what {links} need"
     torques = ", ".join(f"torque of {names[j]} is {factor[j]:.2g} times" for j in outside)
+    negative = [names[j] for j in told if factor[j] + half[j] < 0]
     off = text if everywhere else f"{torques} what {links} need"
     spread = everywhere and values[-1] > max(MAX_SPREAD * values[0], 0.0)
     return first_case(
@@ -211,8 +214,21 @@ def prior_test(evidence: FitData) -> TrustLine | None:
         (cause, "caution", f"{cause}? {links} then need the recorded torques", cause),
         (not len(told), "ok", f"no torque is like that of {links}"),
         (not len(outside), "ok", text),
+        (
+            lost[told].all(),
+            "caution",
+            f"{text}: the efforts lack the links' torque (an external torque, noise, or a dead "
+            "channel), or it is another robot's prior?",
+            "the efforts lack the links' torque",
+        ),
+        (
+            negative,
+            "caution",
+            f"{off}: effort or position of {', '.join(negative)} has the wrong sign?",
+            f"{', '.join(negative)}: effort or position has the wrong sign",
+        ),
         (spread, "cannot tell", f"the prior is off everywhere: {text}"),
-        (True, "caution", f"{off}: drive_gain, ratio, unit, or the prior?", off),
+        (True, "caution", f"{off}: drive_gain, ratio, unit, a payload, or the prior?", off),
         figures=figures_of(np.array(names)[told], factor[told], half[told], np.ones(len(told))),
     )
 
@@ -259,13 +275,15 @@ def _cause(evidence: FitData) -> str:
     base, same, (at, *motion) = problem.base, np.eye(len(names)), row_states(problem)
     beta = np.array([evidence.prior.get(name, 0.0) for name in base.names])
     beta += payload.values(evidence.estimate) * base.links if payload else 0.0
-    links = direct_model(problem.model, base.standard_parameters(beta)).torques_of_links
+    links = direct_model(problem.model, base.standard_parameters(beta))
     recorded, counts = evidence.observed.tau[at], evidence.observed.share[at] > 0
-    as_recorded = links(*motion)
+    none = np.zeros(3)
 
-    def left(of_motion: Array, of_torque: Array) -> float:
+    def left(
+        of_motion: Array, of_torque: Array, *, turned: Array | float = 0.0, pulled: Array = none
+    ) -> float:
         tau, (q, dq, ddq) = recorded @ of_torque, (x @ of_motion for x in motion)
-        rigid = as_recorded if of_motion is same else links(q, dq, ddq)
+        rigid = links.torques_of_links(q + turned, dq, ddq) + links.gravity(q, pulled)
         moves = (counts @ np.abs(of_motion) > 0).T[..., None]
         others = np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2)
         others = np.linalg.qr(others * moves)[0]
@@ -282,4 +300,15 @@ def _cause(evidence: FitData) -> str:
     for own, of in [*zip(same, names, strict=True), (np.ones(len(names)), "all joints")]:
         for text, factor in UNITS.items():
             found.append((left(same + np.diag((factor - 1) * own), same), text.format(of)))
+    for own, joint in zip(same, evidence.robot.joints, strict=True):
+        for deg in (-90, 90, 180) if joint.type == "revolute" else ():
+            text = f"zero of joint {joint.name} off by {deg} deg"
+            found.append((left(same, same, turned=-np.deg2rad(deg) * own), text))
+    gravity = np.array(evidence.robot.gravity)
+    for direction in (*np.eye(3), *-np.eye(3)) if gravity[:2].any() == 0 else ():
+        mounted = "xyz"[int(np.abs(direction).argmax())]
+        sign = "-" if direction.sum() < 0 else "+"
+        text = f"gravity along {sign}{mounted} of the base (gravity_m_s2)"
+        pulled = np.linalg.norm(gravity) * direction - gravity
+        found.append((left(same, same, pulled=pulled), text))
     return min(found)[1]
