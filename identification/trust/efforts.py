@@ -14,7 +14,7 @@ import numpy as np
 
 from acquisition.robot import RADIANS_AS_DEGREES
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
@@ -23,6 +23,7 @@ from .evidence import LEVELS, FitData, TrustLine, first_case
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
+MAX_RISE = 1.001  # the same for a sign that may be wrong: that of a lone axis changes no error
 
 
 def signs_and_order_test(evidence: FitData) -> TrustLine | None:
@@ -34,8 +35,7 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
         np.linalg.norm(x * (rows.share > 0), axis=0)
         for x in (rows.tau - evidence.predicted, rows.tau)
     )
-    power = rows.speed.T @ rows.tau  # of the speeds of joints and torques at joints
-    brakes = np.diag(R @ power @ np.linalg.inv(R)) < 0
+    power, brakes = _power(evidence)
     if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
         return None
     problem, one = evidence.problem.with_samples().beginning(), np.eye(len(R))
@@ -57,6 +57,33 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
             f"place of {100 * with_it:.2g} %: check columns and signs of the recording",
             finding,
         ),
+    )
+
+
+def _power(evidence: FitData) -> tuple[Array, Bools]:
+    """Sums (n, n) of the speeds of joints times the torques at joints, and which motors (n,) take
+    power from the robot.
+    """
+    power, R = evidence.observed.speed.T @ evidence.observed.tau, evidence.robot.R
+    return power, np.diag(R @ power @ np.linalg.inv(R)) < 0
+
+
+def sign_may_be_wrong(evidence: FitData, joint: str) -> bool:
+    """Whether a motor that moves a joint brakes, or a sign turned, of its effort or its position,
+    does not raise the torque error.
+    """
+    j, problem = [one.name for one in evidence.robot.joints].index(joint), evidence.problem
+    motors = np.flatnonzero(evidence.robot.R[:, j])
+    if _power(evidence)[1][motors].any():
+        return True
+    problem, one = problem.with_samples().beginning(), np.eye(evidence.robot.n)
+    decimated = _decimated(problem)
+    factors = _factors(problem, decimated, one)
+    return any(
+        _error(factors if B is None else _factors(problem, decimated, B), A)
+        <= MAX_RISE * _error(factors, one)
+        for _, motor, A, B in _mistakes(problem)
+        if motor in motors
     )
 
 

@@ -12,8 +12,9 @@ drive a joint at a recorded speed. A stricter test is the distance of the neares
 links have positive density. `fit --consistent` and `export` use the same requirements.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
 from ..report import Level
+from .efforts import sign_may_be_wrong
 from .evidence import LEVELS, FitData, TrustLine, first_case
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
@@ -30,6 +32,7 @@ MIN_HALF_WIDTH = 1e-300  # avoids division by zero
 MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
 CONSISTENT_LEVEL = 0.001  # of the chi-squared test
 Finding = tuple[Level, str]
+Check = Callable[[str], str]  # by a joint's name, what to check of it
 
 
 def physical_test(evidence: FitData) -> TrustLine:
@@ -38,12 +41,13 @@ def physical_test(evidence: FitData) -> TrustLine:
     Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints
     with small torques: weighted least squares is tested as well.
     """
-    found, lowest = _findings(evidence)
+    check = cache(partial(_check_of, evidence))
+    found, lowest = _findings(evidence, check)
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
-        again, _ = _findings(replace(evidence, estimate=weighted, intervals=within))
+        again, _ = _findings(replace(evidence, estimate=weighted, intervals=within), check)
         found += [(x, f"by weighted least squares {text}") for x, text in again if x == LEVELS[0]]
     found.sort(key=lambda finding: LEVELS.index(finding[0]))
     text = "; ".join(text for _, text in found) or (
@@ -53,15 +57,22 @@ def physical_test(evidence: FitData) -> TrustLine:
     return TrustLine("physical", found[0][0] if found else "ok", text, lowest)
 
 
-def _findings(evidence: FitData) -> tuple[list[Finding], float]:
+def _check_of(evidence: FitData, joint: str) -> str:
+    """What to check of a joint: its sign, unless the torque error is larger with it turned."""
+    if sign_may_be_wrong(evidence, joint):
+        return f": check the sign of effort and position of joint {joint}"
+    return f": check friction, rotor and zero of joint {joint}; its signs fit better than turned"
+
+
+def _findings(evidence: FitData, check: Check) -> tuple[list[Finding], float]:
     """Physically impossible values of the estimate, and the lowest eigenvalue
     of M on the trajectory.
     """
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
-    driving = _driving_findings(evidence, own)
-    findings, lowest = _inertia_findings(evidence, np.any(own, axis=0))
+    driving = _driving_findings(evidence, own, check)
+    findings, lowest = _inertia_findings(evidence, np.any(own, axis=0), check)
     findings += driving
     apart, by_base = any("@" in name for name in evidence.estimate.names), np.linalg.pinv(base.K)
     required = requirements(idm, shaped=False)
@@ -83,13 +94,12 @@ def _findings(evidence: FitData) -> tuple[list[Finding], float]:
         # One of many parameters exceeds its interval now and then; two of one joint hardly ever do.
         far = np.inf if len(kinds) > 1 else kinds[0][0]
         text = f"below zero: {', '.join(text for _, text in kinds)}"
-        findings.append(_finding(far, text, idm.robot.joints[joint].name))
+        findings.append(_finding(far, text, check(idm.robot.joints[joint].name)))
     return findings, lowest
 
 
-def _finding(far: float, text: str, joint: str, otherwise: str = "") -> Finding:
+def _finding(far: float, text: str, check: str, otherwise: str = "") -> Finding:
     """Of a value that is so many half-widths below zero."""
-    check = f": check the sign of effort and position of joint {joint}"
     if far > MAX_HALF_WIDTHS:
         return "do not use", text + check
     return "caution", text + (otherwise or check)
@@ -114,7 +124,7 @@ def _worst(
     return far[at], value[at], half[at], v[at], at, float(values.min())
 
 
-def _driving_findings(evidence: FitData, arms: Sequence[Bools]) -> list[Finding]:
+def _driving_findings(evidence: FitData, arms: Sequence[Bools], check: Check) -> list[Finding]:
     """Whether friction of further terms would drive a joint, or joints that share
     motors, at recorded speeds.
 
@@ -140,13 +150,13 @@ def _driving_findings(evidence: FitData, arms: Sequence[Bools]) -> list[Finding]
                 f"friction would drive joint {joint.name} at {own[at[0], 1]:.3g} "
                 f"{joint.position_unit}/s: {value:.3g} ± {half:.2g} {idm.robot.effort_units[j]} "
                 "against its motion",
-                joint.name,
+                check(joint.name),
             )
             findings.append((level, f"{text}, or leave terms out"))
     return findings
 
 
-def _inertia_findings(evidence: FitData, own: Bools) -> tuple[list[Finding], float]:
+def _inertia_findings(evidence: FitData, own: Bools, check: Check) -> tuple[list[Finding], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
@@ -157,15 +167,17 @@ def _inertia_findings(evidence: FitData, own: Bools) -> tuple[list[Finding], flo
     rest, *alone = W.reshape(n + 1, len(q), n, -1)
     G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, e)
     far, value, half, v, _, least = _worst(G, evidence)
+    if least > 0:
+        return [], least
     joint = idm.robot.joints[int(np.abs(v).argmax())].name
     finding = _finding(
         far,
         f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}; "
         f"{value:.3g} ± {half:.2g} about joint {joint})",
-        joint,
+        check(joint),
         ", which may be noise; before simulating run fit --consistent",
     )
-    return [finding] * (least <= 0), least
+    return [finding], least
 
 
 def _gravity_findings(evidence: FitData) -> list[Finding]:
