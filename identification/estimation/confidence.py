@@ -88,8 +88,10 @@ def intervals_of(
         found.append((scores, np.array([Q[at].T @ Q[at] for at in spans]), B))
     sigma, freedom = estimate_deviations(estimate.bread, found)
     sigma = np.hypot.reduce([sigma, *estimate.stated.T])
-    white = NORMAL_REACH * estimate.sigma / t_quantile(0.5 + LEVEL / 2, freedom)
-    return intervals_from(estimate, np.maximum(sigma, white), freedom)
+    if most < WHITE_COSINES:  # else there are enough
+        white = NORMAL_REACH * estimate.sigma / t_quantile(0.5 + LEVEL / 2, freedom)
+        sigma = np.maximum(sigma, white)
+    return intervals_from(estimate, sigma, freedom)
 
 
 def combined(

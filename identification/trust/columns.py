@@ -203,9 +203,10 @@ def _scored(
 
 def _columns(evidence: FitData, terms: Sequence[MissingTerm]) -> Array:
     """Columns (r, k) of terms of a kind: of C, or torques of the model by span of time."""
-    system, kind = evidence.observed.system, KINDS[terms[0].place[0]]
-    if kind.torque is not None:
-        return evidence.observed.C[:, [term.column for term in terms]]
+    system, columns = evidence.observed.system, [term.column for term in terms]
+    if columns[0] >= 0:
+        return evidence.observed.C[:, columns]
+    kind = KINDS[terms[0].place[0]]
     middle = np.cumsum(evidence.lengths) - 0.5 * evidence.lengths
     k = np.searchsorted(evidence.ends, middle) - 1
     u = (middle - evidence.ends[k]) / np.diff(evidence.ends)[k] - 0.5
