@@ -27,7 +27,8 @@ NAME, FINDING = "position noise", "least squares biased by position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
 BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
 MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
-MAX_BIAS, MAX_BIAS_PERCENT = 1.0, 1.0  # in half-widths, and in percent of the value
+# in half-widths and in percent of the value, both: of a wide interval half of it is no small error
+MAX_BIAS = ((1.0, 1.0), (0.5, 5.0))
 ADVICE = "use --method iv (needs a recorded reference)"
 
 
@@ -67,7 +68,7 @@ def position_noise_line(
             np.nan_to_num(off / half, posinf=np.inf),
             np.nan_to_num(100 * off / np.abs(beta)),
         )
-    matters = (widths > MAX_BIAS) & (percents > MAX_BIAS_PERCENT)
+    matters = np.any([(widths > a) & (percents > b) for a, b in MAX_BIAS], axis=0)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
     value = float(widths[worst])
     text = f"moves {names[worst]} by {value:.2g} half-widths ({percents[worst]:.2g} %)"

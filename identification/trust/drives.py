@@ -325,7 +325,9 @@ def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
             ),
             (
                 weighed and not evidence.gains,
-                "it is taken off the arm",
+                "it is taken off the arm"
+                + ", as if it were exact: no half-width of its mass is stated"
+                * (not one.payload.mass_half_width_kg),
             ),
             (
                 None not in found,

@@ -316,6 +316,19 @@ def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
         ),
         (
             True,
+            "efforts",
+            "the whole torque of each motor",
+            "what a drive adds behind the recorded effort, such as friction or gravity, "
+            "cannot be seen",
+        ),
+        (
+            any(name.partition("@")[2] for name in evidence.estimate.names),
+            "own parameters",
+            "their mean elsewhere",
+            "other recordings are validated with the mean of those of these",
+        ),
+        (
+            True,
             "ratios",
             ", ".join(f"{x:g}" for x in np.diag(robot.R)),
             "joint positions and torques are computed with them",
@@ -367,9 +380,9 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
         centre_of_mass_test,
         fixed_point_test,
     ),
-    *(physical_test, units_test, control_law_test, prior_test, added_columns_test, lag_test),
-    *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
-    *(position_noise_test, motion_test, effort_test, rows_test),
+    *(physical_test, units_test, control_law_test, prior_test, motion_test, halves_test),
+    *(rows_test, added_columns_test, lag_test, held_out_test, consistent_test, ends_test),
+    *(essential_test, instruments_test, position_noise_test, effort_test),
 )
 
 
