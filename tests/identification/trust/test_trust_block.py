@@ -143,7 +143,7 @@ def test_a_clean_recording_is_trusted_and_what_nobody_checked_is_named(method):
     assert {x.level for x in lines.values()} == {"ok"}
     assert (fit.distrust, fit.trust.verdict) == ((), "trust")
     assumed = {one.what: one for one in fit.trust.assumed}
-    both = {"drive gains", "ratios", "lengths", "sample rate", "zeros", "rotors"}
+    both = {"drive gains", "efforts", "ratios", "lengths", "sample rate", "zeros", "rotors"}
     assert set(assumed) == (both if method == "iv" else both | {"encoder noise", "lag"})
     assert assumed["sample rate"].value == "1000 Hz"
     assert all(one.value and one.why for one in assumed.values())
