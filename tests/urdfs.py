@@ -128,11 +128,28 @@ SIX = (
 )
 
 
+# Seven joints as a Panda's, with the axes of a Panda and bodies of about its size.
+SEVEN = (
+    ("j1", "0 0 1", "0 0 0.333", "0 0 0", 3.1, "0 -0.03 -0.12", (0.034, 0.032, 0.011)),
+    ("j2", "0 0 1", "0 0 0", "-1.5708 0 0", 3.0, "0 -0.07 0.03", (0.031, 0.010, 0.030)),
+    ("j3", "0 0 1", "0 -0.316 0", "1.5708 0 0", 2.6, "0.03 0.02 -0.08", (0.021, 0.020, 0.009)),
+    ("j4", "0 0 1", "0.0825 0 0", "1.5708 0 0", 2.5, "-0.04 0.07 0.02", (0.019, 0.009, 0.021)),
+    ("j5", "0 0 1", "-0.0825 0.384 0", "-1.5708 0 0", 2.9, "0 0.03 -0.14", (0.035, 0.029, 0.009)),
+    ("j6", "0 0 1", "0 0 0", "1.5708 0 0", 1.5, "0.05 0.01 0.01", (0.003, 0.005, 0.005)),
+    ("j7", "0 0 1", "0.088 0 0", "1.5708 0 0", 1.1, "0.01 0.01 0.08", (0.004, 0.004, 0.002)),
+)
+
+
 def six_joints(factors=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)):
     """The URDF of the six joints, mass and inertia of each link times its factor."""
+    return serial(SIX, factors)
+
+
+def serial(links, factors=(1.0,) * 7):
+    """The URDF of links, each with its joint."""
     parts = ['<?xml version="1.0"?>\n<robot name="six">\n<link name="base"/>\n']
-    for k, (name, axis, origin, rpy, mass, at, (xx, yy, zz)) in enumerate(SIX):
-        x, parent = factors[k], SIX[k - 1][0] + "_link" if k else "base"
+    for k, (name, axis, origin, rpy, mass, at, (xx, yy, zz)) in enumerate(links):
+        x, parent = factors[k], links[k - 1][0] + "_link" if k else "base"
         parts.append(
             f'<link name="{name}_link"><inertial><origin xyz="{at}"/><mass value="{x * mass}"/>'
             f'<inertia ixx="{x * xx}" ixy="0" ixz="0" iyy="{x * yy}" iyz="0" '

@@ -1,4 +1,4 @@
-"""The 38 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and
+"""The 40 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and
 which test should say so.
 
 A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A
@@ -7,6 +7,7 @@ kind changes a sound one.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -22,17 +23,21 @@ from independent_simulator import (
     references,
     simulate,
     with_control,
+    with_controller,
     with_lost_rows,
     without_control_law,
     without_settings,
 )
+from independent_urdf import arm_of, robot_of
+from urdfs import SEVEN, serial
 
 from acquisition.robot import Robot
 from identification.data import Signals
 
 Array = np.ndarray
 Rng = np.random.Generator
-UNIT = {"emps": 1e-6, "scara": 1e-5, "tx40": 1e-5}  # a small noise of the position, m or rad
+# a small noise of the position, m or rad
+UNIT = {"emps": 1e-6, "scara": 1e-5, "tx40": 1e-5, "seven": 1e-5}
 SMOOTH = 0.005  # v0 of friction in parts of the speed limit
 
 
@@ -114,13 +119,7 @@ def sound(name: str, rng: Rng) -> SetUp:
 
     Half the recordings do not state what instants their efforts belong to.
     """
-    toml = REPLAY / name / "robot.toml"
-    body = plant(toml, smooth=SMOOTH)
-    law = (
-        described_controller(body)
-        if "structure" in body.description["controller"]
-        else designed_pd(body, 10.0, 500.0)
-    )
+    body, law, robot = cell_of(name)
     noise = "coloured_noise_percent" if rng.random() < 1 / 3 else "torque_noise_percent"
     return SetUp(
         name=name,
@@ -129,11 +128,23 @@ def sound(name: str, rng: Rng) -> SetUp:
         cell=Imperfections(
             encoder_noise=UNIT[name] * rng.uniform(0.5, 3.0), **{noise: rng.uniform(1.0, 2.0)}
         ),
-        robot=without_settings(
-            description(toml, None if "structure" in body.description["controller"] else law)
-        ),
+        robot=robot,
         timing="unknown" if rng.random() < 1 / 2 else "command",
     )
+
+
+@cache
+def cell_of(name: str) -> tuple[Plant, Controller, Robot]:
+    """A robot, its controller, and its description: a shipped one, or seven joints of a URDF."""
+    if name == "seven":
+        text = serial(SEVEN)
+        body, law = arm_of(text)
+        return body, law, with_controller(robot_of(text, [link[0] for link in SEVEN]), law)
+    toml = REPLAY / name / "robot.toml"
+    body = plant(toml, smooth=SMOOTH)
+    described = "structure" in body.description["controller"]
+    law = described_controller(body) if described else designed_pd(body, 10.0, 500.0)
+    return body, law, without_settings(description(toml, None if described else law))
 
 
 def off(rng: Rng, low: float, high: float) -> float:
@@ -312,6 +323,32 @@ def held(s: SetUp, rng: Rng) -> SetUp:
     return replace(s, held=joint, body=replace(s.body, rotor=rotor))
 
 
+def quarter_turn(s: SetUp, rng: Rng) -> SetUp:
+    """The elbow's position and reference, or those of one of the first four joints that carry, are
+    off by 90 degrees.
+    """
+    joint = 1 if s.name == "scara" else rng.integers(1, 4)
+    off_by = np.deg2rad(90.0) * rng.choice([-1, 1]) * (np.arange(s.body.n) == joint)
+    return s.changed(
+        lambda signals: replace(signals, q=signals.q + off_by, q_ref=signals.q_ref + off_by)
+    )
+
+
+def links_subtracted(s: SetUp, rng: Rng) -> SetUp:
+    """The efforts of a topic of external torques: without what the links take along the
+    reference.
+    """
+
+    def left(signals: Signals) -> Signals:
+        q, period_s = signals.q_ref, 1 / signals.sample_rate_hz
+        dq = np.gradient(q, period_s, axis=0)
+        M, bias = s.body.rigid(q, dq)
+        taken = (M @ np.gradient(dq, period_s, axis=0)[..., None])[..., 0] + bias
+        return replace(signals, effort=signals.effort - taken)
+
+    return s.changed(left)
+
+
 def denied_rotor(s: SetUp, rng: Rng) -> SetUp:
     """Of the elbow, 30 % of its inertia: `rotor_inertia = false`."""
     rotor = s.body.rotor.copy()
@@ -455,6 +492,14 @@ KINDS = {
     ),
     "zero of a joint 2°": Kind(
         change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)
+    ),
+    "joint off by 90 degrees": Kind(
+        change=quarter_turn, named=(("prior", "off by"),), robots=("scara", "tx40", "seven")
+    ),
+    "links subtracted": Kind(
+        change=links_subtracted,
+        named=(("prior", "lack the links"),),
+        robots=("scara", "tx40", "seven"),
     ),
     "torque constant drifts 3-10 %": Kind(
         change=lambda s, rng: s.in_cell(gain_drift=rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)),

@@ -140,8 +140,11 @@ def description(robot_toml: Path, controller: Controller | None = None) -> Robot
     where robot.toml has none.
     """
     robot = load_robot(robot_toml)
-    if controller is None:
-        return robot
+    return robot if controller is None else with_controller(robot, controller)
+
+
+def with_controller(robot: Robot, controller: Controller) -> Robot:
+    """The description with this controller in it."""
     integral = tuple(controller.integral_gain.tolist())
     return with_control(
         robot,
