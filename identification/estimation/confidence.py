@@ -65,9 +65,6 @@ def intervals_of(
 
         beta ± t sigma,     sigma² = (1/B) sum_b L_b²,     L_b = sum_t c_b(t) e(t)
 
-    but no narrower than those of the covariance C of white residuals: few cosines are small by
-    chance.
-
     Parameters
     ----------
     system : the rows W, Y that it was estimated from, not weighted.
@@ -87,11 +84,14 @@ def intervals_of(
         scores = np.array([Q[at].T @ weighted[at] for at in spans]) @ estimate.bread.T
         found.append((scores, np.array([Q[at].T @ Q[at] for at in spans]), B))
     sigma, freedom = estimate_deviations(estimate.bread, found)
-    sigma = np.hypot.reduce([sigma, *estimate.stated.T])
-    if most < WHITE_COSINES:  # else there are enough
-        white = NORMAL_REACH * estimate.sigma / t_quantile(0.5 + LEVEL / 2, freedom)
-        sigma = np.maximum(sigma, white)
-    return intervals_from(estimate, sigma, freedom)
+    return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
+
+
+def not_below_white(estimate: Estimate, found: Intervals) -> Array:
+    """Deviations (b,) of intervals no narrower than those of the covariance C of white residuals:
+    few cosines are small by chance.
+    """
+    return np.maximum(found.sigma, NORMAL_REACH * estimate.sigma / found.reach)
 
 
 def combined(

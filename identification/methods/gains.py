@@ -13,7 +13,14 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from ..estimation import Estimate, Intervals, intervals_from, intervals_of, moves_of
+from ..estimation import (
+    Estimate,
+    Intervals,
+    intervals_from,
+    intervals_of,
+    moves_of,
+    not_below_white,
+)
 from ..model import LINK
 from ..regression import Lag, Rows, base_places
 from ..report import (
@@ -49,7 +56,8 @@ def held_and_counted(
         moves = moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
         stated = np.array([one.stated[places] for one in of.held])
         moved += list(half * np.abs(stated - moves) / found.reach)
-    return intervals_from(estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom)
+    sigma = not_below_white(estimate, found)
+    return intervals_from(estimate, np.hypot.reduce([sigma, *moved]), found.freedom)
 
 
 def smallest_cragg_donald(evidence: FitData) -> float:

@@ -132,7 +132,7 @@ class LagFilters:
         measured `speed`; all (T, n).
         """
         self.of, self._sliding = of, np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
-        for self.order in LAG_ORDERS:
+        for self.order in (*LAG_ORDERS, LAG_ORDERS[0]):  # where none leaves enough, the first
             used = fast_for_lag_by(problem, speed, self._sliding, self.order) & (share.T > 0)
             rows = _behind(used, self.order).sum(axis=1)
             if (rows >= np.where(share.any(axis=0), MIN_ROWS, 0)).all():
