@@ -3,4 +3,5 @@
 from .candidates import Candidates
 from .evidence import LEVELS, FitData, HeldOut, Trust, TrustLine
 from .predictions import predictions_by_others, with_predictions
-from .solution import MIN_FIRST_STAGE_F, trust_in
+from .solution import MIN_FIRST_STAGE_F
+from .verdict import trust_in

@@ -55,7 +55,14 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
         if prior.source == "nothing"
         else f"{value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms by {prior.source}"
     )
-    known += f": ±{moved[worst]:.2g} half-widths at {names[worst]}, included in the intervals"
+    cost = f"±{moved[worst]:.2g} half-widths at {names[worst]}, included in the intervals"
+    known, lost = f"{known}: {cost}", lag.found is None
+    exogenous = all(one.signals.q_ref is not None for one in evidence.problems)
+    unseen = Assumed(
+        "lag",
+        f"{value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms",
+        f"no reference is recorded that would show it: {cost}",
+    )
     text = (
         f"torque {abs(late):.2f} ± {half:.2f} samples {'late' if late >= 0 else 'early'}: "
         "corrected, included in the intervals"
@@ -74,17 +81,22 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
             "torque_lag_s out",
         ),
         (lag.stated, "ok", stated),
+        (lost and moved[worst] <= 1, "ok", known),
         (
-            lag.found is None and moved[worst] > 1,
+            lost and exogenous,
             "caution",
             f"{known}: state effort_timing, "
             + (
                 "or record longer moves: joints reverse too often for their rows to show it"
                 if evidence.candidates.simulated
-                else "or record the reference"
+                else "or take --method iv, which measures it"
             ),
         ),
-        (lag.found is None, "ok", known),
+        (
+            lost,
+            "cannot tell",
+            f"{known}: no reference is recorded that would show it; state effort_timing",
+        ),
         (
             delay < -MAX_EARLY_SAMPLES - off,
             "caution",
@@ -94,6 +106,7 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
         value=late,
         figures=figures_of(["lag"], [late], [half], [prior.value_s * fs]),
         unit="samples",
+        assumed=(unseen,) * (lost and not lag.stated and not exogenous),
     )
 
 

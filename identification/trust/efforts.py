@@ -7,20 +7,21 @@ torques may have them exchanged by joint. Least squares shows which mistake fits
 nearly as well, but its motor takes power from the robot: it brakes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from itertools import combinations
 
 import numpy as np
 
 from acquisition.robot import RADIANS_AS_DEGREES
 
-from ..arrays import Array, Bools
+from ..arrays import Array, Bools, Ints
 from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
 from .drives import law_line
 from .evidence import LEVELS, FitData, TrustLine, first_case
 
+NEGATIVE = "effort or position has the wrong sign"
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
 MAX_RISE = 1.001  # the same for a sign that may be wrong: that of a lone axis changes no error
@@ -72,17 +73,26 @@ def sign_may_be_wrong(evidence: FitData, joint: str) -> bool:
     """Whether a motor that moves a joint brakes, or a sign turned, of its effort or its position,
     does not raise the torque error.
     """
-    j, problem = [one.name for one in evidence.robot.joints].index(joint), evidence.problem
+    j = [one.name for one in evidence.robot.joints].index(joint)
     motors = np.flatnonzero(evidence.robot.R[:, j])
-    if _power(evidence)[1][motors].any():
-        return True
-    problem, one = problem.with_samples().beginning(), np.eye(evidence.robot.n)
+    brakes = _power(evidence)[1][motors].any()
+    return bool(brakes or turned_sign(evidence, motors)[0] <= MAX_RISE)
+
+
+def turned_sign(evidence: FitData, motors: Collection[int] | Ints) -> tuple[float, str]:
+    """Of the signs of some motors the one that, turned, leaves the smallest torque error: that over
+    the error as it is, and the mistake that it would undo.
+    """
+    problem, one = evidence.problem.with_samples().beginning(), np.eye(evidence.robot.n)
     decimated = _decimated(problem)
     factors = _factors(problem, decimated, one)
-    return any(
-        _error(factors if B is None else _factors(problem, decimated, B), A)
-        <= MAX_RISE * _error(factors, one)
-        for _, motor, A, B in _mistakes(problem)
+    as_it_is = max(_error(factors, one), 1e-300)
+    return min(
+        (
+            _error(factors if B is None else _factors(problem, decimated, B), A) / as_it_is,
+            mistake,
+        )
+        for mistake, motor, A, B in _mistakes(problem)
         if motor in motors
     )
 

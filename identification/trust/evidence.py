@@ -48,8 +48,8 @@ class TrustLine:
         finding: the same in a few words, for the first line of a report.
         figures: by joint, motor or block its name, value, half-width of the 95 % interval, and
             expected value, for a plot, in `unit`.
-        fails_held_out: whether held-out errors are so large that, with M not positive, the
-            fit is not to be used.
+        fails_held_out, far: whether held-out errors are so large, or the nearest physical robot is
+            so far, that another sign of it makes the fit one that is not to be used.
         assumed: what the test cannot check.
     """
 
@@ -61,6 +61,7 @@ class TrustLine:
     figures: tuple[Figure, ...] = ()
     unit: str = ""
     fails_held_out: bool = False
+    far: bool = False
     assumed: tuple[Assumed, ...] = ()
 
 
@@ -197,6 +198,11 @@ class FitData:
         is the identified one.
         """
         return tuple(name for name in self.estimate.names if name.startswith("K:"))
+
+    @property
+    def by_recording(self) -> bool:
+        """Whether recordings are held out, not blocks of time."""
+        return len(self.names) > 1 and not self.gains
 
     @cached_property
     def lengths(self) -> Ints:

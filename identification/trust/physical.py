@@ -24,15 +24,16 @@ from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
 from ..report import Level
-from .efforts import sign_may_be_wrong
+from .efforts import NEGATIVE, sign_may_be_wrong
 from .evidence import LEVELS, FitData, TrustLine, first_case
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
 MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
 CONSISTENT_LEVEL = 0.001  # of the chi-squared test
-Finding = tuple[Level, str]
-Check = Callable[[str], str]  # by a joint's name, what to check of it
+FAR = 3.0  # times its limit
+Finding = tuple[Level, str, str]  # with what is wrong in a few words, if that is known
+Check = Callable[[str], tuple[str, str]]  # by a joint's name, what to check of it, and the words
 
 
 def physical_test(evidence: FitData) -> TrustLine:
@@ -44,24 +45,31 @@ def physical_test(evidence: FitData) -> TrustLine:
     check = cache(partial(_check_of, evidence))
     found, lowest = _findings(evidence, check)
     found += _gravity_findings(evidence)
-    if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
+    if evidence.method == "ols" and all(level != "do not use" for level, *_ in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
         again, _ = _findings(replace(evidence, estimate=weighted, intervals=within), check)
-        found += [(x, f"by weighted least squares {text}") for x, text in again if x == LEVELS[0]]
+        found += [
+            (x, f"by weighted least squares {text}", y) for x, text, y in again if x == LEVELS[0]
+        ]
     found.sort(key=lambda finding: LEVELS.index(finding[0]))
-    text = "; ".join(text for _, text in found) or (
+    text = "; ".join(text for _, text, _ in found) or (
         f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor "
         "inertia is below zero"
     )
-    return TrustLine("physical", found[0][0] if found else "ok", text, lowest)
+    level, _, finding = found[0] if found else ("ok", "", "")
+    return TrustLine("physical", level, text, lowest, finding)
 
 
-def _check_of(evidence: FitData, joint: str) -> str:
+def _check_of(evidence: FitData, joint: str) -> tuple[str, str]:
     """What to check of a joint: its sign, unless the torque error is larger with it turned."""
     if sign_may_be_wrong(evidence, joint):
-        return f": check the sign of effort and position of joint {joint}"
-    return f": check friction, rotor and zero of joint {joint}; its signs fit better than turned"
+        check = f": check the sign of effort and position of joint {joint}"
+        return check, f"{joint}: {NEGATIVE}"
+    return (
+        f": check friction, rotor and zero of joint {joint}; its signs fit better than turned",
+        "",
+    )
 
 
 def _findings(evidence: FitData, check: Check) -> tuple[list[Finding], float]:
@@ -98,11 +106,11 @@ def _findings(evidence: FitData, check: Check) -> tuple[list[Finding], float]:
     return findings, lowest
 
 
-def _finding(far: float, text: str, check: str, otherwise: str = "") -> Finding:
+def _finding(far: float, text: str, check: tuple[str, str], otherwise: str = "") -> Finding:
     """Of a value that is so many half-widths below zero."""
     if far > MAX_HALF_WIDTHS:
-        return "do not use", text + check
-    return "caution", text + (otherwise or check)
+        return "do not use", text + check[0], check[1]
+    return "caution", text + (otherwise or check[0]), ""
 
 
 def _worst(
@@ -145,14 +153,14 @@ def _driving_findings(evidence: FitData, arms: Sequence[Bools], check: Check) ->
         own, joint = power[power[:, 0] == j], idm.robot.joints[j]
         far, value, half, _, at, _ = _worst(own[:, None, None, 2:], evidence)
         if far > 1:
-            level, text = _finding(
+            level, text, of_sign = _finding(
                 far,
                 f"friction would drive joint {joint.name} at {own[at[0], 1]:.3g} "
                 f"{joint.position_unit}/s: {value:.3g} ± {half:.2g} {idm.robot.effort_units[j]} "
                 "against its motion",
                 check(joint.name),
             )
-            findings.append((level, f"{text}, or leave terms out"))
+            findings.append((level, f"{text}, or leave terms out", of_sign))
     return findings
 
 
@@ -199,6 +207,7 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
         f"the torques fit a model without gravity better: residual {left[1]:.3g} % against "
         f"{left[0]:.3g} %: the efforts lack the robot's weight, are no torques, or gravity_m_s2 is "
         "wrong",
+        "",
     )
     return [finding] * (left[1] < MIN_RESIDUAL_RATIO * left[0])
 
@@ -237,4 +246,5 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
         ),
         (True, "ok", text),
         value=nearest.chi_squared,
+        far=nearest.chi_squared > FAR * bound,
     )

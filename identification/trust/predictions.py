@@ -17,27 +17,29 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..errors import NoFitError
 from ..estimation import (
     MIN_COLUMN_NORM,
-    Estimate,
     instrumental_variables,
     intervals_of,
     release_memory,
+    spans_at,
     undetermined_parameters,
 )
 from ..model import base_prior, direct_model
 from ..regression import base_name, row_states
-from .evidence import FitData, HeldOut, TrustLine, figures_of, first_case
+from .efforts import NEGATIVE
+from .evidence import FitData, HeldOut, Part, TrustLine, figures_of, first_case
 
 HELD_OUT = "held-out blocks"
 BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 
-# decimated torque (rows, n) by estimates, in as many equal spans of each recording
-Predict = Callable[..., Array]
+# decimated torque (rows, n), that predicted by sets of estimates (K, rows, n), each of a set in an
+# equal span of each recording, and which rows count
+Predict = Callable[..., tuple[Array, Array, Bools]]
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors
 # of a joint's square, without what is not of links, for its factor to be one of the prior's
@@ -51,39 +53,56 @@ UNITS = {
 }
 
 
-def _held_out(evidence: FitData, predict: Predict) -> tuple[TrustLine | None, tuple[HeldOut, ...]]:
-    """Five blocks of time of one recording, or each of several, predicted by the fit of the others;
-    a recording's own parameters are fitted to it, as the others do not contain them. The line, and
-    the errors of recordings.
+def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str]]]:
+    """Five blocks of time of one recording, or each of several: name, spans of time, the parameters
+    (b,) of the fit of the others that predict it, and which of them these do not determine; none
+    where the others have too few rows. A recording's own parameters are fitted to it, as the others
+    do not contain them.
 
-    With drive gains the blocks are of each recording: none alone determines them. Errors in percent
-    are of the torque; where the model does not hold, joints stand: those of weighted rows leave
-    that out.
+    With drive gains the blocks are of each recording: none alone determines them.
     """
-    rows, estimate, b = evidence.observed, evidence.estimate, len(evidence.estimate.beta)
-    release_memory(rows.C)
-    several = len(evidence.names) > 1 and not evidence.gains
+    estimate, several = evidence.estimate, evidence.by_recording
     own = [arm.own for arm in evidence.arms] if several else [set[str]()] * BLOCKS
     names = evidence.names if several else [f"block {k + 1}" for k in range(BLOCKS)]
     parts = evidence.spans(BLOCKS)
     if several:
         parts = [evidence.between(*both) for both in pairwise(evidence.ends)]
-    elif sum(numbers := [evidence.count(part) for part in parts]) - max(numbers) <= b:
+    elif sum(n := [evidence.count(part) for part in parts]) - max(n) <= len(estimate.beta):
+        return []
+    found = predictions_by_others([*map(evidence.factor, parts)], estimate.names, own)
+    each = zip(names, parts, found, strict=True)
+    # blocks are predicted anyway
+    return [(name, part, beta, lost * several) for name, part, (beta, lost) in each]
+
+
+def _held_out(
+    evidence: FitData,
+    parts: list[tuple[str, Part, Array, list[str]]],
+    at: Ints,
+    torques: tuple[Array, Array, Array, Bools],
+) -> tuple[TrustLine | None, tuple[HeldOut, ...]]:
+    """The line, and the errors of recordings, by rows of the spans `at` (T,): torques (T, n) as
+    measured, by the fit and by the others, and which count.
+
+    Errors in percent are of the torque; where the model does not hold, joints stand: those of
+    weighted rows leave that out.
+    """
+    b, several, (tau, trained, by_others, counts) = (
+        len(evidence.estimate.beta),
+        evidence.by_recording,
+        torques,
+    )
+    if not parts:
         why = f"not made: too few rows outside a block for {b} parameters; record longer"
         return TrustLine(HELD_OUT, "not made", why), ()
-    found = predictions_by_others([*map(evidence.factor, parts)], estimate.names, own)
-    by_others = [(beta, lost * several) for beta, lost in found]  # blocks are predicted anyway
-    betas = [estimate.beta if lost else beta for beta, lost in by_others]
-    predicted = predict(*(replace(estimate, beta=x) for x in betas), by_recording=several)
-    measured = np.concatenate([x.measured_rows() for x in evidence.problems])
-    errors, each = (rows.tau, rows.tau - predicted, rows.tau - evidence.predicted), list[HeldOut]()
+    errors, each = (tau, tau - by_others, tau - trained), list[HeldOut]()
     made, norms, without = list[str](), list[list[float]](), list[str]()
-    for name, part, (beta, its) in zip(names, parts, by_others, strict=True):
-        at = (rows.share > 0) & (measured & evidence.instants(part))[:, None]
-        torque, *both = (float(np.linalg.norm(x[at])) for x in errors)
+    for name, part, beta, its in parts:
+        rows = counts & part[at][:, None]
+        torque, *both = (float(np.linalg.norm(x[rows])) for x in errors)
         if told := torque > 0 and not its:
             made.append(name)
-            weighted = (evidence.error(part, x) for x in (beta, estimate.beta))
+            weighted = (evidence.error(part, x) for x in (beta, evidence.estimate.beta))
             norms.append([torque, *both, *weighted])
         elif several:
             why = f"{', '.join(its[:8])} undetermined" if its else "it has no torque"
@@ -149,38 +168,45 @@ def predictions_by_others(
     return found
 
 
-def with_predictions(evidence: FitData, predict: Predict) -> FitData:
+def with_predictions(
+    evidence: FitData, predict: Predict, rows: Sequence[int]
+) -> tuple[FitData, tuple[Array, Array, Bools]]:
     """The same with what the fit of other blocks or recordings predicts; and with the prior, and
-    the held-out error of its links: all else is fitted to the others.
+    the held-out error of its links: all else is fitted to the others. Torques (T, n) as measured
+    and by the fit, and which rows count, of as many `rows` of the recordings as `predict` has.
     """
-    line, by_others = _held_out(evidence, predict)
-    problem, system = evidence.problem, evidence.observed.system
-    values, source = (
-        base_prior(problem.model, problem.base) if evidence.robot.gain_known else ({}, "")
-    )
-    evidence = replace(
-        evidence,
-        held_out=line,
-        by_others=by_others,
-        prior=values,
-        prior_source=source * bool(values),
-    )
-    if not values or line is None or line.level == "not made" or evidence.gains:
-        return evidence
+    release_memory(evidence.observed.C)
+    problem, system, estimate = evidence.problem, evidence.observed.system, evidence.estimate
+    gain_known = evidence.robot.gain_known
+    values, source = base_prior(problem.model, problem.base) if gain_known else ({}, "")
+    evidence = replace(evidence, prior=values, prior_source=source * bool(values))
+    cases, none = [(evidence, _predicted_parts(evidence))], np.zeros(len(system.names))
     known, free = _known_and_free(evidence)
-
-    def with_links(*estimates: Estimate, by_recording: bool) -> Array:
-        betas = (known + one.values_of(system.names) for one in estimates)
-        whole = (replace(evidence.estimate, names=system.names, beta=beta) for beta in betas)
-        return predict(*whole, by_recording=by_recording)
-
-    rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
-    rows = replace(evidence.observed, system=rest.with_columns(free), Z=Z)
-    with suppress(NoFitError):
-        others = instrumental_variables(rows.system, Z, evidence.estimate.weights).without_rows()
-        line, _ = _held_out(replace(evidence, observed=rows, estimate=others), with_links)
-        evidence = replace(evidence, prior_error_percent=line.value if line else None)
-    return evidence
+    if values and cases[0][1] and not evidence.gains:
+        rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
+        rest = rest.with_columns(free)
+        with suppress(NoFitError):
+            others = instrumental_variables(rest, Z, estimate.weights).without_rows()
+            held = replace(evidence.observed, system=rest, Z=Z)
+            by_links = replace(evidence, observed=held, estimate=others)
+            cases.append((by_links, _predicted_parts(by_links)))
+    sets = [[estimate]]
+    for (of, parts), prior in zip(cases, (none, known), strict=False):
+        betas = [of.estimate.beta if lost else beta for _, _, beta, lost in parts]
+        values_of = (
+            prior + replace(of.estimate, beta=beta).values_of(system.names) for beta in betas
+        )
+        some = [replace(estimate, names=system.names, beta=beta) for beta in values_of]
+        sets.append(some or [estimate])
+    tau, (trained, *predicted), counts = predict(*sets, by_recording=evidence.by_recording)
+    at = spans_at(system.spans, rows)
+    (line, by_others), *by_prior = (
+        _held_out(of, parts, at, (tau, trained, one, counts))
+        for (of, parts), one in zip(cases, predicted, strict=True)
+    )
+    error = next((one.value for one, _ in by_prior if one is not None), None)
+    made = replace(evidence, held_out=line, by_others=by_others, prior_error_percent=error)
+    return made, (tau, trained, counts)
 
 
 def prior_test(evidence: FitData) -> TrustLine | None:
@@ -225,7 +251,7 @@ def prior_test(evidence: FitData) -> TrustLine | None:
             negative,
             "caution",
             f"{off}: effort or position of {', '.join(negative)} has the wrong sign?",
-            f"{', '.join(negative)}: effort or position has the wrong sign",
+            f"{', '.join(negative)}: {NEGATIVE}",
         ),
         (spread, "cannot tell", f"the prior is off everywhere: {text}"),
         (True, "caution", f"{off}: drive_gain, ratio, unit, a payload, or the prior?", off),

@@ -1,11 +1,9 @@
-"""Tests of the solution: fixed point, instruments, parts of the rows; and the whole trust block.
+"""Tests of the solution: fixed point, instruments, parts of the rows.
 
 Nothing is simulated again.
 """
 
-from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,13 +14,7 @@ from ..data import position_steps
 from ..errors import NoFitError
 from ..model import JointTerm
 from ..regression import Problem, standing_joints
-from ..report import Assumed
-from .columns import added_columns_test
-from .drives import centre_of_mass_test, control_law_test, gains_test, lag_test, payload_assumptions
-from .efforts import effort_test, positions_test, saturation_test, signs_and_order_test
-from .evidence import LEVELS, FitData, Part, Trust, TrustLine, first_case
-from .physical import consistent_test, physical_test
-from .predictions import prior_test
+from .evidence import FitData, Part, TrustLine, first_case
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
@@ -35,7 +27,6 @@ MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = 10.0, 1e10
 MAX_MISSING_PERCENT = 0.1  # of the moving rows
 MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
 MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
-MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
 
 
 def fixed_point_test(evidence: FitData) -> TrustLine | None:
@@ -295,111 +286,3 @@ def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
     return (
         f"the log is faster than the encoder{names}: {held:.2g} % of the steps are double or zero"
     )
-
-
-def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
-    """Assumptions that no test covers, by that of the control law."""
-    signals, decimation = evidence.problem.signals, evidence.problem.settings.decimation
-    robot, several = signals.robot, signals.robot.n > 1
-    fs, iv, lags = signals.sample_rate_hz, evidence.method == "iv", evidence.lags
-    gains = [m for m in robot.motors if m.drive_gain is not None]
-    duration_s = len(evidence.observed.tau) * decimation / fs
-    cases = (
-        (
-            robot.gain_known and not evidence.gains,
-            "drive gains",
-            ", ".join(f"{m.drive_gain:g} {m.drive_gain_unit}" for m in gains)
-            or "torques recorded in "
-            + " and ".join(sorted({m.recorded_unit for m in robot.motors})),
-            "a wrong gain scales all parameters, and fits equally well"
-            + " if it is common to all joints" * several,
-        ),
-        (
-            True,
-            "efforts",
-            "the whole torque of each motor",
-            "what a drive adds behind the recorded effort, such as friction or gravity, "
-            "cannot be seen",
-        ),
-        (
-            any(name.partition("@")[2] for name in evidence.estimate.names),
-            "own parameters",
-            "their mean elsewhere",
-            "other recordings are validated with the mean of those of these",
-        ),
-        (
-            True,
-            "ratios",
-            ", ".join(f"{x:g}" for x in np.diag(robot.R)),
-            "joint positions and torques are computed with them",
-        ),
-        (
-            several,
-            "lengths",
-            "dh" if robot.urdf is None else "urdf",
-            "link parameters absorb an error of a length",
-        ),
-        (True, "sample rate", f"{fs:g} Hz", "speeds and accelerations scale with it"),
-        (
-            iv and not evidence.by_reference and law.level == "not made",
-            "control law",
-            robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD",
-            law.text.removeprefix("not made: "),
-        ),
-        (
-            lags and lags[0].stated,
-            "lag",
-            f"{lags[0].value_s:g} s" if lags else "",
-            "stated by torque_lag_s",
-        ),
-        (
-            duration_s > MAX_SHORT_S,
-            "filters",
-            f"{duration_s:.0f} s of motion",
-            "intervals include noise only; filters distort a parameter by about 0.1 %, which "
-            "is as much here",
-        ),
-        (
-            not iv,
-            "encoder noise",
-            "the same spectrum below and above the low-pass",
-            "position noise biases least squares; only the noise above the low-pass is tested",
-        ),
-    )
-    yield from payload_assumptions(evidence)
-    yield from (Assumed(*told) for holds, *told in cases if holds)
-
-
-# A test is a function of the fit's data, None where it does not apply. A new one is a line here.
-TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(
-        signs_and_order_test,
-        saturation_test,
-        positions_test,
-        gains_test,
-        centre_of_mass_test,
-        fixed_point_test,
-    ),
-    *(physical_test, units_test, control_law_test, prior_test, motion_test, halves_test),
-    *(rows_test, added_columns_test, lag_test, held_out_test, consistent_test, ends_test),
-    *(essential_test, instruments_test, position_noise_test, effort_test),
-)
-
-
-def trust_in(evidence: FitData) -> Trust:
-    """All tests of an estimate, worst first, and the assumptions: `do not use` if the held-out
-    blocks fail and M is not positive.
-    """
-    lines = {line.test: line for test in TESTS if (line := test(evidence)) is not None}
-    held, lowest = lines["held-out blocks"], lines["physical"].value or 0.0
-    if held.fails_held_out and lowest <= 0:
-        text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
-        lines[held.test] = replace(held, level="do not use", text=text)
-    of_lines = (one for line in lines.values() for one in line.assumed)
-    assumed = *list_assumptions(evidence, lines["control law"]), *of_lines
-    return Trust(lines=worst_first(lines.values()), assumed=assumed)
-
-
-def worst_first(lines: Iterable[TrustLine]) -> tuple[TrustLine, ...]:
-    """Lines sorted by level."""
-    return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))

@@ -38,13 +38,12 @@ from identification.regression import (
 from identification.trust import LEVELS, FitData, Trust, TrustLine, candidates, kinds, trust_in
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
-    TESTS,
     essential_test,
     fixed_point_test,
     halves_test,
     instruments_test,
-    worst_first,
 )
+from identification.trust.verdict import TESTS, worst_first
 
 WHITE = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
 COARSE = Imperfections(encoder_noise=2e-5, torque_noise_percent=1.0)
@@ -171,7 +170,7 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used(m
     ):
         physical = TrustLine("physical", "caution", "", value)
         tests = tuple(lambda _, made=made: made for made in (physical, law, line_))
-        monkeypatch.setattr("identification.trust.solution.TESTS", tests)
+        monkeypatch.setattr("identification.trust.verdict.TESTS", tests)
         judged = trust_in(evidence).line("held-out blocks")
         assert judged.level == level
         assert ("--consistent" in judged.text) == (level == "do not use")
@@ -373,15 +372,16 @@ def test_two_kinds_of_one_name_are_two_columns_that_count_together(monkeypatch):
 
 def block_errors(method: str, blocks: int) -> tuple[float, float]:
     _, evidence = examined(method, "scara", by="instants")
-    W, Y, counts, T = evidence.W, evidence.Y, evidence.observed.counts, len(evidence.observed.tau)
+    W, Y, T = evidence.W, evidence.Y, len(evidence.observed.tau)
     time = evidence.observed.system.span
     Z = evidence.Z * evidence.weight[:, None]
     betas = []
     for a, b in pairwise(np.ceil(np.arange(blocks + 1) * T / blocks)):
         inside = (time >= a) & (time < b)
         betas.append(np.linalg.solve(Z[~inside].T @ W[~inside], Z[~inside].T @ Y[~inside]))
-    tau, held, _ = torque_of_recording(*equation_alone(evidence.problem), *betas)
-    trained = torque_of_recording(*equation_alone(evidence.problem), evidence.estimate.beta)[1]
+    sets = betas, [evidence.estimate.beta]
+    equation = equation_alone(evidence.problem.for_errors)
+    tau, (held, trained), counts, _ = torque_of_recording(*equation, *sets)
     return tuple(
         100 * np.linalg.norm((tau - x)[counts]) / np.linalg.norm(tau[counts])
         for x in (held, trained)

@@ -1,0 +1,168 @@
+"""The whole trust block: every test, what was assumed, and witnesses of a sign that is wrong."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ..report import Assumed
+from .columns import added_columns_test
+from .drives import centre_of_mass_test, control_law_test, gains_test, lag_test, payload_assumptions
+from .efforts import (
+    NEGATIVE,
+    effort_test,
+    positions_test,
+    saturation_test,
+    signs_and_order_test,
+    turned_sign,
+)
+from .evidence import LEVELS, FitData, Trust, TrustLine
+from .physical import consistent_test, physical_test
+from .predictions import HELD_OUT, prior_test
+from .solution import (
+    ends_test,
+    essential_test,
+    fixed_point_test,
+    halves_test,
+    held_out_test,
+    instruments_test,
+    motion_test,
+    position_noise_test,
+    rows_test,
+    units_test,
+)
+
+MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
+MAX_WITNESS_PERCENT = 20.0  # held-out error: more is that of another robot
+MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
+
+
+def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
+    """Assumptions that no test covers, by that of the control law."""
+    signals, decimation = evidence.problem.signals, evidence.problem.settings.decimation
+    robot, several = signals.robot, signals.robot.n > 1
+    fs, iv, lags = signals.sample_rate_hz, evidence.method == "iv", evidence.lags
+    gains = [m for m in robot.motors if m.drive_gain is not None]
+    duration_s = len(evidence.observed.tau) * decimation / fs
+    cases = (
+        (
+            robot.gain_known and not evidence.gains,
+            "drive gains",
+            ", ".join(f"{m.drive_gain:g} {m.drive_gain_unit}" for m in gains)
+            or "torques recorded in "
+            + " and ".join(sorted({m.recorded_unit for m in robot.motors})),
+            "a wrong gain scales all parameters, and fits equally well"
+            + " if it is common to all joints" * several,
+        ),
+        (
+            True,
+            "efforts",
+            "the whole torque of each motor",
+            "what a drive adds behind the recorded effort, such as friction or gravity, "
+            "cannot be seen",
+        ),
+        (
+            any(name.partition("@")[2] for name in evidence.estimate.names),
+            "own parameters",
+            "their mean elsewhere",
+            "other recordings are validated with the mean of those of these",
+        ),
+        (
+            True,
+            "ratios",
+            ", ".join(f"{x:g}" for x in np.diag(robot.R)),
+            "joint positions and torques are computed with them",
+        ),
+        (
+            several,
+            "lengths",
+            "dh" if robot.urdf is None else "urdf",
+            "link parameters absorb an error of a length",
+        ),
+        (True, "sample rate", f"{fs:g} Hz", "speeds and accelerations scale with it"),
+        (
+            iv and not evidence.by_reference and law.level == "not made",
+            "control law",
+            robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD",
+            law.text.removeprefix("not made: "),
+        ),
+        (
+            lags and lags[0].stated,
+            "lag",
+            f"{lags[0].value_s:g} s" if lags else "",
+            "stated by torque_lag_s",
+        ),
+        (
+            duration_s > MAX_SHORT_S,
+            "filters",
+            f"{duration_s:.0f} s of motion",
+            "intervals include noise only; filters distort a parameter by about 0.1 %, which "
+            "is as much here",
+        ),
+        (
+            not iv,
+            "encoder noise",
+            "the same spectrum below and above the low-pass",
+            "position noise biases least squares; only the noise above the low-pass is tested",
+        ),
+    )
+    yield from payload_assumptions(evidence)
+    yield from (Assumed(*told) for holds, *told in cases if holds)
+
+
+# A test is a function of the fit's data, None where it does not apply. A new one is a line here.
+TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
+    *(
+        signs_and_order_test,
+        saturation_test,
+        positions_test,
+        gains_test,
+        centre_of_mass_test,
+        fixed_point_test,
+    ),
+    *(physical_test, units_test, control_law_test, prior_test, motion_test, halves_test),
+    *(rows_test, added_columns_test, lag_test, held_out_test, consistent_test, ends_test),
+    *(essential_test, instruments_test, position_noise_test, effort_test),
+)
+
+
+def trust_in(evidence: FitData) -> Trust:
+    """All tests of an estimate, worst first, and the assumptions: `do not use` if M is not positive
+    and the held-out blocks fail, or if the parameters are far from those of a robot and a witness
+    says why.
+    """
+    lines = {line.test: line for test in TESTS if (line := test(evidence)) is not None}
+    held, physical = lines[HELD_OUT], lines["physical"]
+    if held.fails_held_out and (physical.value or 0.0) <= 0:
+        text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
+        lines[held.test] = replace(held, level="do not use", text=text)
+    if physical.level != LEVELS[0] and (found := _witness(evidence, lines)):
+        text = f"{physical.text}; far from a physical robot, and {found}"
+        lines["physical"] = replace(
+            physical, level=LEVELS[0], text=text, finding=physical.finding or found
+        )
+    of_lines = (one for line in lines.values() for one in line.assumed)
+    assumed = *list_assumptions(evidence, lines["control law"]), *of_lines
+    return Trust(lines=worst_first(lines.values()), assumed=assumed)
+
+
+def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
+    """What else tells that parameters are wrong that are far from those of a physical robot: a
+    negative factor of the prior, a sign that fits better turned, or a large held-out error; "" for
+    nothing.
+    """
+    if (lines["physical"].value or 0.0) > 0 and not lines["consistent"].far:
+        return ""
+    prior, held = lines.get("prior"), lines[HELD_OUT].value or 0.0
+    if prior is not None and NEGATIVE in prior.finding:
+        return prior.finding
+    ratio, mistake = turned_sign(evidence, range(evidence.robot.n))
+    if ratio < MAX_WITNESS_RATIO:
+        return mistake
+    # a wrong sign of a lone axis changes no error
+    return f"{held:.2g} % held out" * (held > MAX_WITNESS_PERCENT and evidence.robot.n > 1)
+
+
+def worst_first(lines: Iterable[TrustLine]) -> tuple[TrustLine, ...]:
+    """Lines sorted by level."""
+    return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))
