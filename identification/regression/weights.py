@@ -29,6 +29,8 @@ from .settings import LOOP_PER_MOTION, MAX_CUTOFF_SHARE, RAMPS, ROWS
 # of the peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_PERCENT = 4.0
 LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed
+# terms of friction that tell it at lower speeds, and how much lower
+SLOW_TERMS, SLIDING_SHARE = frozenset(("root", "load", "stribeck")), 0.25
 MIN_SHARE = 0.1  # weight of a row that counts
 # of the rows in which a joint moves, by their weights; with fewer it gets the next shorter ramp
 MIN_ROWS_LEFT = 1 / 3
@@ -123,10 +125,11 @@ def _moves(problem: Problem) -> Bools:
     """Which joints (N, n) move, in samples that were measured: no Coulomb direction that acts on a
     joint is slow within half a period of the cut-off.
 
-    Slow: below 4 % of the peak in the span, or 4 deviations of the noise of the regressor's speed
-    if that is more. Speeds have the low-pass of the fit, or of the rule if the fit has none or a
-    higher one; the noise is the difference. The low-pass smears a speed by half a period of its
-    cut-off, so a joint that sticks for a moment seems to creep.
+    Slow: below 4 % of the peak in the span, 1 % where friction has terms of slow motion (root,
+    load, Stribeck), or 4 deviations of the noise of the regressor's speed if that is more.
+    Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher one; the
+    noise is the difference, and that of the position that passes the low-pass. The low-pass smears
+    a speed by half a period of its cut-off, so a joint that sticks for a moment seems to creep.
 
     A low-pass that was put where the motion ends smears a reversal over more than the reversal
     takes: at twice that frequency speeds have little more noise, and rows beside reversals stay.
@@ -155,13 +158,37 @@ def _moves(problem: Problem) -> Bools:
     threshold = threshold * np.abs(speed[settings.start : settings.stop]).max(axis=0, initial=0.0)
     if percent is None:
         mean, square = noise / (settings.stop - settings.start)
-        deviation = np.sqrt(np.maximum(square - mean**2, 0))
-        threshold = np.maximum(threshold, LOW_SPEED_DEVIATIONS * deviation @ np.abs(directions.T))
+        square, of_low_pass = (
+            np.maximum(square - mean**2, 0),
+            _noise_of_speed(problem, cutoff_hz) ** 2,
+        )
+        least = [
+            LOW_SPEED_DEVIATIONS * np.sqrt(x) @ np.abs(directions.T)
+            for x in (square, square + of_low_pass)
+        ]
+        slides = [not SLOW_TERMS.isdisjoint(x.terms) for x in problem.signals.robot.joints]
+        threshold = np.where(
+            (directions != 0) @ slides,
+            np.maximum(SLIDING_SHARE * threshold, least[1]),
+            np.maximum(threshold, least[0]),
+        )
     slow = np.abs(speed) < threshold
     slow[1:] |= speed[1:] * speed[:-1] < 0  # a reversal between two samples
     stands = slow @ (directions != 0)
     blur = round(0.5 * fs / cutoff_hz)
     return ~np.stack([nearby(own, blur) for own in stands.T], axis=1) & measured
+
+
+def _noise_of_speed(problem: Problem, cutoff_hz: float) -> Array:
+    """Deviation (n,) of the noise of the speed behind a low-pass, of white noise of the position,
+    which third differences show.
+    """
+    fs, thirds = (
+        problem.signals.sample_rate_hz,
+        np.diff(problem.signals.q[:BLOCK_SAMPLES], 3, axis=0),
+    )
+    of_position = 1.4826 * np.median(np.abs(thirds), axis=0) / np.sqrt(20)
+    return np.asarray(of_position * 2 * np.pi * np.sqrt(2 * cutoff_hz**3 / (3 * fs)))
 
 
 def _ramped(moves: Bools, L: int) -> Array:
