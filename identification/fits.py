@@ -128,7 +128,7 @@ class StoredFit(AnyFit):
             title=f"{self.place}: {self.file.summary}",
             badge=self.verdict or "",
             figures=methods.main_figures(
-                self.file.moving_relative_error_percent,
+                self.file.moving_relative_error_percent,  # in files of earlier versions too
                 self.file.held_out_error_percent or None,
                 {},
                 methods.half_width_percents(self.parameters),

@@ -45,8 +45,8 @@ class Fit(AnyFit, methods.Fit):
     place = cached_property[str](lambda fit: fit.problem.signals.recording)
 
     def residuals(self) -> Array:
-        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`;
-        recordings in their order.
+        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`,
+        those that do not count too; recordings in their order.
         """
         return self.tau - self.tau_predicted
 

@@ -24,7 +24,6 @@ def add(parser: argparse.ArgumentParser) -> None:
             "settings of the fit", "The settings in FIT.json stand in for the defaults below."
         ),
         Overrides,
-        "cutoff_hz",
         "torque_lag_s",
     )
     outputs = parser.add_argument_group("outputs")
@@ -34,7 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--max-error-percent",
         type=above_zero,
         metavar="P",
-        help="exit status 3 if the torque error of all rows is larger (with --consistent: of the "
+        help="exit status 3 if the torque error is larger (with --consistent: that of the "
         "consistent set)",
     )
     add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")

@@ -46,9 +46,7 @@ def friction_file(choice: TermChoice) -> dict[str, Any]:
 def friction_document(choice: TermChoice) -> Document:
     """The sets that were tried, best first, and the lines of robot.toml for the recommended one."""
     usual, chosen = choice.usual, choice.recommended
-    errors = (
-        f"held-out error of moving rows {usual.held_out_error_percent:.2f} % with the usual terms"
-    )
+    errors = f"held-out torque error {usual.held_out_error_percent:.2f} % with the usual terms"
     if chosen is not usual:
         errors += f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
     heads = columns(

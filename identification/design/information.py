@@ -95,11 +95,16 @@ def prior_information(
     stored = read_fit(fit)
     share, errors = None, stored.joints
     if len(errors) == robot.n and all(
-        e.autocorrelation is not None and e.percent is not None for e in errors
+        e.autocorrelation is not None and e.moving_relative_error_percent is not None
+        for e in errors
     ):
         # r rows of correlation rho equal r (1 - rho)/(1 + rho) independent ones.
         rho = np.clip([e.autocorrelation or 0.0 for e in errors], 0.0, 0.95)
-        share = 0.01 * np.array([e.percent for e in errors]) * np.sqrt((1 + rho) / (1 - rho))
+        share = (
+            0.01
+            * np.array([e.moving_relative_error_percent for e in errors])
+            * np.sqrt((1 + rho) / (1 - rho))
+        )
     return replace(
         known,
         beta=stored_beta(stored, base, str(fit)),

@@ -8,7 +8,6 @@ of its weighted rows, each divided by its joint's s_j of the fit with the usual 
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations
 
 import msgspec
@@ -74,7 +73,7 @@ class Trial:
 
     Attributes:
         significant_terms: the terms that have a parameter whose interval excludes 0.
-        fitted_error_percent: relative torque error of moving rows, fitted to all
+        fitted_error_percent: relative torque error, as that of a fit, fitted to all
             rows; None without torque.
         held_out_percents: (k,) the same of each part, predicted by the fit of the others;
             NaN if no joint moves.
@@ -276,20 +275,18 @@ class Trials:
             return self.done[terms]
         model, settled, rows = self._fit(terms)
         estimate = settled.estimate
-        predicted = partial(model.predicted, settled.x)
         found = estimation.intervals_of(rows.system, estimate)
-        moving, betas = (
-            estimation.are_moving(rows.speed),
-            [beta for beta, _ in self._predictions(rows)],
+        betas, judged = [beta for beta, _ in self._predictions(rows)], model.for_errors
+        others = [replace(estimate, names=rows.system.names, beta=beta) for beta in betas]
+        tau, (fitted, by_others), counts = judged.torques(
+            settled.x, [estimate], others, by_recording=self.by_recording, exact=False
         )
-        by_others = predicted(
-            *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
-            by_recording=self.by_recording,
-        )
+        numbers = [len(one.settings.instants) for one in judged.problems]
+        at = estimation.spans_at(rows.system.spans, numbers)
 
         def percent(predicted: Array, part: Bools) -> float | None:
-            among = moving & np.repeat(part, self.widths)[:, None]
-            return estimation.relative_error_percent(rows.tau[among], (rows.tau - predicted)[among])
+            among = counts & part[at][:, None]
+            return estimation.relative_error_percent(tau[among], (tau - predicted)[among])
 
         J, Y = rows.system.weighted(self.weights)
         held = [
@@ -313,7 +310,7 @@ class Trials:
         trial = Trial(
             terms=self._terms(estimate.names),
             significant_terms=self._terms(beyond),
-            fitted_error_percent=percent(predicted(estimate), np.ones_like(self.parts[0])),
+            fitted_error_percent=percent(fitted, np.ones_like(self.parts[0])),
             held_out_percents=percents,
             scores=scores,
         )

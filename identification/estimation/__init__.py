@@ -12,6 +12,7 @@ from .confidence import (
     intervals_from,
     intervals_of,
     moves_of,
+    not_below_white,
 )
 from .consistency import (
     Consistent,
@@ -54,6 +55,7 @@ from .system import (
     orthonormal,
     r_factor,
     release_memory,
+    spans_at,
     spans_of,
     stacked,
     undetermined_parameters,

@@ -18,36 +18,31 @@ _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of fre
 
 
 def torque_errors(
-    tau: Array,
-    predicted: Array,
-    speed: Array,
-    measured: Bools,
-    names: tuple[str, ...],
+    tau: Array, predicted: Array, counts: Bools, names: tuple[str, ...]
 ) -> tuple[TorqueResidual, ...]:
     """Torque errors of each of the joints `names` and, last and under the name `all`,
     of all joints together.
 
     Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not
-    known); by the joint speeds (rows, n), rad/s or m/s, rows move or stand. Rows that were not
-    `measured` (rows,) are left out.
+    known), in the rows (rows, n) that count in a fit.
     """
-    if not measured.all():
-        tau, predicted, speed = (x[measured] for x in (tau, predicted, speed))
-    moving, rho = are_moving(speed), tau - predicted
-    each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
-    return tuple(
-        TorqueResidual(
-            name=name,
-            relative_error_percent=relative_error_percent(t, r),
-            moving_relative_error_percent=relative_error_percent(t[m], r[m]),
-            standing_relative_error_percent=relative_error_percent(t[~m], r[~m]),
-            moving_rows=int(m.sum()),
-            standing_rows=int((~m).sum()),
-            autocorrelation=autocorrelation(r),
-            residual_rms=float(np.sqrt(np.mean(r**2))),
+    rho, found = tau - predicted, list[TorqueResidual]()
+    each = [(name, tau[:, j], rho[:, j], counts[:, j]) for j, name in enumerate(names)]
+    for name, t, r, of in [*each, ("all", tau, rho, counts)]:
+        error = relative_error_percent(t[of], r[of])
+        found.append(
+            TorqueResidual(
+                name=name,
+                relative_error_percent=error,
+                moving_relative_error_percent=error,
+                standing_relative_error_percent=relative_error_percent(t[~of], r[~of]),
+                moving_rows=int(of.sum()),
+                standing_rows=int((~of).sum()),
+                autocorrelation=autocorrelation(np.where(of, r, 0.0)),
+                residual_rms=float(np.linalg.norm(r[of]) / np.sqrt(max(1, of.sum()))),
+            )
         )
-        for name, t, r, m in [*each, ("all", tau, rho, moving)]
-    )
+    return tuple(found)
 
 
 def are_moving(speed: Array) -> Bools:

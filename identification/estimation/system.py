@@ -36,6 +36,20 @@ def equal_spans(instants: int) -> Ints:
     return np.asarray(-(-np.arange(count + 1) * instants // count))
 
 
+def spans_at(spans: Sequence[Ints], rows: Sequence[int]) -> Ints:
+    """The span of each of `rows` (K,) equidistant instants of recordings with these `spans`, all
+    counted one after the other.
+    """
+    first = np.cumsum([0, *(len(own) - 1 for own in spans)])
+    each = zip(spans, rows, first, strict=False)
+    return np.concatenate(
+        [
+            np.searchsorted(own, (np.arange(count) + 0.5) * own[-1] / count, side="right") - 1 + k
+            for own, count, k in each
+        ]
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class System:
     """Y = W beta + rho, equations (5) and (6) of Janot2014: the weighted rows that count, stacked

@@ -10,7 +10,6 @@ from typing import get_args
 import numpy as np
 
 from ..arrays import Array
-from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     autocorrelation,
@@ -106,34 +105,23 @@ def fit_of(
     """The fit of an estimate and its x (p,), and its assessment; `ls`: least squares, and the
     `essential` parameters by it; `z`: the robot simulated in each recording, if it was.
     """
-    rows, predicted, predict = evidence.observed, evidence.predicted, partial(model.predicted, x)
+    judged = model.for_errors
     names = tuple(joint.name for joint in model.problem.signals.robot.joints)
-    evidence = with_predictions(evidence, predict)
-    filtered, warnings = model, _warnings(model)
-    measured, of_model, speed = rows.tau, predicted, rows.speed
-    try:  # errors of the model, without the noise that passes the cut-off of the fit
-        if (behind := model.behind_rule()) is not None:
-            filtered, (measured, of_model, speed) = behind, behind.torques(x, evidence.estimate)
-    except NoFitError as error:
-        warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
-    of_filtered = spans_of([len(problem.settings.instants) for problem in filtered.problems])
-    parts = zip(evidence.problems, spans_of(rows.parts), of_filtered, strict=True)
+    numbers = [len(problem.settings.instants) for problem in judged.problems]
+    evidence, (tau, predicted, counts) = with_predictions(
+        evidence, partial(judged.torques, x, exact=False), numbers
+    )
+    parts = zip(evidence.problems, spans_of(numbers), strict=True)
     fitted = [
         FittedRecording(
             problem=problem,
             arm=model.unknowns.arms[k].settled(evidence.estimate),
             rows=part,
-            errors=torque_errors(
-                measured[own],
-                of_model[own],
-                speed[own],
-                filtered.problems[k].measured_rows(),
-                names,
-            ),
+            errors=torque_errors(tau[part], predicted[part], counts[part], names),
             held_out=evidence.by_others[k] if evidence.by_others else None,
             simulated=z[k] if z else None,
         )
-        for k, (problem, part, own) in enumerate(parts)
+        for k, (problem, part) in enumerate(parts)
     ]
     fit = Fit(
         recordings=tuple(fitted[k] for k in model.order),
@@ -143,17 +131,12 @@ def fit_of(
         intervals=evidence.intervals,
         least_squares=ls,
         essential=essential,
-        t_s=np.concatenate([one.problem.row_times_s() for one in model.equations]),
-        tau=rows.tau,
+        t_s=np.concatenate([problem.row_times_s() for problem in judged.problems]),
+        tau=tau,
         tau_predicted=predicted,
-        errors=torque_errors(
-            measured,
-            of_model,
-            speed,
-            np.concatenate([x.measured_rows() for x in filtered.problems]),
-            names,
-        ),
-        warnings=warnings,
+        counts=counts,
+        errors=torque_errors(tau, predicted, counts, names),
+        warnings=_warnings(model),
         trust=trust_in(evidence),
         data=evidence,
         own=own_test(model, x, evidence.least_squares),
@@ -191,6 +174,12 @@ def _warnings(model: Model) -> tuple[str, ...]:
         for event in p.signals.events
         if event.kind == "warning"
     ]
+    named += [
+        f"{p.signals.recording} is too short for the filters behind which torque errors are told: "
+        "they include noise that passes those of the fit"
+        for p in problems
+        if p.for_errors.settings is p.settings
+    ]
     return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
 
 
@@ -220,7 +209,7 @@ def assess_iv(
     model, estimate, z, rows = loop.model, best.estimate, best.confirmed_by, best.rows
     assert rows is not None
     x = model.x_of(estimate, best.x)
-    tau, predicted, _ = model.torques(x)
+    tau, (predicted,), _ = model.torques(x)
     solved = replace(best, rows=replace(rows, tau=tau, late=None), tau_predicted=predicted)
     evidence = evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
     (status, reason), (strength, F) = ended, tests

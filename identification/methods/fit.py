@@ -8,7 +8,7 @@ import numpy as np
 
 from acquisition.robot import ripple_notes
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..estimation import Estimate, Intervals
 from ..model import BaseParameters
 from ..regression import Arm, Lag, Problem, Rows, Settings, base_places
@@ -138,7 +138,7 @@ class FittedRecording:
         problem: recording, settings and model; without samples if the recordings
             are too long to be held.
         arm: its base parameters in those of the fit.
-        rows: its decimated samples in those of the fit.
+        rows: its rows in those of `tau`.
         errors: its torque errors, one entry per joint and, last, all joints together.
         held_out: its torque predicted by the fit of the other recordings; None if there are none.
         simulated: the robot simulated in it with the estimate; None after least squares.
@@ -163,10 +163,12 @@ class Fit:
         least_squares: that of the fit itself, or weighted least squares of the same recording and
             settings if the method is `iv`; `essential`: the essential parameters by it, and the
             test of leaving out the others.
-        t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the
-            order of their digests.
-        tau, tau_predicted: (rows, n) torques there.
-        errors: one entry per joint and, last, all joints together.
+        t_s: (rows,) instants of decimated rows in their recordings, s; recordings in the
+            order of their digests. They are behind filters that depend on the motion only, those of
+            the fit are in `data`.
+        tau, tau_predicted: (rows, n) torques there; `counts`: whether the joint moves, as in rows
+            of a fit.
+        errors: of the rows that count, one entry per joint and, last, all joints together.
         passes: of the instrumental variable method, in order, from a `start` as of `Iteration`;
             none after least squares. `returned` is the number, counted from 1, of the one whose
             estimate this is.
@@ -195,6 +197,7 @@ class Fit:
     t_s: Array
     tau: Array
     tau_predicted: Array
+    counts: Bools
     errors: tuple[TorqueResidual, ...]
     warnings: tuple[str, ...]
     trust: Trust
@@ -216,7 +219,8 @@ class Fit:
 
     def on(self, one: FittedRecording) -> "Fit":
         """The fit restricted to one of its recordings: rows, errors and simulated robot."""
-        rows = {name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted")}
+        names = ("t_s", "tau", "tau_predicted", "counts")
+        rows = {name: getattr(self, name)[one.rows] for name in names}
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(
             self,

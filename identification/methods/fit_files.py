@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import msgspec
+import numpy as np
 from msgspec import UNSET
 
 from acquisition.robot import Controller, Robot
@@ -13,6 +14,7 @@ from .. import report
 from ..regression import Law, Problem, forward_backward_3db_hz
 from ..trust import HeldOut
 from .fit import Fit
+from .horizon import HORIZONS_S
 from .parameters import fitted_parameters
 from .recording_report import Validated, errors_on
 
@@ -123,10 +125,17 @@ def validation_file(
 ) -> report.ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
     each = [_recording(one.problem, errors_on([one])[-1]) for one in recordings]
+    ahead = recordings[0].ahead
     return report.ValidationFile(
         **_on_recording(recordings[0].problem, errors, warnings),
         fit=fit,
         recordings=each if len(each) > 1 else UNSET,
+        ahead={
+            f"{time_s:g}": report.Ahead(error=error.tolist(), way=way.tolist())
+            for time_s, error, way in zip(HORIZONS_S, *ahead, strict=True)
+        }
+        if ahead is not None and not np.isnan(ahead).any()
+        else {},
         consistent_errors=list(consistent) or UNSET,
     )
 

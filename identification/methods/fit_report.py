@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from msgspec import UNSET
 
-from ..estimation import relative_error_percent
 from ..regression import ROWS
 from ..report import (
     NO_FIXED_POINT,
@@ -52,7 +51,7 @@ def fit_document(fit: Fit) -> Document:
         title=f"{signals.robot.name}: {first_line(fit, held, percents)}",
         badge=fit.trust.verdict,
         figures=shared.main_figures(
-            fit.errors[-1].moving_relative_error_percent,
+            fit.errors[-1].relative_error_percent,
             held,
             {f"held out, links of the {fit.data.prior_source}": fit.data.prior_error_percent},
             percents,
@@ -110,12 +109,15 @@ def _verdict_section(fit: Fit, notes: Sequence[str]) -> Section:
         else []
     )
     status = f"status: {fit.status}{reason}"
-    lines += [status, shared.error_line(fit.errors), *(f"note: {text}" for text in notes)]
+    error = shared.error_line(fit.errors, fit.problem.for_errors.settings)
+    lines += [status, error, *(f"note: {text}" for text in notes)]
     if fit.status in NO_FIXED_POINT:
-        error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
-        lines.append(
-            f"least squares has a torque error of {_percent(error)} of all rows: --method wls"
-        )
+        by_ls = [
+            shared.validated(one.problem, one.arm.values(fit.least_squares.estimate))
+            for one in fit.recordings
+        ]
+        percent = _percent(shared.errors_on(by_ls)[-1].relative_error_percent)
+        lines.append(f"least squares has a torque error of {percent}: --method wls")
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
     stated = [line for line in lines if reason or line != status]  # the title has the status
@@ -242,7 +244,7 @@ def _consistent(fit: Fit) -> list[Section]:
         f"95 % interval, of {c.moved_most}",
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
         f"relative torque error {_percent(fit.errors[-1].relative_error_percent)} → "
-        f"{_percent(c.relative_error_percent)} of all rows",
+        f"{_percent(c.relative_error_percent)}",
         f"{len(known)} of {len(rows)} values are the prior's: the torques say nothing about them",
     )
     title = "physically consistent standard parameters"
@@ -262,10 +264,10 @@ def _percent(error: float | None) -> str:
 
 def _rows_line(fit: Fit) -> str:
     """The number of rows by their weights, and what weighs nothing."""
-    whole, percent = fit.errors[-1], fit.settings.low_speed_percent
+    percent = fit.settings.low_speed_percent
     slow = "4 % of the peak speed, or 4 deviations of its noise"
     slow = slow if percent is None else f"{percent:g} % of the peak speed"
-    line = f"{fit.estimate.rows:.0f} of {whole.moving_rows + whole.standing_rows} rows"
+    line = f"{fit.estimate.rows:.0f} of {fit.data.observed.share.size} rows"
     if percent == 0:
         return line
     if fit.settings.ramp_rows == ROWS:

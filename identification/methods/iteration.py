@@ -299,16 +299,14 @@ def tests_of(one: Pass) -> tuple[float, float]:
 
 def inertia_prior(model: Model, x: Array) -> Array:
     """Return x (p,) for whose inertias the controller gains are assumed to be set, the a-priori
-    inertias of equation (E): least squares at the rule's cut-off.
-
-    Without that filter the inertias are poorly determined; it is left out if the
-    recording is too short.
+    inertias of equation (E): least squares behind a low-pass, that of errors if the fit has none,
+    as the inertias are poorly determined without.
     """
-    with suppress(NoFitError):
-        if (behind := model.behind_rule()) is not None:
-            rows = behind.rows(x).of(behind.unknowns.arm)
-            return behind.x_of(behind.combined(rows, weighted_least_squares(rows)), x)
-    return x
+    if all(problem.settings.filtered for problem in model.problems):
+        return x
+    behind = model.for_errors
+    rows = behind.rows(x).of(behind.unknowns.arm)
+    return behind.x_of(behind.combined(rows, weighted_least_squares(rows)), x)
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:

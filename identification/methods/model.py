@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..data import HERE, RecordingFile, Recordings, Signals, Work, check_one_robot
 from ..estimation import Estimate, System, combined, one_thread
 from ..regression import (
@@ -21,16 +21,13 @@ from ..regression import (
     Overrides,
     Problem,
     Rows,
-    Settings,
     Unknowns,
     equation_of,
     lag_without_fit,
     law_of,
     make_problem,
-    make_settings,
     make_unknowns,
     rows_of_recording,
-    rule_cutoff_hz,
     stacked_rows,
     torque_of_recording,
 )
@@ -157,25 +154,42 @@ class Model:
         return estimate
 
     def torques(
-        self, x: Array, *estimates: Estimate, by_recording: bool = False
-    ) -> tuple[Array, Array, Array]:
-        """Decimated torque, as measured by x and as predicted, and speed, (rows, n) each.
+        self,
+        x: Array,
+        *sets: Sequence[Estimate],
+        by_recording: bool = False,
+        exact: bool = True,
+    ) -> tuple[Array, Array, Bools]:
+        """Decimated torque (rows, n) as measured by x, as predicted by each set of estimates
+        (K, rows, n), and which rows (rows, n) count.
 
-        Predicted by x, or an estimate, at every sample; by several, each in equal spans of a
-        recording, or in one recording, links' torques on a spline between some samples.
+        Predicted by x if there is no set; by several estimates of a set, each in equal spans of a
+        recording, or in one recording. Unless they are `exact`, links' torques are on a spline
+        between some samples.
         """
-        values = [self.x_of(one, x) for one in estimates]
+        values = [[self.x_of(one, x) for one in estimates] for estimates in sets]
         each = [
-            (x, *map(arm.beta, values[k : k + 1] if by_recording else values))
+            (
+                x,
+                *(
+                    [*map(arm.beta, of[k : k + 1] if by_recording and len(of) > 1 else of)]
+                    for of in values
+                ),
+            )
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        found = self.run(partial(torque_of_recording, exact=len(estimates) < 2), each)
-        tau, predicted, speed = map(np.concatenate, zip(*found, strict=True))
-        return tau, predicted, speed
+        found = self.run(partial(torque_of_recording, exact=exact), each)
+        tau, predicted, counts, _ = zip(*found, strict=True)
+        return np.concatenate(tau), np.concatenate(predicted, axis=1), np.concatenate(counts)
 
-    def predicted(self, x: Array, *estimates: Estimate, by_recording: bool = False) -> Array:
-        """The predicted of `torques`."""
-        return self.torques(x, *estimates, by_recording=by_recording)[1]
+    def predicted(self, x: Array, *estimate: Estimate) -> Array:
+        """The torque (rows, n) that x, or an estimate, predicts."""
+        return np.asarray(self.torques(x, *([one] for one in estimate))[1][0])
+
+    @cached_property
+    def for_errors(self) -> "Model":
+        """The same behind the filters behind which torque errors are told."""
+        return replace(self, problems=tuple(one.for_errors for one in self.problems))
 
     def robots(self, x: Array, *, gain_update: bool = True) -> Robots:
         """What prepares each recording for simulations; the loops have the gains of x, and are set
@@ -232,28 +246,12 @@ class Model:
 
     def with_ramps(self, ramp_rows: float) -> "Model":
         """The same recordings with other ramps of the weights of samples."""
-        found = replace(self, overrides=replace(self.overrides, ramp_rows=ramp_rows))
-        return found._with_settings(
-            [replace(one.settings, ramp_rows=ramp_rows) for one in self.problems]
-        )
-
-    def behind_rule(self) -> "Model | None":
-        """The same with the rule's low-pass; None if all have it or a lower one.
-
-        Raises `NoFitError` if one is too short.
-        """
-        if all(problem.settings.filtered for problem in self.problems):
-            return None
-        cutoff_hz = min(rule_cutoff_hz(one.signals) for one in self.problems)
-        of = [
-            (replace(self.overrides, cutoff_hz=cutoff_hz, decimation=one.settings.decimation),)
+        problems = (
+            replace(one, settings=replace(one.settings, ramp_rows=ramp_rows))
             for one in self.problems
-        ]
-        return self._with_settings(self.run(settings_at, of))
-
-    def _with_settings(self, settings: Sequence[Settings]) -> "Model":
-        pairs = zip(self.problems, settings, strict=True)
-        return replace(self, problems=tuple(replace(one, settings=own) for one, own in pairs))
+        )
+        overrides = replace(self.overrides, ramp_rows=ramp_rows)
+        return replace(self, overrides=overrides, problems=tuple(problems))
 
 
 def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -312,13 +310,6 @@ def with_common_rate(
     tasks = [(given.sources[k], one, most) for k, one in zip(again, of, strict=True)]
     changed = dict(zip(again, _run(given.work, observe, tasks), strict=True))
     return [changed.get(k, one) for k, one in enumerate(found)]
-
-
-@one_thread
-def settings_at(equation: Equation, overrides: Overrides) -> Settings:
-    """Settings of a recording with other overrides."""
-    problem = equation.problem.with_samples()
-    return make_settings(problem.signals, overrides, problem.motion)
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> Model:

@@ -30,6 +30,7 @@ from ..regression import Overrides, Problem, base_name, make_problem
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
+from .horizon import errors_ahead
 from .recording_report import Validated, errors_on, validated
 
 
@@ -292,8 +293,9 @@ def validate_all(
     """
     check_one_robot([signals for signals, _ in recordings])
     problems = [make_problem(*one) for one in recordings]
+    betas = (stored_beta(stored, one.base, place) + payload_beta(stored, one) for one in problems)
     each = tuple(
-        validated(one, stored_beta(stored, one.base, place) + payload_beta(stored, one))
-        for one in problems
+        replace(validated(one, beta), ahead=errors_ahead(one.for_errors, beta))
+        for one, beta in zip(problems, betas, strict=True)
     )
     return each, errors_on(each)

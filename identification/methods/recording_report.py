@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 from ..data import ON_GRID, Signals
 from ..estimation import torque_errors
 from ..regression import (
@@ -29,8 +29,7 @@ from ..report import (
     columns,
 )
 from .fit import FittedRecording
-
-ERROR_COLUMNS = ("all rows", "moving", "standing")
+from .horizon import HORIZONS_S
 
 
 def recording_document(
@@ -70,27 +69,31 @@ def recording_document(
 
 @dataclass(frozen=True)
 class Validated:
-    """A recording, with rows (T, n) of measured and modelled torque, and of speed."""
+    """A recording, with rows (T, n) of measured and modelled torque, and which count; and how far
+    the motion is predicted `ahead`, as of `errors_ahead`.
+    """
 
     problem: Problem
     tau: Array
     tau_predicted: Array
-    speed: Array
+    counts: Bools
+    ahead: Array | None = None
 
 
 def validated(problem: Problem, beta: Array) -> Validated:
     """The torque of base parameters (b,), with the payload, on a recording."""
-    return Validated(problem, *torque_of_recording(*equation_alone(problem), beta))
+    problem = problem.for_errors
+    torques = torque_of_recording(*equation_alone(problem), [beta], exact=False)
+    tau, (predicted,), counts, _ = torques
+    return Validated(problem, tau, predicted, counts)
 
 
 def errors_on(recordings: Sequence[Validated]) -> tuple[TorqueResidual, ...]:
     """Torque errors of recordings together: one per joint and, last, that of all joints."""
-    rows = [
-        (one.tau, one.tau_predicted, one.speed, one.problem.measured_rows()) for one in recordings
-    ]
+    rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
     names = tuple(joint.name for joint in recordings[0].problem.signals.robot.joints)
-    tau, predicted, speed, measured = map(np.concatenate, zip(*rows, strict=True))
-    return torque_errors(tau, predicted, speed, measured, names)
+    tau, predicted, counts = map(np.concatenate, zip(*rows, strict=True))
+    return torque_errors(tau, predicted, counts, names)
 
 
 def validation_document(
@@ -111,21 +114,22 @@ def validation_document(
     ]
     lines += [line for one in each for line in recording_lines(one)]
     rows: list[Row] = [
-        (name, *_error_cells(errors_on([one])[-1]))
+        (name, Number(errors_on([one])[-1].relative_error_percent, ".4f"))
         for name, one in zip(names, recordings, strict=True)
     ]
-    table = Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
+    table = Table(columns=columns("recording", numbers=("torque error",)), rows=tuple(rows))
     return Document(
         title=f"{fit} on {', '.join(names)}: {headline(errors)}",
         sections=(
             Section(
                 lines=(
-                    error_line(errors),
-                    *([f"consistent set: {error_line(consistent)}"] if consistent else []),
+                    error_line(errors, recordings[0].problem.settings),
+                    *([f"consistent set: {headline(consistent)}"] if consistent else []),
                 ),
                 warnings=warnings,
             ),
             *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
+            *_ahead_section(recordings),
             replace(errors_section(errors, units), short=None),
             *(
                 [replace(errors_section(consistent, units), title=title, short=None)]
@@ -135,6 +139,29 @@ def validation_document(
             Section(title="settings", lines=tuple(lines)),
         ),
     )
+
+
+def _ahead_section(recordings: Sequence[Validated]) -> list[Section]:
+    """Errors of the positions that the direct model predicts, by joint; of several recordings those
+    of the first that has some.
+    """
+    found = next((x for one in recordings if (x := one.ahead) is not None), np.full(1, np.nan))
+    if np.isnan(found).all():
+        return []
+    error, way = found
+    joints = recordings[0].problem.signals.robot.joints
+    rows: list[Row] = [
+        (joint.name, *(Number(float(x), ".3g") for x in percents))
+        for joint, percents in zip(joints, (100 * error / np.maximum(way, 1e-300)).T, strict=True)
+    ]
+    numbers = tuple(f"after {x:g} s" for x in HORIZONS_S)
+    return [
+        Section(
+            title="position by the direct model, open loop from measured states: error, % of the "
+            "way moved",
+            table=Table(columns=columns("joint", numbers=numbers), rows=tuple(rows)),
+        )
+    ]
 
 
 def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None) -> Section:
@@ -148,9 +175,8 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
         span = (settings.start / signals.sample_rate_hz, settings.stop / signals.sample_rate_hz)
         error = None if held is None else held.error_percent
         timing = (Number(signals.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
-        rows.append(
-            (signals.recording, *timing, *_error_cells(one.errors[-1]), Number(error, ".4f"))
-        )
+        both = (Number(x, ".4f") for x in (one.errors[-1].relative_error_percent, error))
+        rows.append((signals.recording, *timing, *both))
         if held is not None and error is None:
             why = (
                 f"{', '.join(held.undetermined)} undetermined"
@@ -167,10 +193,10 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
     short = Section(lines=tuple(lines))
     fs, settings = recordings[0].problem.signals.sample_rate_hz, recordings[0].problem.settings
     cutoff = "no low-pass" if settings.cutoff_hz is None else f"low-pass {settings.cutoff_hz:g} Hz"
-    lines.append("held out: predicted by a fit of the other recordings, over the rows used")
+    lines.append("held out: predicted by a fit of the other recordings, in the same rows")
     lines.append(f"common to all: {cutoff}, {fs / settings.decimation:g} rows a second")
     lines += [line for one in recordings for line in recording_lines(one.problem.signals)]
-    numbers = ("Hz", "from, s", "to, s", *ERROR_COLUMNS, "held out")
+    numbers = ("Hz", "from, s", "to, s", "trained", "held out")
     return Section(
         title="recordings: relative torque error, %",
         table=Table(columns=columns("recording", numbers=numbers), rows=tuple(rows)),
@@ -179,33 +205,18 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
     )
 
 
-def _error_cells(error: TorqueResidual) -> tuple[Number, ...]:
-    """The cells of `ERROR_COLUMNS`."""
-    percents = (
-        error.relative_error_percent,
-        error.moving_relative_error_percent,
-        error.standing_relative_error_percent,
-    )
-    return tuple(Number(percent, ".4f") for percent in percents)
-
-
 def headline(errors: tuple[TorqueResidual, ...]) -> str:
-    """The main figure of a report: over moving rows, since the model has no static friction."""
-    return f"{_percent(errors[-1].moving_relative_error_percent)} % torque error of moving rows"
+    """The main figure of a report."""
+    return f"{Number(errors[-1].relative_error_percent, '.3g', most=1000).text} % torque error"
 
 
-def error_line(errors: tuple[TorqueResidual, ...]) -> str:
-    """The relative torque error of all joints together, by kind of row."""
+def error_line(errors: tuple[TorqueResidual, ...], settings: Settings) -> str:
+    """The relative torque error of all joints together, and in what rows."""
     e = errors[-1]
-    percents = (
-        e.moving_relative_error_percent,
-        e.standing_relative_error_percent,
-        e.relative_error_percent,
-    )
-    moving, standing, whole = map(_percent, percents)
     return (
-        f"relative torque error: {moving} % of moving rows, {standing} % of standing rows, "
-        f"{whole} % of all rows"
+        f"relative {headline(errors)} in the {e.moving_rows} of "
+        f"{e.moving_rows + e.standing_rows} rows in which "
+        f"joints move, behind a low-pass of {settings.cutoff_hz or np.inf:.3g} Hz"
     )
 
 
@@ -215,7 +226,7 @@ def half_width_percents(parameters: Iterable[Parameter]) -> dict[str, float]:
 
 
 def main_figures(
-    moving: float | None,
+    error: float | None,
     held_out: float | None,
     more: Mapping[str, float | None],
     percents: Mapping[str, float],
@@ -223,7 +234,7 @@ def main_figures(
     """The figures to read first, by what they are: torque errors, and half-widths of essential
     parameters (`percents`).
     """
-    errors = {"torque error of moving rows": moving, "held out": held_out} | {**more}
+    errors = {"torque error": error, "held out": held_out} | {**more}
     shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
     if percents:
         worst = max(percents, key=percents.__getitem__)
@@ -235,10 +246,10 @@ def main_figures(
 
 
 def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -> Section:
-    """Relative torque errors by joint: whole, moving, standing; all joints together last."""
-    heads = columns("joint", "unit", numbers=ERROR_COLUMNS)
+    """Relative torque errors by joint; all joints together last."""
+    heads = columns("joint", "unit", numbers=("torque error",))
     each = [
-        f"{error.name} {Number(error.moving_relative_error_percent, '.2g').text} %"
+        f"{error.name} {Number(error.relative_error_percent, '.2g').text} %"
         for error in errors[:-1]
     ]
     rows = list[Row]()
@@ -248,16 +259,14 @@ def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -
             Number(e.standing_rows, "d"),
             Number(e.autocorrelation, ".2f"),
         )
-        rows.append((e.name, unit, *_error_cells(e), *counts))
+        rows.append((e.name, unit, Number(e.relative_error_percent, ".4f"), *counts))
     wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
     return Section(
         title="relative torque error, %",
         table=Table(columns=wide, rows=tuple(rows), total=True),
         # a line above has all joints
         short=Section(
-            lines=(f"torque error of moving rows by joint: {', '.join(each)}",)
-            if len(each) > 1
-            else ()
+            lines=(f"torque error by joint: {', '.join(each)}",) if len(each) > 1 else ()
         ),
     )
 
@@ -331,10 +340,6 @@ def recording_lines(signals: Signals) -> tuple[str, ...]:
             f"{signals.payload.describe(signals.robot.joints[-1].name)}"
         )
     return (*counted, f"{signals.recording} has sha256 {signals.sha256}")
-
-
-def _percent(x: float | None) -> str:
-    return Number(x, ".3g", most=1000).text
 
 
 def _ends(x: Array) -> tuple[Number, Number]:

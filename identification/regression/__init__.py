@@ -10,9 +10,11 @@ from .motion import (
     FilteredMotion,
     Motion,
     differentiate,
+    largest_of_type,
     motion_between,
     sampled_at,
     smooth,
+    standing_joints,
 )
 from .motor_paths import SATURATED
 from .problem import Problem, make_problem, row_blocks
@@ -33,10 +35,8 @@ from .settings import (
     Overrides,
     Settings,
     decimation_rule,
-    largest_of_type,
     make_settings,
     rule_cutoff_hz,
-    standing_joints,
     with_bandwidth,
 )
 from .states import LAG_ORDERS, friction_states, recorded_power, rigid_torque_at_rows, row_states

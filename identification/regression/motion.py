@@ -1,6 +1,6 @@
 """Joint motion and torque on one time grid; the low-passed motion of a recording."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from acquisition.files import release_pages
+from acquisition.robot import Joint
 
 from ..arrays import Array, Ints
 from ..data import Signals
@@ -19,6 +20,9 @@ SPLINE_REACH = 40  # samples beyond which the end of a cubic spline has no influ
 _DIFFERENCES = 2  # samples to each side that two central differences reach
 # of a filtered position, 32 MB; a longer recording is filtered again in each pass
 _MAX_NUMBERS = 4_000_000
+
+# of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
+STANDSTILL_SPEED = 0.01
 
 Made = TypeVar("Made")
 
@@ -169,3 +173,21 @@ def motion_between(
         ddq=ddq[inside],
         tau=np.array(tau[start:stop]),
     )
+
+
+def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
+    """(n,) largest of the `values` (n,) of joints of the same type, or of all
+    joints where that is zero.
+    """
+    types = np.array([joint.type for joint in joints])
+    found = np.array([values[types == of].max() for of in types])
+    return np.where(found > 0, found, values.max())
+
+
+def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
+    """Names of the joints whose `peak` speeds (n,) are small compared with that of the fastest
+    joint of the same type.
+    """
+    limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
+    each = zip(joints, peak > limits, strict=True)
+    return tuple(joint.name for joint, moves in each if not moves)

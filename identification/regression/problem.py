@@ -155,6 +155,12 @@ class Problem:
         signals = replace(self.source.load(), robot=of.robot, motion_hz=of.motion_hz)
         return replace(self, signals=signals, motion=FilteredMotion(signals))
 
+    @cached_property
+    def for_errors(self) -> "Problem":
+        """The same behind the filters behind which torque errors are told."""
+        settings = self.settings.for_errors(self.signals.sample_rate_hz)
+        return replace(self, signals=replace(self.signals, motion_hz=None), settings=settings)
+
     def beginning(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it
         is no longer.

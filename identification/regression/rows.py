@@ -286,7 +286,7 @@ def rows_of_recording(
     problem, unknowns, lag = (equation := equation.read()).problem, equation.unknowns, None
     share = sample_weights(problem).of_rows
     if of_lag:
-        tau, predicted, speed = torque_of_recording(equation, x, exact=False)
+        tau, (predicted,), _, speed = torque_of_recording(equation, x, exact=False)
         of = np.r_[unknowns.arm, unknowns.lags]
         lag = LagFilters(problem, of, share, share * (tau - predicted), speed)
     names, f = unknowns.all, len(unknowns.names)
@@ -347,50 +347,51 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 
 @one_thread
 def torque_of_recording(
-    equation: Equation, x: Array, *betas: Array, exact: bool = True
-) -> tuple[Array, Array, Array]:
+    equation: Equation, x: Array, *sets: Sequence[Array], exact: bool = True
+) -> tuple[Array, Array, Bools, Array]:
     """Compute the torques of a recording, decimated, without weights and without W.
 
     Parameters
     ----------
     equation : the equation of motion of the recording.
     x : (p,) unknowns, whose lag and gains the measured torque has.
-    betas : base parameters (b,), by default those of x; each predicts one of as many equal spans of
-        the rows.
+    sets : of base parameters (b,), by default those of x alone; each of a set predicts one of as
+        many equal spans of the rows.
     exact : whether links' torques are computed at every sample, not on a spline between some, which
         is within 1e-6 of the torque.
 
     Returns
     -------
-    Measured and predicted torque, N m or N, and joint speed, rad/s or m/s, each (T, n).
+    Measured torque (T, n), that predicted by each set (K, T, n), N m or N, which rows
+    (T, n) count, and joint speed (T, n), rad/s or m/s.
     """
-    task = partial(_torque_of_block, betas or (equation.arm.beta(x),), exact)
-    blocks = equation.read().by_block(task, x)
-    tau, predicted, speed = (np.concatenate(each) for each in zip(*blocks, strict=True))
-    return tau, predicted, speed
+    task = partial(_torque_of_block, sets or ((equation.arm.beta(x),),), exact)
+    blocks = (equation := equation.read()).by_block(task, x)
+    tau, predicted, speed = zip(*blocks, strict=True)
+    counts = sample_weights(equation.problem).of_rows > 0
+    counts = counts & equation.problem.measured_rows()[:, None]
+    return np.concatenate(tau), np.concatenate(predicted, axis=1), counts, np.concatenate(speed)
 
 
 @one_thread
 def _torque_of_block(
-    betas: Sequence[Array], exact: bool, motion: MotionBlock, _: None
+    sets: Sequence[Sequence[Array]], exact: bool, motion: MotionBlock, _: None
 ) -> tuple[Array, Array, Array]:
     settings, N = motion.problem.settings, len(motion.q)
     of, stride = (motion.problem.model, motion.problem.base), 1 if exact else motion.torque_stride
     rows, fs = len(settings.instants), motion.problem.signals.sample_rate_hz
-    # as spans of time end
-    edges = settings.stop - settings.decimation * (
-        rows + -np.arange(len(betas) + 1) * rows // len(betas)
-    )
-    cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
-    predicted = np.concatenate(
-        [
+    predicted = list[Array]()
+    for betas in sets:
+        # as spans of time end
+        edges = settings.stop - settings.decimation * (
+            rows + -np.arange(len(betas) + 1) * rows // len(betas)
+        )
+        cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
+        each = (
             predicted_torque(motion.part(slice(first, last)), *of, beta, stride)
             for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
             if first < last
-        ]
-    )
-    return (
-        motion.filtered((motion.tau + motion.known_torque).T).T,
-        motion.filtered(predicted.T).T,
-        motion.kept(motion.dq),
-    )
+        )
+        predicted.append(motion.filtered(np.concatenate([*each]).T).T)
+    tau = motion.filtered((motion.tau + motion.known_torque).T).T
+    return tau, np.stack(predicted), motion.kept(motion.dq)

@@ -5,7 +5,6 @@ where the motion does.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -13,20 +12,19 @@ import numpy as np
 
 from acquisition import robot
 from acquisition.errors import BadInputError, NoFitError
-from acquisition.robot import Edges, Joint, LowSpeed
+from acquisition.robot import Edges, LowSpeed
 
 from ..arrays import Array, Ints
-from ..data import Signals
+from ..data import Signals, motion_band_hz, motion_end_hz
 from ..estimation import MOVING
 from ..options import Overrides, Span
 from .filtering import MAX_PASS, Decimation, decimation_passes
-from .motion import BLOCK_SAMPLES, FilteredMotion
+from .motion import BLOCK_SAMPLES, FilteredMotion, standing_joints
 
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-# of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
-STANDSTILL_SPEED = 0.01
+MIN_ROWS = 30  # decimated, of a fit
 MIN_RATE_HZ = 1.0  # of samples that follow a robot
 MAX_CUTOFF_SHARE = 0.4  # of the sample rate, of the rule's cut-off
 ROWS = -1.0  # in place of L: no weights, but the rows in which the joint moves
@@ -35,9 +33,9 @@ LAG_REACH = 3.0  # deviations that the lag may differ from the known one
 NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of an unknown lag
 # of a simulated loop; one at its end itself lags: friction holds a UR5's wrist back by 30 %
 LOOP_PER_MOTION = 2.0
-_SPECTRUM = 200_000  # samples of a recording that show where its motion ends
-# power over that of the noise; parts of a recording whose spectra are averaged
-_FLOOR, _SEGMENTS = 10.0, 8
+# torque errors are told behind the filters of the rule for a loop of so many times the band of the
+# motion, whatever the fit's own are
+LOOP_PER_BAND = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +100,9 @@ class Settings:
     Attributes:
         cutoff_hz: low-pass of the position (one direction), None without.
         decimation: samples per decimated row, n_d.
+        widest: the span with what filters distort at the ends; `samples`: of the recording.
         filtered: whether the low-pass is that of the rule, or a lower one.
+        band_hz: of the motion: below it lies nearly all power of each joint's speed.
         edges: how the decimation treats the two ends (`filtering.Decimation`).
         low_speed: slower samples weigh nothing, by method; `low_speed_percent`: of the method
             of this fit (`weights`).
@@ -119,7 +119,10 @@ class Settings:
     decimation: int
     start: int
     stop: int
+    widest: tuple[int, int]
+    samples: int
     filtered: bool
+    band_hz: float
     edges: Edges
     low_speed: LowSpeed
     low_speed_percent: float | None
@@ -130,6 +133,26 @@ class Settings:
     span_rule: Span
     overloads: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    def for_errors(self, fs: float) -> "Settings":
+        """The same with the filters behind which torque errors are told; itself where the recording
+        is too short for them.
+        """
+        hz = min(LOOP_PER_BAND * self.band_hz, MAX_CUTOFF_SHARE * fs / CUTOFF_PER_BANDWIDTH)
+        cutoff_hz, decimation = CUTOFF_PER_BANDWIDTH * hz, decimation_rule(fs, hz)
+        border, (start, stop) = _border(cutoff_hz, fs), self.widest
+        start, stop = max(start, border), min(stop, self.samples - border)
+        if stop - start < MIN_ROWS * decimation:
+            return self
+        return replace(
+            self,
+            cutoff_hz=cutoff_hz,
+            decimation=decimation,
+            start=start,
+            stop=stop,
+            filtered=True,
+            ramp_rows=RAMPS[0],
+        )
 
     @property
     def decimator(self) -> Decimation:
@@ -152,23 +175,14 @@ def with_bandwidth(signals: Signals) -> Signals:
     robot, fs = signals.robot, signals.sample_rate_hz
     if robot.controller.bandwidth_hz is not None:
         return signals
-    hz = min(_motion_hz(signals), MAX_CUTOFF_SHARE * fs)
+    hz = min(motion_end_hz(signals), MAX_CUTOFF_SHARE * fs)
     controller = msgspec.structs.replace(robot.controller, bandwidth_hz=LOOP_PER_MOTION * hz)
     return replace(signals, robot=replace(robot, controller=controller), motion_hz=hz)
 
 
-def _motion_hz(signals: Signals) -> float:
-    """The frequency above which no joint's position is more than noise, Hz."""
-    fs, N = signals.sample_rate_hz, min(len(signals.q), _SPECTRUM) // _SEGMENTS
-    if N < 3:  # no spectrum: the settings refuse so short a recording
-        return fs
-    parts = np.diff(signals.q[: N * _SEGMENTS].reshape(_SEGMENTS, N, -1), axis=1)
-    power = (np.abs(np.fft.rfft(np.hanning(N - 1)[:, None] * parts, axis=1)) ** 2).mean(axis=0)
-    f = np.fft.rfftfreq(N - 1, 1 / fs)[1:, None]
-    power = power[1:] / np.sin(np.pi * f / fs) ** 2  # of the position: white noise is then level
-    floor = np.median(power[f[:, 0] > 0.25 * fs], axis=0)
-    above = (power > _FLOOR * floor).any(axis=1)
-    return float(f[np.flatnonzero(above).max(initial=0), 0])
+def _border(cutoff_hz: float | None, fs: float) -> int:
+    """Samples at an end of a recording that the low-pass distorts."""
+    return 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
 
 
 def make_settings(
@@ -273,30 +287,36 @@ def make_settings(
         signals, motion or FilteredMotion(signals), cutoff_hz, span_rule
     )
     warnings += [f"joint {name} does not move" for name in standing]
-    border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
-    start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
-    stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
     lag = known_lag(signals, overrides)
     early, late = (fs * (lag.value_s + way * LAG_REACH * lag.sd_s) for way in (-1, 1))
     # others may have no torque
-    start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))
+    widest = (
+        max(start, stored.cut_start_samples or 0, math.ceil(-early)),
+        min(stop, N - (stored.cut_end_samples or 0), N - math.ceil(late)),
+    )
+    border = _border(cutoff_hz, fs)
+    start = max(widest[0], border if stored.cut_start_samples is None else 0)
+    stop = min(widest[1], N - (border if stored.cut_end_samples is None else 0))
     filtered = cutoff_hz is not None and cutoff_hz <= highest_hz * (1 + 1e-9)
     by_instruments = (
         signals.q_ref is not None if overrides.method is None else overrides.method == "iv"
     )
-    if stop - start < 30 * decimation:
+    if stop - start < MIN_ROWS * decimation:
         raise NoFitError(
             place=signals.recording,
             key=f"samples left after cutting the borders ({span})",
             value=max(0, stop - start),
-            expected=f"at least {30 * decimation}, 30 decimated rows",
+            expected=f"at least {MIN_ROWS * decimation}, {MIN_ROWS} decimated rows",
         )
     return Settings(
         cutoff_hz=cutoff_hz,
         decimation=decimation,
         start=start,
         stop=stop,
+        widest=widest,
+        samples=N,
         filtered=filtered,
+        band_hz=motion_band_hz(signals),
         edges=overrides.edges or stored.edges,
         low_speed=low_speed,
         low_speed_percent=low_speed.iv if by_instruments else low_speed.ls,
@@ -329,24 +349,6 @@ def known_lag(signals: Signals, overrides: Overrides) -> Lag:
         value_s = -0.5 * held_s if signals.effort_timing == "command" else 0.0
         sd_s, source = 0.25 * held_s, f"effort_timing {signals.effort_timing}"
     return Lag(value_s=value_s, sd_s=sd_s, source=source, period_s=period_s)
-
-
-def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
-    """(n,) largest of the `values` (n,) of joints of the same type, or of all
-    joints where that is zero.
-    """
-    types = np.array([joint.type for joint in joints])
-    found = np.array([values[types == of].max() for of in types])
-    return np.where(found > 0, found, values.max())
-
-
-def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-    """Names of the joints whose `peak` speeds (n,) are small compared with that of the fastest
-    joint of the same type.
-    """
-    limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
-    each = zip(joints, peak > limits, strict=True)
-    return tuple(joint.name for joint, moves in each if not moves)
 
 
 def rule_cutoff_hz(signals: Signals) -> float:

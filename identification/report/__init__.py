@@ -22,6 +22,7 @@ from .document import (
 )
 from .fit_file import (
     NO_FIXED_POINT,
+    Ahead,
     Assumed,
     DirectModelResidual,
     FitFile,

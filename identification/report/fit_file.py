@@ -37,12 +37,12 @@ NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 
 
 class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
-    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all, moving and standing
-    rows; the torque's unit.
+    """Relative torque error 100 |Y - W beta| / |Y| in percent; the torque's unit.
 
-    In moving rows the joint is faster than 2 % of its peak speed. None without such rows or
-    torque. `autocorrelation` is of the residual at a lag of one decimated sample,
-    `residual_rms` in the unit.
+    Of the rows in which the joint moves, as in a fit, not weighted, behind filters that depend on
+    the motion only, whatever those of the fit are; None without such rows or torque. The key with
+    `moving` is the same. Standing rows are the others: no fit has them. `autocorrelation` is of the
+    residual at a lag of one row, `residual_rms` in the unit.
     """
 
     name: str = ""
@@ -54,12 +54,6 @@ class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
     autocorrelation: float | None = None
     residual_rms: float | UnsetType = UNSET
     unit: str | UnsetType = UNSET
-
-    @property
-    def percent(self) -> float | None:
-        """Of the moving rows, or else of all."""
-        moving = self.moving_relative_error_percent
-        return self.relative_error_percent if moving is None else moving
 
 
 class FTest(msgspec.Struct, frozen=True, kw_only=True):
@@ -250,20 +244,20 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     def summary(self) -> str:
         """What it is, in a line."""
         error, total = (
-            self.moving_relative_error_percent,
+            self.moving_relative_error_percent,  # in files of earlier versions too
             len(self.parameters) + len(self.left_out or ()),
         )
         if not self.verdict or self.provenance is None:
             return f"{total} parameters"
         names = ", ".join(one.recording for one in self.recordings or (self.provenance,))
-        moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
+        told = "nothing moves" if error is None else f"torque error {error:.3g} %"
         made = (
             f"{self.provenance.robot}, {names}, {self.method}, {self.status}, verdict "
             f"{self.verdict}"
         )
         return (
             f"{made}: {total} parameters, {sum(p.essential for p in self.parameters)} "
-            f"essential, {moving}"
+            f"essential, {told}"
         )
 
     def __repr__(self) -> str:
@@ -281,12 +275,22 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         ]
 
 
+class Ahead(msgspec.Struct, frozen=True, kw_only=True):
+    """By joint the rms error of the position that the direct model predicts from measured states,
+    open loop, and the rms way moved until then, rad or m.
+    """
+
+    error: list[float]
+    way: list[float]
+
+
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
     """The JSON file of `validate`: errors of the file `fit`, and of its
-    consistent set, all joints last.
+    consistent set, all joints last; and how far it predicts the motion `ahead`, by time in s.
     """
 
     fit: str
+    ahead: dict[str, Ahead] = msgspec.field(default_factory=dict)
     consistent_errors: list[TorqueResidual] | UnsetType = UNSET
 
 

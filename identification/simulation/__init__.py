@@ -2,7 +2,7 @@
 the plant of dry runs.
 """
 
-from .closed_loop import ClosedLoop, RigidBodyPlant, described_robot, drive_loops
+from .closed_loop import ClosedLoop, RigidBodyPlant, described_robot, drive_loops, open_loop
 from .control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 from .instruments import InstrumentKind, Simulated, simulate
 from .recording_checks import unstated_limits

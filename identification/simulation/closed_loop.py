@@ -5,7 +5,9 @@ Friction is stepped implicitly with stick phases, so that light joints do not ch
 `described_robot` is the entry point in the group `robot_idim.plants` that dry runs use.
 """
 
+import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -256,6 +258,32 @@ class RigidBodyPlant:
             middle = self._q + 0.5 * self._step_s * self._dq
             after = self._friction.step(middle, self._dq, effort + noise, held=held)
             self._q, self._dq = middle + 0.5 * self._step_s * after, after
+
+
+def open_loop(
+    model: DirectModel,
+    start: tuple[Array, Array],
+    tau: Array,
+    rate: tuple[float, float],
+    fastest: Array,
+) -> Array:
+    """Positions (N, n), rad or m, of a robot from a `start` of position and speed (n,) on, under
+    torques (N, n) at a `rate` in Hz, between samples on a line, in steps of at most so many s.
+
+    `fastest` (n,) are the speeds that set below which friction sticks. Raises `ArithmeticError` if
+    M is not positive.
+    """
+    (q, v), (rate_hz, most_s) = start, rate
+    steps, found = max(1, math.ceil(1 / (rate_hz * most_s))), np.empty_like(tau)
+    h, found[0] = 1 / (rate_hz * steps), q
+    friction = Friction(model, np.abs(model.directions) @ fastest, v, h)
+    for k, (before, after) in enumerate(pairwise(tau)):
+        for i in range(steps):
+            middle = q + 0.5 * h * v
+            v = friction.step(middle, v, before + (i + 0.5) / steps * (after - before))
+            q = middle + 0.5 * h * v
+        found[k + 1] = q
+    return found
 
 
 def described_robot(

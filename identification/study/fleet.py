@@ -49,7 +49,7 @@ class FleetRow(ResultFile, frozen=True, kw_only=True):
     verdict: str = ""
     reason: str = ""
     changed: str = ""
-    moving_error_percent: float | None = None
+    torque_error_percent: float | None = None
     parameters: dict[str, Parameter] = msgspec.field(default_factory=dict)
 
 
@@ -131,7 +131,7 @@ def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) 
         status=fit.status,
         verdict=fit.trust.verdict,
         reason=fit.reason or "",
-        moving_error_percent=fit.errors[-1].moving_relative_error_percent,
+        torque_error_percent=fit.errors[-1].relative_error_percent,
         parameters=dict(fitted_parameters(fit).parameters),
     )
 
@@ -169,7 +169,7 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
     import pyarrow
     from pyarrow import csv, parquet
 
-    kinds = {"start": pyarrow.timestamp("us", tz="UTC"), "moving_error_percent": pyarrow.float64()}
+    kinds = {"start": pyarrow.timestamp("us", tz="UTC"), "torque_error_percent": pyarrow.float64()}
     names = [name for name in FleetRow.__struct_fields__ if name not in ("format", "parameters")]
     fields = [pyarrow.field(name, kinds.get(name, pyarrow.string())) for name in names]
     for name, unit in {name: x.unit for row in rows for name, x in row.parameters.items()}.items():
@@ -197,13 +197,13 @@ def fleet_document(rows: Sequence[FleetRow]) -> Document:
             row.file,
             row.status,
             row.verdict or "-",
-            Number(row.moving_error_percent, ".3g"),
+            Number(row.torque_error_percent, ".3g"),
             textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...") or "-",
         )
         for row in rows
     )
     head = columns(
-        "start, UTC", "recording", "status", "verdict", numbers=("moving error %",)
+        "start, UTC", "recording", "status", "verdict", numbers=("torque error %",)
     ) + columns("changed")
     return Document(
         title=f"recordings: {len(rows)}, fitted: {sum(bool(row.parameters) for row in rows)}",

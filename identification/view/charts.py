@@ -166,7 +166,7 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
         [[n in one.arm.names for n in estimate.names] for one in fit.recordings], dtype=float
     )
     for one, own in zip(fit.recordings, applies, strict=True):
-        dq, rigid = rigid_torque_at_rows(one.problem, one.arm.values(estimate))
+        dq, rigid = rigid_torque_at_rows(one.problem.for_errors, one.arm.values(estimate))
         found.append(
             (
                 dq,

@@ -38,8 +38,8 @@ def draw_fit(fit: methods.Fit, *, truth: Array | None = None) -> Picture:
     )
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
-    moving = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
-    j = moving.index(max(moving))
+    each = [error.relative_error_percent or 0.0 for error in fit.errors[:-1]]
+    j = each.index(max(each))
     unit = signals.robot.effort_units[j]
     largest = f"torque of {signals.robot.joints[j].name}, which has the largest error [{unit}]"
     return Picture(

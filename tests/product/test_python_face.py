@@ -209,11 +209,11 @@ def test_a_velocity_is_compared_with_the_derivative(signals):
 
 
 def test_results_say_in_a_line_what_they_are(signals, by_iv):
-    error, essential = by_iv.errors[-1].moving_relative_error_percent, len(by_iv.essential_names)
+    error, essential = by_iv.errors[-1].relative_error_percent, len(by_iv.essential_names)
     assert (
         repr(by_iv)
         == f"Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, {essential} "
-        f"essential, moving error {error:.3g} %)"
+        f"essential, torque error {error:.3g} %)"
     )
     assert repr(signals).endswith(": SCARA, 4001 samples of 2 joints at 1000 Hz, with reference)")
     assert repr(acquisition.load_robot(str(SCARA))) == "Robot(SCARA: 2 joints, 2 drives)"
@@ -289,9 +289,10 @@ def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
         (identification.read_fit(tmp_path / "fit.json"), str(tmp_path / "other.mcap")),
     )
     found = [
-        identification.validate(*pair, identification.Overrides(decimation=10)) for pair in pairs
+        identification.validate(*pair, identification.Overrides(torque_lag_s=0.002))
+        for pair in pairs
     ]
-    assert found[0].decimation == 10
+    assert found[0].torque_lag_s == 0.002
     assert found[0].joints == found[1].joints
     assert found[0].provenance.recording == "other.mcap"
 
@@ -316,7 +317,8 @@ def test_a_fit_tells_its_verdict_and_its_parameters(by_iv, tmp_path):
         assert columns["value"] == pytest.approx(by_iv.beta)
         assert columns["half_width"] == pytest.approx(by_iv.intervals.half)
         assert columns["unit"] == list(by_iv.base.units)
-    whole = 100 * np.linalg.norm(by_iv.residuals()) / np.linalg.norm(by_iv.tau)
+    rho, tau = (x[by_iv.counts] for x in (by_iv.residuals(), by_iv.tau))
+    whole = 100 * np.linalg.norm(rho) / np.linalg.norm(tau)
     assert whole == pytest.approx(by_iv.errors[-1].relative_error_percent)
 
 
@@ -438,7 +440,7 @@ def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
     stored = identification.read_fit(STORED)
     expected = (
         "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, "
-        "moving error 0.688 %)"
+        "torque error 0.688 %)"
     )
     assert (repr(stored), repr(stored.file)) == (f"StoredFit{expected}", f"FitFile{expected}")
     shown = stored._repr_html_()

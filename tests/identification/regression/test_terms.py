@@ -41,7 +41,7 @@ def test_terms_leave_nothing_of_an_exact_torque(exact):
     drives = equation.drives.about(x, motion)
     size = np.linalg.norm(equation.drives.torque(x, drives), axis=1)
     assert (np.linalg.norm(equation.residual(x, drives), axis=1) < 1e-9 * size).all()
-    tau, whole, _ = torque_of_recording(equation, x)  # from its first sample on
+    tau, (whole,), *_ = torque_of_recording(equation, x)  # from its first sample on
     np.testing.assert_allclose(whole, tau, atol=1e-9 * np.abs(tau).max())
     predicted = motion.with_torque_of(equation.arm.beta(x))
     for of in (drives, predicted):

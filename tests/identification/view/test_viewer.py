@@ -147,23 +147,23 @@ def test_short_curves_are_written_sample_by_sample(written):
 def test_the_residual_is_the_one_whose_error_is_reported(written):
     signals = made_up()
     fit, file = fitted(signals), written(signals)
-    decimation = Decimation(factor=fit.settings.decimation)
-    Y = decimation.filtered(signals.effort[fit.settings.start : fit.settings.stop].T)
-    motion = FilteredMotion(signals).between(
-        fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz
-    )
+    s = fit.problem.for_errors.settings
+    decimation = Decimation(factor=s.decimation)
+    Y = decimation.filtered(signals.effort[s.start : s.stop].T)
+    motion = FilteredMotion(signals).between(s.start, s.stop, s.cutoff_hz)
     predicted = predicted_torque(motion, InverseModel(signals.robot), fit.base, fit.beta)
     for j, joint in enumerate(signals.robot.joints):
         k, rho = file.curve("residual", joint.name, "residual")
-        assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(
+        of = fit.counts[:, j]
+        assert 100 * np.linalg.norm(rho[of]) / np.linalg.norm(Y[j][of]) == pytest.approx(
             fit.errors[j].relative_error_percent
         )
         np.testing.assert_allclose(
-            rho, Y[j] - decimation.filtered(predicted[:, j]), atol=1e-9 * np.abs(Y[j]).max()
+            rho, Y[j] - decimation.filtered(predicted[:, j]), atol=1e-6 * np.abs(Y[j]).max()
         )
         np.testing.assert_array_equal(file.curve("torque", joint.name, "residual")[1], rho)
-        assert k[-1] == fit.settings.stop - 1
-        assert set(np.diff(k)) == {fit.settings.decimation}
+        assert k[-1] == s.stop - 1
+        assert set(np.diff(k)) == {s.decimation}
 
 
 def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):

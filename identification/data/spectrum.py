@@ -1,0 +1,46 @@
+"""Where a recorded motion ends, and where most of it is, by the spectra of its positions."""
+
+import numpy as np
+
+from ..arrays import Array, Bools
+from .signals import Signals
+
+_SPECTRUM = 200_000  # samples of a recording that show where its motion ends
+_SAMPLES = 20_000  # of these, that show where most of it is
+BAND = 0.99  # of the power of each joint's speed
+# power over that of the noise; parts of a recording whose spectra are averaged
+_FLOOR, _SEGMENTS = 10.0, 8
+
+
+def motion_end_hz(signals: Signals) -> float:
+    """The frequency above which no joint's position is more than noise, Hz."""
+    fs, N = signals.sample_rate_hz, min(len(signals.q), _SPECTRUM) // _SEGMENTS
+    if N < 3:  # no spectrum: the settings refuse so short a recording
+        return fs
+    parts = np.diff(signals.q[: N * _SEGMENTS].reshape(_SEGMENTS, N, -1), axis=1)
+    power = (np.abs(np.fft.rfft(np.hanning(N - 1)[:, None] * parts, axis=1)) ** 2).mean(axis=0)
+    f = np.asarray(np.fft.rfftfreq(N - 1)[1:], dtype=float)
+    above = _above_noise(power[1:], f).any(axis=1)
+    return float(fs * f[np.flatnonzero(above).max(initial=0)])
+
+
+def motion_band_hz(signals: Signals) -> float:
+    """The frequency below which nearly all power of each joint's speed lies, Hz, without noise."""
+    q = signals.q[:_SPECTRUM]
+    stride = max(1, len(q) // _SAMPLES)
+    steps = np.diff(q[::stride], axis=0)
+    power = np.abs(np.fft.rfft(np.hanning(len(steps))[:, None] * steps, axis=0))[1:] ** 2
+    f = np.arange(1, len(power) + 1) * signals.sample_rate_hz / (stride * max(1, len(steps)))
+    if not len(f):
+        return signals.sample_rate_hz
+    power = np.where(_above_noise(power, f * stride / signals.sample_rate_hz), power, 0.0)
+    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+    return float(f[min(int((share < BAND).sum(axis=0).max()), len(f) - 1)])
+
+
+def _above_noise(power: Array, f: Array) -> Bools:
+    """Where spectra (F, n) of steps of the position are above white noise of the position, which is
+    told by the upper half of the frequencies f (F,), in parts of the rate.
+    """
+    of_position = power / np.sin(np.pi * f[:, None]) ** 2
+    return np.asarray(of_position > _FLOOR * np.median(of_position[f > 0.25], axis=0))
