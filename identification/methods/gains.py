@@ -193,7 +193,13 @@ def payload_sections(fit: Fit) -> list[Section]:
             "about its origin"
         )
         title = f"payload of {one.recording}"
+        told = not (mass.from_prior and payload.mass_kg is None)
         table, short = Table(columns=heads, rows=tuple(rows)), f"{title}: mass {m:.4g} kg"
+        if not told:
+            short = (
+                f"{title}: it has no scale, as nothing tells it from the arm: record without it "
+                "too, or state its mass"
+            )
         found.append(
             Section(title=title, table=table, lines=(line,), short=Section(lines=(short,)))
         )

@@ -32,7 +32,7 @@ MIN_BIAS = 1e-6
 MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording shows it
 # of what a kind takes together, for its rank: any slow error looks like a spring, and many columns
 # take more than one
-SHARES = {kinds.SPRING: 0.5, kinds.HYSTERESIS: 0.5, kinds.IN_PARTS: 0.8}
+SHARES = {kinds.SPRING: 0.5, kinds.CURVED: 0.5, kinds.HYSTERESIS: 0.5, kinds.IN_PARTS: 0.8}
 MIN_RIVAL = 0.8  # of what the first kind takes: another that takes as much may be the cause too
 # error of a zero; a larger one that is not noticed is assumed away
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}

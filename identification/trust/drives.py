@@ -17,6 +17,7 @@ from ..estimation import by_rows_alone, differs, intervals_of
 from ..regression import LAG_ORDERS, MAX_LAW_PERCENT, Lag, Law, Problem
 from ..report import Assumed
 from .evidence import LEVELS, FitData, TrustLine, figures_of, first_case, worst_of
+from .words import WORDS
 
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
@@ -61,7 +62,7 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
     unseen = Assumed(
         "lag",
         f"{value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms",
-        f"no reference is recorded that would show it: {cost}",
+        WORDS["why lag assumed"].format(cost=cost),
     )
     text = (
         f"torque {abs(late):.2f} ± {half:.2f} samples {'late' if late >= 0 else 'early'}: "
@@ -85,22 +86,20 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
         (
             lost and exogenous,
             "caution",
-            f"{known}: state effort_timing, "
-            + (
-                "or record longer moves: joints reverse too often for their rows to show it"
-                if evidence.candidates.simulated
-                else "or take --method iv, which measures it"
+            WORDS[f"lag not {'shown' if evidence.candidates.simulated else 'measured'}"].format(
+                known=known
             ),
         ),
         (
             lost,
             "cannot tell",
-            f"{known}: no reference is recorded that would show it; state effort_timing",
+            WORDS["lag assumed"].format(known=known),
         ),
         (
             delay < -MAX_EARLY_SAMPLES - off,
             "caution",
-            f"{text}, which is impossible: check sample_rate_hz of [controller] and time stamps",
+            f"{text}, which is impossible: check sample_rate_hz of [controller], time stamps, and "
+            "whether the effort is recorded behind a filter",
         ),
         (True, "ok", text),
         value=late,
@@ -189,7 +188,8 @@ def _line_of_law(law: Law, motors: list[str]) -> TrustLine | None:
         (
             beyond[j] > 1,
             "caution",
-            f"{text}: check structure, gains and sample rate of [controller]",
+            f"{text}: check structure, gains and sample rate of [controller], and whether the "
+            "effort is recorded behind a filter",
         ),
         (True, "ok", text),
         value=value,

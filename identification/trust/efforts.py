@@ -21,7 +21,6 @@ from ..simulation import unstated_limits
 from .drives import law_line
 from .evidence import LEVELS, FitData, TrustLine, first_case
 
-NEGATIVE = "effort or position has the wrong sign"
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
 MAX_RISE = 1.001  # the same for a sign that may be wrong: that of a lone axis changes no error

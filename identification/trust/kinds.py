@@ -19,12 +19,14 @@ MIN_TAKEN_PERCENT = 2.0  # of the residual's square
 # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
 STRIBECK_SPEED_RATIO = 0.2
 STRIBECK, ASYMMETRIC, SPRING = "Stribeck friction", "asymmetric friction", "spring"
+CURVED = "spring that is not linear"
+LIMITED = 0.7  # of a joint's largest torque
 TILT, LAG, ROTOR, ZERO, CLOCKS = "tilt of gravity", "lag", "rotor", "zero", "clock drift"
 RATIO, HYSTERESIS, IN_PARTS = "ratio", "hysteresis", "friction of a part of the time"
 PARTS = 6  # of the time
 # of a joint's travel, in which hysteresis turns from one side to the other
 TRAVELS = (0.1, 0.2)
-POSITIVE = (STRIBECK, ROTOR)  # their values
+POSITIVE = (STRIBECK, ROTOR, HYSTERESIS)  # their values
 # Near reversals, friction that rises smoothly looks like these; they hardly show in the residual.
 IN_FAST_ROWS = (LAG, CLOCKS)
 MIN_ARM_M = 1e-9  # of a weight about an axis
@@ -220,6 +222,26 @@ KINDS = (
         advice="record its torque (of a spring, a hose or a weight) as known_torque",
         # any slow error correlates with a slow position
         least_percent=lambda of: MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0,
+    ),
+    Kind(
+        name=CURVED,
+        torque=lambda of, x, *_: (
+            (x.q - of.problem.poses.mean(axis=0)) ** 3
+            / np.maximum(np.ptp(of.problem.poses, axis=0), 1e-300) ** 2
+        ),
+        unit="{effort}/{position}",
+        advice="record its torque (of a spring, a hose or a stop) as known_torque",
+        least_percent=lambda of: MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0,
+    ),
+    Kind(
+        name="limit of the effort",
+        torque=lambda of, x, *_: (
+            np.sign(x.tau)
+            * np.maximum(np.abs(x.tau) - LIMITED * np.abs(x.tau).max(axis=0, initial=0.0), 0.0)
+        ),
+        unit="of what is beyond 70 % of its peak",
+        advice="state saturation of the motor, or record the effort behind its limit",
+        missing="",
     ),
     Kind(
         name=STRIBECK,

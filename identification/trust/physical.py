@@ -24,8 +24,9 @@ from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
 from ..report import Level
-from .efforts import NEGATIVE, sign_may_be_wrong
+from .efforts import sign_may_be_wrong
 from .evidence import LEVELS, FitData, TrustLine, first_case
+from .words import WORDS
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
@@ -65,7 +66,7 @@ def _check_of(evidence: FitData, joint: str) -> tuple[str, str]:
     """What to check of a joint: its sign, unless the torque error is larger with it turned."""
     if sign_may_be_wrong(evidence, joint):
         check = f": check the sign of effort and position of joint {joint}"
-        return check, f"{joint}: {NEGATIVE}"
+        return check, WORDS["wrong sign"].format(joints=joint)
     return (
         f": check friction, rotor and zero of joint {joint}; its signs fit better than turned",
         "",

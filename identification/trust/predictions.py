@@ -29,8 +29,8 @@ from ..estimation import (
 )
 from ..model import base_prior, direct_model
 from ..regression import base_name, row_states
-from .efforts import NEGATIVE
 from .evidence import FitData, HeldOut, Part, TrustLine, figures_of, first_case
+from .words import WORDS
 
 HELD_OUT = "held-out blocks"
 BLOCKS = 5
@@ -243,15 +243,14 @@ def prior_test(evidence: FitData) -> TrustLine | None:
         (
             lost[told].all(),
             "caution",
-            f"{text}: the efforts lack the links' torque (an external torque, noise, or a dead "
-            "channel), or it is another robot's prior?",
-            "the efforts lack the links' torque",
+            WORDS["links lost"].format(text=text),
+            WORDS["links lost, in short"],
         ),
         (
             negative,
             "caution",
             f"{off}: effort or position of {', '.join(negative)} has the wrong sign?",
-            f"{', '.join(negative)}: {NEGATIVE}",
+            WORDS["wrong sign"].format(joints=", ".join(negative)),
         ),
         (spread, "cannot tell", f"the prior is off everywhere: {text}"),
         (True, "caution", f"{off}: drive_gain, ratio, unit, a payload, or the prior?", off),
@@ -328,13 +327,13 @@ def _cause(evidence: FitData) -> str:
             found.append((left(same + np.diag((factor - 1) * own), same), text.format(of)))
     for own, joint in zip(same, evidence.robot.joints, strict=True):
         for deg in (-90, 90, 180) if joint.type == "revolute" else ():
-            text = f"zero of joint {joint.name} off by {deg} deg"
+            text = WORDS["zero off"].format(joint=joint.name, deg=deg)
             found.append((left(same, same, turned=-np.deg2rad(deg) * own), text))
     gravity = np.array(evidence.robot.gravity)
     for direction in (*np.eye(3), *-np.eye(3)) if gravity[:2].any() == 0 else ():
         mounted = "xyz"[int(np.abs(direction).argmax())]
         sign = "-" if direction.sum() < 0 else "+"
-        text = f"gravity along {sign}{mounted} of the base (gravity_m_s2)"
+        text = WORDS["gravity"].format(sign=sign, axis=mounted)
         pulled = np.linalg.norm(gravity) * direction - gravity
         found.append((left(same, same, pulled=pulled), text))
     return min(found)[1]

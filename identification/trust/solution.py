@@ -15,6 +15,7 @@ from ..errors import NoFitError
 from ..model import JointTerm
 from ..regression import Problem, standing_joints
 from .evidence import FitData, Part, TrustLine, first_case
+from .words import WORDS
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
@@ -24,6 +25,7 @@ MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsew
 END_ROWS = 5  # rows at each end that a bad edge affects
 # below, weak; above, the instruments are W itself
 MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = 10.0, 1e10
+MAX_CONDITION = 50.0  # of scaled columns; 7 to 11 of motions of five sines
 MAX_MISSING_PERCENT = 0.1  # of the moving rows
 MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
 MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
@@ -122,6 +124,32 @@ def essential_test(evidence: FitData) -> TrustLine | None:
             "no inertia has an interval narrower than its value: record faster, longer motion",
             "no inertia is determined",
         ),
+    )
+
+
+def excitation_test(evidence: FitData) -> TrustLine | None:
+    """Whether the motion excites all combinations of the essential parameters: a single sine moves
+    joints as well, but always together.
+    """
+    names = np.array(evidence.estimate.names)
+    essential = np.isin(names, evidence.essential)
+    if not essential.any():
+        return None
+    W = estimation.r_factor(evidence.W[:, essential])
+    _, values, directions = np.linalg.svd(W / np.linalg.norm(W, axis=0))
+    condition = float(values[0] / max(values[-1], 1e-300))
+    worst = names[essential][np.argsort(-np.abs(directions[-1]))[:3]]
+    said = {"condition": condition, "limit": MAX_CONDITION, "names": ", ".join(worst)}
+    return first_case(
+        "excitation",
+        (
+            condition > MAX_CONDITION,
+            "caution",
+            WORDS["excitation"].format(**said),
+            "hardly excited",
+        ),
+        (True, "ok", WORDS["excited"].format(**said)),
+        value=condition,
     )
 
 

@@ -9,7 +9,6 @@ from ..report import Assumed
 from .columns import added_columns_test
 from .drives import centre_of_mass_test, control_law_test, gains_test, lag_test, payload_assumptions
 from .efforts import (
-    NEGATIVE,
     effort_test,
     positions_test,
     saturation_test,
@@ -22,6 +21,7 @@ from .predictions import HELD_OUT, prior_test
 from .solution import (
     ends_test,
     essential_test,
+    excitation_test,
     fixed_point_test,
     halves_test,
     held_out_test,
@@ -31,8 +31,10 @@ from .solution import (
     rows_test,
     units_test,
 )
+from .words import WORDS
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
+CAUSES = "saturation", "rows", "added columns"  # of no fixed point, by what they find
 MAX_WITNESS_PERCENT = 20.0  # held-out error: more is that of another robot
 MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 
@@ -120,9 +122,9 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
         centre_of_mass_test,
         fixed_point_test,
     ),
-    *(physical_test, units_test, control_law_test, prior_test, motion_test, halves_test),
-    *(rows_test, added_columns_test, lag_test, held_out_test, consistent_test, ends_test),
-    *(essential_test, instruments_test, position_noise_test, effort_test),
+    *(physical_test, units_test, rows_test, control_law_test, prior_test, motion_test),
+    *(halves_test, excitation_test, added_columns_test, lag_test, held_out_test, consistent_test),
+    *(ends_test, essential_test, instruments_test, position_noise_test, effort_test),
 )
 
 
@@ -137,10 +139,15 @@ def trust_in(evidence: FitData) -> Trust:
         text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
         lines[held.test] = replace(held, level="do not use", text=text)
     if physical.level != LEVELS[0] and (found := _witness(evidence, lines)):
-        text = f"{physical.text}; far from a physical robot, and {found}"
+        text = WORDS["far"].format(text=physical.text, witness=found)
         lines["physical"] = replace(
             physical, level=LEVELS[0], text=text, finding=physical.finding or found
         )
+    fixed, causes = lines["fixed point"], (lines.get(test) for test in CAUSES)
+    known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)
+    if fixed.level in LEVELS[:2] and (cause := next(known, "")):
+        text = WORDS["cause"].format(text=fixed.text.partition(": check")[0], cause=cause)
+        lines[fixed.test] = replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
     assumed = *list_assumptions(evidence, lines["control law"]), *of_lines
     return Trust(lines=worst_first(lines.values()), assumed=assumed)
@@ -154,7 +161,7 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     if (lines["physical"].value or 0.0) > 0 and not lines["consistent"].far:
         return ""
     prior, held = lines.get("prior"), lines[HELD_OUT].value or 0.0
-    if prior is not None and NEGATIVE in prior.finding:
+    if prior is not None and any(factor + half < 0 for _, factor, half, _ in prior.figures):
         return prior.finding
     ratio, mistake = turned_sign(evidence, range(evidence.robot.n))
     if ratio < MAX_WITNESS_RATIO:
