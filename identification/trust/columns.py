@@ -65,7 +65,13 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
     )
     told = [first, *(x for x in found if _is_rival(x, first))][:2]
     more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
-    each = [x.advice if x is first else f"{x.finding}: {x.advice}" for x in told]
+    if len(told) > 1:  # a rotor that is allowed takes what another kind explains, and hides it
+        told.sort(key=lambda x: x.kind == kinds.ROTOR)
+    each = [
+        x.finding if x is not told[0] and x.kind == kinds.ROTOR else f"{x.finding}: {x.advice}"
+        for x in told
+    ]
+    each[0] = told[0].advice if told[0] is first else each[0]
     none = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
     return first_case(
         "added columns",

@@ -29,6 +29,7 @@ from .evidence import LEVELS, FitData, TrustLine, first_case
 from .words import WORDS
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
+CHANCE_HALF_WIDTHS = 1.4  # the same, that one of twenty parameters exceeds in 5 % of clean fits
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
 MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
 CONSISTENT_LEVEL = 0.001  # of the chi-squared test
@@ -103,7 +104,8 @@ def _findings(evidence: FitData, check: Check) -> tuple[list[Finding], float]:
         # One of many parameters exceeds its interval now and then; two of one joint hardly ever do.
         far = np.inf if len(kinds) > 1 else kinds[0][0]
         text = f"below zero: {', '.join(text for _, text in kinds)}"
-        findings.append(_finding(far, text, check(idm.robot.joints[joint].name)))
+        if far > CHANCE_HALF_WIDTHS:
+            findings.append(_finding(far, text, check(idm.robot.joints[joint].name)))
     return findings, lowest
 
 
