@@ -56,7 +56,7 @@ OF_ALL = {
     "added columns",
     "held-out blocks",
 }
-OF_ALL |= {"halves", "ends", "consistent", "essential"}
+OF_ALL |= {"halves", "ends", "consistent", "essential", "excitation"}
 
 
 @cache
