@@ -14,6 +14,7 @@ recorded torque is noise in whitened rows.
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -132,10 +133,11 @@ class LagFilters:
         measured `speed`; all (T, n).
         """
         self.of, self._sliding = of, np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
-        for self.order in (*LAG_ORDERS, LAG_ORDERS[0]):  # where none leaves enough, the first
+        # where none leaves enough, the first that leaves some
+        for least, self.order in product((MIN_ROWS, 1), LAG_ORDERS):
             used = fast_for_lag_by(problem, speed, self._sliding, self.order) & (share.T > 0)
             rows = _behind(used, self.order).sum(axis=1)
-            if (rows >= np.where(share.any(axis=0), MIN_ROWS, 0)).all():
+            if (rows >= np.where(share.any(axis=0), least, 0)).all():
                 break
         self._filters = [
             np.r_[1.0, -autoregression(r * fast, self.order)]

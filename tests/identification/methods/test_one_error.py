@@ -1,0 +1,85 @@
+"""One error of a fit, in all that tells it; and how far a fit predicts the motion."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from hunt import fit_by_default
+from hunt_kinds import cell_of, sound
+from independent_simulator import Imperfections, references, simulate, with_control
+
+from identification.commands import main
+from identification.design import select_friction
+from identification.methods import fit_document, fit_file, identify_ls, validate_all
+from identification.methods.horizon import HORIZONS_S, errors_ahead
+from identification.regression import Overrides, make_problem
+
+SESSION = REPLAY / "scara" / "session.mcap"
+
+
+def test_all_that_tell_an_error_tell_the_same(tmp_path, monkeypatch, capsys):
+    """Headline, tests, friction, validation, fleet, report and files, of least squares."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["fit", str(SESSION), "--method", "wls", "--json", "f.json", "--all"]) in (0, 3)
+    printed = capsys.readouterr().out
+    error = json.loads((tmp_path / "f.json").read_text())["relative_error_percent"]
+    assert f"{error:.3g} % torque error" in printed.splitlines()[0]
+    assert f"relative {error:.3g} % torque error" in printed
+    assert f"% held out, {error:.3g} % trained" in printed
+    assert main(["validate", "f.json", str(SESSION), "--json", "v.json"]) == 0
+    again = json.loads((tmp_path / "v.json").read_text())
+    assert again["relative_error_percent"] == pytest.approx(error, rel=1e-6)
+    (tmp_path / "cell").mkdir()
+    (tmp_path / "cell" / "one.mcap").write_bytes(SESSION.read_bytes())
+    assert main(["fleet", "cell", "-o", "f.csv", "--method", "wls"]) == 0
+    (row,) = csv.DictReader((tmp_path / "f.csv").open())
+    assert float(row["torque_error_percent"]) == pytest.approx(error, rel=1e-6)
+
+
+@pytest.mark.parametrize("hz", [1.5, 15.0])
+def test_an_error_does_not_depend_on_the_bandwidth_that_is_stated(hz):
+    signals = sound("scara", np.random.default_rng(0)).recording(0)
+    expected = fit_by_default(signals).errors[-1]
+    stated = replace(signals, robot=with_control(signals.robot, bandwidth_hz=hz))
+    fit = fit_by_default(stated)
+    found = fit.errors[-1]
+    assert found.relative_error_percent == pytest.approx(expected.relative_error_percent, rel=0.05)
+    assert found.moving_rows == expected.moving_rows
+    assert fit.settings.cutoff_hz == pytest.approx(5 * hz)
+    assert len(fit.tau) != len(fit.data.observed.tau)
+    document = fit_document(fit)
+    assert f"{found.relative_error_percent:.3g} % torque error" in document.title
+
+
+def test_friction_tells_the_errors_of_the_fits_that_it_compares():
+    choice = select_friction(sound("scara", np.random.default_rng(0)).recording(0))
+    for trial, fit in zip((choice.usual, choice.recommended), choice.fits(), strict=True):
+        assert trial.fitted_error_percent == pytest.approx(
+            fit.errors[-1].relative_error_percent,
+            rel=5e-3,  # other weights of joints
+        )
+        held = fit.held_out_error_percent
+        assert np.nanmean(trial.held_out_percents) == pytest.approx(held, rel=0.05)
+
+
+def test_the_motion_ahead_is_predicted_by_the_true_values_and_not_by_others():
+    """By the independent simulator, without noise; 20 % more of all inertias falls behind."""
+    body, law, robot = cell_of("scara")
+    path = references(body, range(3, 4), duration_s=6.0, rate_hz=law.rate_hz)
+    runs = simulate(body, law, path, Imperfections(), seed=3)
+    problem = make_problem(runs.signals(robot, 0), Overrides()).for_errors
+    names = problem.base.names
+    fit = identify_ls(runs.signals(robot, 0), Overrides())
+    error, way = errors_ahead(problem, fit.beta)
+    assert error.shape == way.shape == (len(HORIZONS_S), 2)
+    assert (error < 0.02 * way).all()
+    inertia = np.array([name.startswith(("ZZ", "MX", "MY")) for name in names])
+    off, _ = errors_ahead(problem, np.where(inertia, 1.2, 1.0) * fit.beta)
+    assert (off > 5 * error).all()
+    assert np.isnan(errors_ahead(problem, -fit.beta)).all()
+    stored = fit_file(fit)
+    (one,), _ = validate_all([(runs.signals(robot, 0), Overrides())], stored, "the fit")
+    np.testing.assert_allclose(one.ahead, [error, way], rtol=1e-6)
