@@ -326,11 +326,9 @@ def held(s: SetUp, rng: Rng) -> SetUp:
 
 
 def quarter_turn(s: SetUp, rng: Rng) -> SetUp:
-    """The elbow's position and reference, or those of one of the first four joints that carry, are
-    off by 90 degrees.
-    """
-    joint = 1 if s.name == "scara" else rng.integers(1, 4)
-    off_by = np.deg2rad(90.0) * rng.choice([-1, 1]) * (np.arange(s.body.n) == joint)
+    """Position and reference of one of the joints 2 to 4 are off by 90 degrees."""
+    turn = rng.choice([-1, 1]) * (np.arange(s.body.n) == rng.integers(1, 4))
+    off_by = np.deg2rad(90.0) * turn
     return s.changed(
         lambda signals: replace(signals, q=signals.q + off_by, q_ref=signals.q_ref + off_by)
     )
@@ -380,6 +378,7 @@ def at_clock(x: Array, rate: float) -> Array:
 
 
 BOTH = ("emps", "scara")
+WITH_PRIOR = ("tx40", "seven")  # of links: the SCARA's [parameters] are sums
 ASSUMED = "assumed"  # named as what no test can tell
 CORRECTED = "corrected"  # in a line of any level: the fault was found, and cured
 LATE = (("lag", ""), ("lag", CORRECTED))
@@ -496,12 +495,12 @@ KINDS = {
         change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)
     ),
     "joint off by 90 degrees": Kind(
-        change=quarter_turn, named=(("prior", "off by"),), robots=("scara", "tx40", "seven")
+        change=quarter_turn, named=(("prior", "off by"),), robots=WITH_PRIOR
     ),
     "links subtracted": Kind(
         change=links_subtracted,
         named=(("prior", "lack the links"),),
-        robots=("scara", "tx40", "seven"),
+        robots=WITH_PRIOR,
     ),
     "torque constant drifts 3-10 %": Kind(
         change=lambda s, rng: s.in_cell(gain_drift=rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)),

@@ -6,6 +6,7 @@ import pytest
 from conftest import REPLAY, robot_named
 
 from acquisition.robot import Payload
+from identification.commands import main
 from identification.data import Recordings, load_signals, signals_from_arrays
 from identification.errors import NoFitError
 from identification.methods import identify, identify_ls
@@ -57,3 +58,12 @@ def test_a_robot_that_no_consistent_one_is_near(monkeypatch):
     monkeypatch.setattr("identification.simulation.instruments.nearest_consistent", refused)
     fit = identify(part, Overrides(), method="iv")
     assert all("no physically consistent robot is near" in one.reason for one in fit.passes)
+
+
+def test_an_unknown_payload_alone_has_no_scale(capsys):
+    assert (
+        main(["fit", str(REPLAY / "scara" / "session.mcap"), "--payload", "session=unknown"]) == 0
+    )
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "payload of session.mcap: it has no scale, as nothing tells it from the arm" in printed
+    assert "mass 1 kg" not in printed

@@ -223,3 +223,42 @@ def test_the_ramp_that_is_chosen_has_the_smaller_half_widths():
     ratio = np.median(long.intervals.half / short.intervals.half)
     assert abs(ratio - 1) > 0.02
     assert chosen == (2.0 if ratio < 1 else 0.5)
+
+
+def with_friction(signals, *terms):
+    joints = tuple(
+        msgspec.structs.replace(joint, friction=("viscous", "coulomb", *terms))
+        for joint in signals.robot.joints
+    )
+    return dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
+
+
+@pytest.mark.parametrize("noise", [0.0, 8e-4])
+def test_terms_of_slow_motion_count_slower_samples_down_to_the_noise(noise):
+    """A quarter of 4 % of the peak; or 4 deviations of the noise of the filtered speed, which is
+    told by another filter here.
+    """
+    shift = noise * np.random.default_rng(0).standard_normal(SCARA.q.shape)
+    signals = dataclasses.replace(SCARA, q=SCARA.q + shift)
+    usual, slow, quarter = (
+        make_problem(with_friction(signals, *terms), Overrides(low_speed_percent=percent))
+        for terms, percent in (((), None), (("root",), None), (("root",), 1.0))
+    )
+    moves = [sample_weights(one).moves.mean() for one in (usual, slow, quarter)]
+    assert moves[0] < moves[1] - 0.01
+    if not noise:
+        assert moves[1] == moves[2]
+        return
+    assert moves[1] < moves[2]
+    s, fs = slow.settings, signals.sample_rate_hz
+    own = FilteredMotion(dataclasses.replace(signals, q=shift)).between(0, len(shift), s.cutoff_hz)
+    clean = FilteredMotion(SCARA).between(0, len(shift), s.cutoff_hz)
+    blur = round(0.5 * fs / s.cutoff_hz)
+    for j in range(2):
+        speed = np.abs(clean.dq[s.start : s.stop, j] + own.dq[s.start : s.stop, j])
+        limit = 4 * own.dq[s.start : s.stop, j].std()
+        assert limit > 0.01 * speed.max()
+        stood = ~sample_weights(slow).moves[s.start : s.stop, j]
+        near = np.convolve(stood, np.ones(2 * blur + 1), "same") > 0
+        assert (near | (speed > 0.9 * limit)).all()
+        assert (speed[~near] > 0.9 * limit).all()

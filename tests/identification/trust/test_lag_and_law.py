@@ -10,6 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from hunt import fit_by_default, fit_by_least_squares
+from hunt_kinds import sound
 from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, references, simulate
 from looked_at import looked_at
@@ -354,3 +356,18 @@ def test_the_real_emps(emps):
     assert 1e3 * lag.value_s == pytest.approx(-0.77, abs=0.08)
     assert lag.delay_s is not None
     assert 1e3 * lag.delay_s[0] == pytest.approx(0.27, abs=0.08)
+
+
+def test_a_lag_that_no_reference_shows_is_assumed_and_with_one_there_is_a_way():
+    """An axis whose viscous friction a lag of ± 2 ms moves by some half-widths."""
+    signals = replace(sound("emps", np.random.default_rng(2)).recording(2), effort_timing="unknown")
+    fit = fit_by_default(replace(signals, q_ref=None))
+    line = fit.trust.line("lag")
+    assert line.level == "cannot tell"
+    assert fit.trust.verdict == "trust"
+    (one,) = (of for of in fit.trust.assumed if of.what == "lag")
+    assert one.value == "0 ± 2 ms"
+    assert "half-widths at" in one.why
+    told = fit_by_least_squares(signals).trust.line("lag")
+    known = "by the described control law" in told.text
+    assert known or (told.level == "caution" and "take --method iv" in told.text), told.text

@@ -1,0 +1,159 @@
+"""What makes a fit one that is not to be used, or names a cause, where a test alone does not."""
+
+from dataclasses import replace
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from hunt import fit_by_default, fit_by_least_squares
+from hunt_kinds import SetUp, sound, two_signs
+from independent_simulator import Imperfections, Reference, references, simulate
+
+from identification.trust import TrustLine, verdict
+from identification.trust.verdict import TESTS, trust_in
+
+
+def white(name: str) -> SetUp:
+    return replace(
+        sound(name, np.random.default_rng(1)),
+        cell=Imperfections(encoder_noise=1e-5, torque_noise_percent=2.0),
+        timing="command", duration_s=7.0, substeps=1,
+    )  # fmt: skip
+
+
+@cache
+def evidence():
+    return fit_by_default(white("scara").recording(3)).data
+
+
+def told(monkeypatch, **changed):
+    """The verdict with some lines changed, by test; nothing is tested again."""
+    lines = {of.test: of for test in TESTS if (of := test(evidence())) is not None}
+    for name, changes in changed.items():
+        name = {"held": "held-out blocks", "fixed": "fixed point"}.get(name, name)
+        lines[name] = replace(lines.get(name, TrustLine(name, "ok", "")), **changes)
+    tests = tuple((lambda _, of=of: of) for of in lines.values())
+    monkeypatch.setattr(verdict, "TESTS", tests)
+    return trust_in(evidence())
+
+
+LOW = {"level": "caution", "value": -0.3}
+FAR = {"level": "caution", "far": True}
+NEGATIVE = {
+    "finding": "wrist_2: effort or position has the wrong sign",
+    "figures": (("wrist_1", 1.0, 0.1, 1.0), ("wrist_2", -0.9, 0.2, 1.0)),
+}
+
+
+@pytest.mark.parametrize("doubt", [{"physical": LOW}, {"consistent": FAR}])
+def test_far_from_a_physical_robot_is_do_not_use_only_with_a_witness(monkeypatch, doubt):
+    alone = told(monkeypatch, **doubt)
+    assert alone.verdict == "caution"
+    for name, witness, named in (
+        ("held", {"value": 20.5}, "20 % held out"),
+        ("prior", NEGATIVE, NEGATIVE["finding"]),
+    ):
+        both = told(monkeypatch, **doubt, **{name: witness})
+        assert (both.verdict, both.finding) == ("do not use", named)
+        assert named in both.line("physical").text
+        assert told(monkeypatch, **{name: witness}).verdict == "trust"
+    assert told(monkeypatch, **doubt, held={"value": 19.5}).verdict == "caution"
+
+
+def test_a_sign_that_fits_better_turned_is_a_witness(monkeypatch):
+    monkeypatch.setattr(
+        verdict, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
+    )
+    assert told(monkeypatch).verdict == "trust"
+    assert told(monkeypatch, physical=LOW).finding == "the effort of motor_2 has the wrong sign"
+    monkeypatch.setattr(verdict, "turned_sign", lambda *_: (0.97, "another"))
+    assert told(monkeypatch, physical=LOW).verdict == "caution"
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_two_wrong_signs_are_do_not_use_and_name_a_joint(seed):
+    setup = white("scara")
+    wrong = two_signs(setup, np.random.default_rng(seed))
+    fit = fit_by_least_squares(wrong.recording(3))
+    assert fit.trust.verdict == "do not use"
+    assert fit.trust.finding.endswith("has the wrong sign")
+
+
+def test_no_fixed_point_is_explained_by_what_else_is_found(monkeypatch):
+    none = {"level": "do not use", "text": "status diverged: it ran away: check signs, gains"}
+    rows = {"level": "caution", "text": "", "finding": "1.9 % of the rows missing"}
+    both = told(monkeypatch, fixed=none, rows=rows)
+    assert (
+        both.line("fixed point").text == "status diverged: it ran away: 1.9 % of the rows missing?"
+    )
+    assert both.finding == "1.9 % of the rows missing"
+    assert told(monkeypatch, fixed=none).line("fixed point").text == none["text"]
+
+
+def on_one_sine(setup: SetUp, path: Reference, hz: float) -> Reference:
+    """Of the same travel."""
+    t = np.arange(path.q.shape[1])[None, :, None] / setup.controller.rate_hz
+    size = 0.5 * np.ptp(path.q, axis=1, keepdims=True)
+    size = np.minimum(size, np.abs(path.dq).max(axis=1, keepdims=True) / (2 * np.pi * hz))
+    fade = np.clip(np.minimum(t, t[:, -1:] - t) / 1.0, 0.0, 1.0)
+    w = fade**3 * (10 - 15 * fade + 6 * fade**2)
+    q = path.q[:, :1] + w * size * np.sin(2 * np.pi * hz * t)
+    dq = np.gradient(q, 1 / setup.controller.rate_hz, axis=1)
+    return Reference(q=q, dq=dq, ddq=np.gradient(dq, 1 / setup.controller.rate_hz, axis=1))
+
+
+def test_an_arm_on_a_single_sine_is_hardly_excited():
+    setup = white("tx40")
+    path = references(
+        setup.body, range(1), duration_s=7.0, rate_hz=setup.controller.rate_hz, highest_hz=1.0
+    )
+    for motion, level in ((path, "ok"), (on_one_sine(setup, path, 0.5), "caution")):
+        runs = simulate(setup.body, setup.controller, motion, setup.cell, seed=1, substeps=2)
+        line = fit_by_least_squares(runs.signals(setup.robot, 0)).trust.line("excitation")
+        assert line.level == level, line.text
+    assert "record a more varied motion" in line.text
+    assert line.value > 60
+
+
+def with_torque(setup: SetUp, of):
+    """The torque of a thing that nobody described, beside the drives: taken off what they gave."""
+    return setup.changed(lambda signals: replace(signals, effort=signals.effort + of(signals)))
+
+
+def test_a_spring_that_is_not_linear_and_a_limit_of_the_effort_are_named():
+    setup = without = white("scara")
+
+    def stop(signals):
+        q = signals.q - signals.q.mean(axis=0)
+        beyond = np.maximum(np.abs(q) - 0.5 * np.abs(q).max(axis=0), 0.0)
+        return np.sign(q) * beyond * [0.0, 4.0]
+
+    def unlimited(signals):
+        tau, most = signals.effort, 0.7 * np.abs(signals.effort).max(axis=0)
+        return np.sign(tau) * np.maximum(np.abs(tau) - most, 0.0) * [0.0, 1.0]
+
+    for change, kind in ((stop, "spring that is not linear"), (unlimited, "limit of the effort")):
+        fit = fit_by_least_squares(with_torque(setup, change).recording(3))
+        line = fit.trust.line("added columns")
+        assert line.level == "caution", line.text
+        assert line.finding.startswith(f"{kind} of joint elbow"), line.text
+    assert fit_by_least_squares(without.recording(3)).trust.line("added columns").level == "ok"
+
+
+def test_a_rotor_is_no_advice_where_a_ratio_explains_as_much():
+    """With the rotor allowed, the ratio is named all the same."""
+    setup = white("scara")
+    rotor = setup.body.rotor.copy()
+    rotor[1, 1] += 0.3 * setup.robot.parameters["ZZ2"]
+    signals = replace(setup, body=replace(setup.body, rotor=rotor)).recording(3)
+    line = fit_by_default(signals).trust.line("added columns")
+    assert "rotor of joint elbow missing" in line.text
+    assert "rotor_inertia = true" not in line.text
+    joints = tuple(
+        msgspec.structs.replace(joint, rotor_inertia=True) for joint in signals.robot.joints
+    )
+    followed = fit_by_default(replace(signals, robot=replace(signals.robot, joints=joints)))
+    assert followed.trust.verdict == "trust"
+    (rotor_2,) = (k for k, name in enumerate(followed.estimate.names) if name == "Ia2")
+    assert abs(followed.beta[rotor_2] - rotor[1, 1]) < 2 * followed.intervals.half[rotor_2]
