@@ -466,7 +466,9 @@ KINDS = {
     "payload midway 10-40 %": Kind(change=payload_midway, named=(("halves", ""),)),
     "no reference": Kind(change=lambda s, rng: without_reference(s)),
     "no controller": Kind(change=lambda s, rng: without_law(s)),
-    "late, no reference": Kind(change=lambda s, rng: without_reference(late(s, rng)), named=LATE),
+    "late, no reference": Kind(
+        change=lambda s, rng: without_reference(late(s, rng)), named=(*LATE, (ASSUMED, "lag"))
+    ),
     "late, no controller": Kind(change=lambda s, rng: without_law(late(s, rng)), named=LATE),
     "tilt 1-5°": Kind(
         change=lambda s, rng: replace(
