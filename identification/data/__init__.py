@@ -5,5 +5,4 @@ processes, a Dask cluster.
 from .recordings import ON_GRID, RecordingFile, Recordings, check_one_robot, load_signals
 from .row_steps import position_steps
 from .signals import Signals, signals_from_arrays
-from .spectrum import motion_band_hz, motion_end_hz
 from .work import HERE, Work

@@ -276,13 +276,12 @@ class Trials:
         model, settled, rows = self._fit(terms)
         estimate = settled.estimate
         found = estimation.intervals_of(rows.system, estimate)
-        betas, judged = [beta for beta, _ in self._predictions(rows)], model.for_errors
+        betas = [beta for beta, _ in self._predictions(rows)]
         others = [replace(estimate, names=rows.system.names, beta=beta) for beta in betas]
-        tau, (fitted, by_others), counts = judged.torques(
-            settled.x, [estimate], others, by_recording=self.by_recording, exact=False
+        tau, (fitted, by_others), counts, t_s = model.torques(
+            settled.x, [estimate], others, by_recording=self.by_recording, judged=True
         )
-        numbers = [len(one.settings.instants) for one in judged.problems]
-        at = estimation.spans_at(rows.system.spans, numbers)
+        at = estimation.spans_at(rows.system.spans, [*map(len, t_s)])
 
         def percent(predicted: Array, part: Bools) -> float | None:
             among = counts & part[at][:, None]

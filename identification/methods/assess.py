@@ -105,13 +105,11 @@ def fit_of(
     """The fit of an estimate and its x (p,), and its assessment; `ls`: least squares, and the
     `essential` parameters by it; `z`: the robot simulated in each recording, if it was.
     """
-    judged = model.for_errors
     names = tuple(joint.name for joint in model.problem.signals.robot.joints)
-    numbers = [len(problem.settings.instants) for problem in judged.problems]
-    evidence, (tau, predicted, counts) = with_predictions(
-        evidence, partial(judged.torques, x, exact=False), numbers
+    evidence, (tau, predicted, counts, t_s) = with_predictions(
+        evidence, partial(model.torques, x, judged=True)
     )
-    parts = zip(evidence.problems, spans_of(numbers), strict=True)
+    parts = zip(evidence.problems, spans_of([*map(len, t_s)]), strict=True)
     fitted = [
         FittedRecording(
             problem=problem,
@@ -131,7 +129,7 @@ def fit_of(
         intervals=evidence.intervals,
         least_squares=ls,
         essential=essential,
-        t_s=np.concatenate([problem.row_times_s() for problem in judged.problems]),
+        t_s=np.concatenate(t_s),
         tau=tau,
         tau_predicted=predicted,
         counts=counts,
@@ -209,7 +207,7 @@ def assess_iv(
     model, estimate, z, rows = loop.model, best.estimate, best.confirmed_by, best.rows
     assert rows is not None
     x = model.x_of(estimate, best.x)
-    tau, (predicted,), _ = model.torques(x)
+    tau, (predicted,), *_ = model.torques(x)
     solved = replace(best, rows=replace(rows, tau=tau, late=None), tau_predicted=predicted)
     evidence = evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
     (status, reason), (strength, F) = ended, tests

@@ -109,7 +109,8 @@ def _verdict_section(fit: Fit, notes: Sequence[str]) -> Section:
         else []
     )
     status = f"status: {fit.status}{reason}"
-    error = shared.error_line(fit.errors, fit.problem.for_errors.settings)
+    hz = fit.problem.signals.sample_rate_hz
+    error = shared.error_line(fit.errors, fit.settings.for_errors(hz))
     lines += [status, error, *(f"note: {text}" for text in notes)]
     if fit.status in NO_FIXED_POINT:
         by_ls = [

@@ -158,14 +158,14 @@ class Model:
         x: Array,
         *sets: Sequence[Estimate],
         by_recording: bool = False,
-        exact: bool = True,
-    ) -> tuple[Array, Array, Bools]:
+        judged: bool = False,
+    ) -> tuple[Array, Array, Bools, list[Array]]:
         """Decimated torque (rows, n) as measured by x, as predicted by each set of estimates
-        (K, rows, n), and which rows (rows, n) count.
+        (K, rows, n), which rows (rows, n) count, and by recording their instants, s.
 
         Predicted by x if there is no set; by several estimates of a set, each in equal spans of a
-        recording, or in one recording. Unless they are `exact`, links' torques are on a spline
-        between some samples.
+        recording, or in one recording. Those that are `judged` are behind the filters that errors
+        are told behind, links' torques on a spline between some samples.
         """
         values = [[self.x_of(one, x) for one in estimates] for estimates in sets]
         each = [
@@ -178,9 +178,10 @@ class Model:
             )
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        found = self.run(partial(torque_of_recording, exact=exact), each)
-        tau, predicted, counts, _ = zip(*found, strict=True)
-        return np.concatenate(tau), np.concatenate(predicted, axis=1), np.concatenate(counts)
+        task = partial(torque_of_recording, exact=not judged, judged=judged)
+        tau, predicted, counts, _, t_s = zip(*self.run(task, each), strict=True)
+        both = np.concatenate(tau), np.concatenate(predicted, axis=1)
+        return *both, np.concatenate(counts), list(t_s)
 
     def predicted(self, x: Array, *estimate: Estimate) -> Array:
         """The torque (rows, n) that x, or an estimate, predicts."""

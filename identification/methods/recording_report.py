@@ -82,10 +82,9 @@ class Validated:
 
 def validated(problem: Problem, beta: Array) -> Validated:
     """The torque of base parameters (b,), with the payload, on a recording."""
-    problem = problem.for_errors
-    torques = torque_of_recording(*equation_alone(problem), [beta], exact=False)
-    tau, (predicted,), counts, _ = torques
-    return Validated(problem, tau, predicted, counts)
+    torques = torque_of_recording(*equation_alone(problem), [beta], exact=False, judged=True)
+    tau, (predicted,), counts, *_ = torques
+    return Validated(problem.for_errors, tau, predicted, counts)
 
 
 def errors_on(recordings: Sequence[Validated]) -> tuple[TorqueResidual, ...]:

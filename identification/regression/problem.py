@@ -159,7 +159,9 @@ class Problem:
     def for_errors(self) -> "Problem":
         """The same behind the filters behind which torque errors are told."""
         settings = self.settings.for_errors(self.signals.sample_rate_hz)
-        return replace(self, signals=replace(self.signals, motion_hz=None), settings=settings)
+        stated = self.signals.motion_hz is None
+        signals = self.signals if stated else replace(self.signals, motion_hz=None)
+        return replace(self, signals=signals, settings=settings)
 
     def beginning(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it

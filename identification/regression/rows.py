@@ -286,7 +286,7 @@ def rows_of_recording(
     problem, unknowns, lag = (equation := equation.read()).problem, equation.unknowns, None
     share = sample_weights(problem).of_rows
     if of_lag:
-        tau, (predicted,), _, speed = torque_of_recording(equation, x, exact=False)
+        tau, (predicted,), _, speed, _ = torque_of_recording(equation, x, exact=False)
         of = np.r_[unknowns.arm, unknowns.lags]
         lag = LagFilters(problem, of, share, share * (tau - predicted), speed)
     names, f = unknowns.all, len(unknowns.names)
@@ -347,8 +347,8 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 
 @one_thread
 def torque_of_recording(
-    equation: Equation, x: Array, *sets: Sequence[Array], exact: bool = True
-) -> tuple[Array, Array, Bools, Array]:
+    equation: Equation, x: Array, *sets: Sequence[Array], exact: bool = True, judged: bool = False
+) -> tuple[Array, Array, Bools, Array, Array]:
     """Compute the torques of a recording, decimated, without weights and without W.
 
     Parameters
@@ -357,20 +357,24 @@ def torque_of_recording(
     x : (p,) unknowns, whose lag and gains the measured torque has.
     sets : of base parameters (b,), by default those of x alone; each of a set predicts one of as
         many equal spans of the rows.
+    judged : whether they are behind the filters that errors are told behind, not those of the fit.
     exact : whether links' torques are computed at every sample, not on a spline between some, which
         is within 1e-6 of the torque.
 
     Returns
     -------
     Measured torque (T, n), that predicted by each set (K, T, n), N m or N, which rows
-    (T, n) count, and joint speed (T, n), rad/s or m/s.
+    (T, n) count, joint speed (T, n), rad/s or m/s, and instants (T,), s.
     """
     task = partial(_torque_of_block, sets or ((equation.arm.beta(x),),), exact)
-    blocks = (equation := equation.read()).by_block(task, x)
+    of = equation.problem.for_errors if judged else equation.problem
+    equation = (replace(equation, problem=of) if judged else equation).read()
+    blocks = equation.by_block(task, x)
     tau, predicted, speed = zip(*blocks, strict=True)
-    counts = sample_weights(equation.problem).of_rows > 0
-    counts = counts & equation.problem.measured_rows()[:, None]
-    return np.concatenate(tau), np.concatenate(predicted, axis=1), counts, np.concatenate(speed)
+    counts = sample_weights(problem := equation.problem).of_rows > 0
+    counts, t_s = counts & problem.measured_rows()[:, None], problem.row_times_s()
+    both = np.concatenate(tau), np.concatenate(predicted, axis=1)
+    return *both, counts, np.concatenate(speed), t_s
 
 
 @one_thread

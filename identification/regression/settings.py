@@ -15,11 +15,12 @@ from acquisition.errors import BadInputError, NoFitError
 from acquisition.robot import Edges, LowSpeed
 
 from ..arrays import Array, Ints
-from ..data import Signals, motion_band_hz, motion_end_hz
+from ..data import Signals
 from ..estimation import MOVING
 from ..options import Overrides, Span
 from .filtering import MAX_PASS, Decimation, decimation_passes
 from .motion import BLOCK_SAMPLES, FilteredMotion, standing_joints
+from .spectrum import motion_band_hz, motion_end_hz
 
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn

@@ -21,6 +21,7 @@ from ..arrays import Array, Bools, Ints
 from ..errors import NoFitError
 from ..estimation import (
     MIN_COLUMN_NORM,
+    Estimate,
     instrumental_variables,
     intervals_of,
     release_memory,
@@ -38,8 +39,8 @@ MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 
 # decimated torque (rows, n), that predicted by sets of estimates (K, rows, n), each of a set in an
-# equal span of each recording, and which rows count
-Predict = Callable[..., tuple[Array, Array, Bools]]
+# equal span of each recording, which rows count, and by recording their instants
+Predict = Callable[..., tuple[Array, Array, Bools, list[Array]]]
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors
 # of a joint's square, without what is not of links, for its factor to be one of the prior's
@@ -168,21 +169,29 @@ def predictions_by_others(
     return found
 
 
+def _betas(evidence: FitData, parts: list[tuple[str, Part, Array, list[str]]]) -> list[Estimate]:
+    """The estimates that predict the parts, of those that others do not determine that of all."""
+    estimate = evidence.estimate
+    betas = [estimate.beta if lost else beta for _, _, beta, lost in parts]
+    return [replace(estimate, beta=beta) for beta in betas] or [estimate]
+
+
 def with_predictions(
-    evidence: FitData, predict: Predict, rows: Sequence[int]
-) -> tuple[FitData, tuple[Array, Array, Bools]]:
+    evidence: FitData, predict: Predict
+) -> tuple[FitData, tuple[Array, Array, Bools, list[Array]]]:
     """The same with what the fit of other blocks or recordings predicts; and with the prior, and
     the held-out error of its links: all else is fitted to the others. Torques (T, n) as measured
-    and by the fit, and which rows count, of as many `rows` of the recordings as `predict` has.
+    and by the fit, which rows count, and by recording their instants.
     """
     release_memory(evidence.observed.C)
     problem, system, estimate = evidence.problem, evidence.observed.system, evidence.estimate
     gain_known = evidence.robot.gain_known
     values, source = base_prior(problem.model, problem.base) if gain_known else ({}, "")
     evidence = replace(evidence, prior=values, prior_source=source * bool(values))
-    cases, none = [(evidence, _predicted_parts(evidence))], np.zeros(len(system.names))
-    known, free = _known_and_free(evidence)
+    cases = [(evidence, _predicted_parts(evidence))]
+    sets = [[estimate], _betas(*cases[0])]
     if values and cases[0][1] and not evidence.gains:
+        known, free = _known_and_free(evidence)
         rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
         rest = rest.with_columns(free)
         with suppress(NoFitError):
@@ -190,23 +199,17 @@ def with_predictions(
             held = replace(evidence.observed, system=rest, Z=Z)
             by_links = replace(evidence, observed=held, estimate=others)
             cases.append((by_links, _predicted_parts(by_links)))
-    sets = [[estimate]]
-    for (of, parts), prior in zip(cases, (none, known), strict=False):
-        betas = [of.estimate.beta if lost else beta for _, _, beta, lost in parts]
-        values_of = (
-            prior + replace(of.estimate, beta=beta).values_of(system.names) for beta in betas
-        )
-        some = [replace(estimate, names=system.names, beta=beta) for beta in values_of]
-        sets.append(some or [estimate])
-    tau, (trained, *predicted), counts = predict(*sets, by_recording=evidence.by_recording)
-    at = spans_at(system.spans, rows)
+            some = (known + one.values_of(system.names) for one in _betas(*cases[1]))
+            sets.append([replace(estimate, names=system.names, beta=beta) for beta in some])
+    tau, (trained, *predicted), counts, t_s = predict(*sets, by_recording=evidence.by_recording)
+    at = spans_at(system.spans, [*map(len, t_s)])
     (line, by_others), *by_prior = (
         _held_out(of, parts, at, (tau, trained, one, counts))
         for (of, parts), one in zip(cases, predicted, strict=True)
     )
     error = next((one.value for one, _ in by_prior if one is not None), None)
     made = replace(evidence, held_out=line, by_others=by_others, prior_error_percent=error)
-    return made, (tau, trained, counts)
+    return made, (tau, trained, counts, t_s)
 
 
 def prior_test(evidence: FitData) -> TrustLine | None:

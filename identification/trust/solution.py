@@ -135,7 +135,7 @@ def excitation_test(evidence: FitData) -> TrustLine | None:
     essential = np.isin(names, evidence.essential)
     if not essential.any():
         return None
-    W = estimation.r_factor(evidence.W[:, essential])
+    W = np.linalg.qr(evidence.W[:, essential], mode="r")
     _, values, directions = np.linalg.svd(W / np.linalg.norm(W, axis=0))
     condition = float(values[0] / max(values[-1], 1e-300))
     worst = names[essential][np.argsort(-np.abs(directions[-1]))[:3]]

@@ -276,7 +276,7 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
     whole, each = rows_of(fit, ["r1", "r2", "r3"]), []
     for fitted, label in zip(fit.recordings, ("r1", "r2", "r3"), strict=True):
         dots = rows_of(fit.on(fitted), [label])
-        *_, speed = torque_of_recording(*equation_alone(fitted.problem.for_errors))
+        *_, speed, _ = torque_of_recording(*equation_alone(fitted.problem.for_errors))
         v, rho = speed[:, 0], (fit.tau - fit.tau_predicted)[fitted.rows, 0]
         rows = np.abs(v) > 0.02 * np.abs(v).max()
         if own:

@@ -115,7 +115,7 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
         make_problem(recorded(3), Overrides()).for_errors,
     )
     beta = others.estimate.beta
-    tau, (predicted,), counts, _ = torque_of_recording(*equation_alone(problem), [beta])
+    tau, (predicted,), counts, *_ = torque_of_recording(*equation_alone(problem), [beta])
     error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
     assert last.held_out.error_percent == pytest.approx(error, rel=2e-3)
     figures = fit.trust.line("held-out blocks").figures

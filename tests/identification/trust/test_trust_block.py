@@ -381,7 +381,7 @@ def block_errors(method: str, blocks: int) -> tuple[float, float]:
         betas.append(np.linalg.solve(Z[~inside].T @ W[~inside], Z[~inside].T @ Y[~inside]))
     sets = betas, [evidence.estimate.beta]
     equation = equation_alone(evidence.problem.for_errors)
-    tau, (held, trained), counts, _ = torque_of_recording(*equation, *sets)
+    tau, (held, trained), counts, *_ = torque_of_recording(*equation, *sets)
     return tuple(
         100 * np.linalg.norm((tau - x)[counts]) / np.linalg.norm(tau[counts])
         for x in (held, trained)

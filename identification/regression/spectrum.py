@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..arrays import Array, Bools
-from .signals import Signals
+from ..data import Signals
 
 _SPECTRUM = 200_000  # samples of a recording that show where its motion ends
 _SAMPLES = 20_000  # of these, that show where most of it is
