@@ -25,6 +25,8 @@ from .spectrum import motion_band_hz, motion_end_hz
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
+# of the peak: slower joints stick and slip, which sign(dq) does not describe
+LOW_SPEED_PERCENT = 4.0
 MIN_ROWS = 30  # decimated, of a fit
 MIN_RATE_HZ = 1.0  # of samples that follow a robot
 MAX_CUTOFF_SHARE = 0.4  # of the sample rate, of the rule's cut-off
@@ -139,6 +141,7 @@ class Settings:
         """The same with the filters behind which torque errors are told; itself where the recording
         is too short for them.
         """
+        percent = self.low_speed_percent  # whatever the terms of friction are
         hz = min(LOOP_PER_BAND * self.band_hz, MAX_CUTOFF_SHARE * fs / CUTOFF_PER_BANDWIDTH)
         cutoff_hz, decimation = CUTOFF_PER_BANDWIDTH * hz, decimation_rule(fs, hz)
         border, (start, stop) = _border(cutoff_hz, fs), self.widest
@@ -152,6 +155,7 @@ class Settings:
             start=start,
             stop=stop,
             filtered=True,
+            low_speed_percent=LOW_SPEED_PERCENT if percent is None else percent,
             ramp_rows=RAMPS[0],
         )
 

@@ -24,10 +24,8 @@ from ..errors import NoFitError
 from .filtering import nearby
 from .motion import BLOCK_SAMPLES
 from .problem import Problem, row_blocks
-from .settings import LOOP_PER_MOTION, MAX_CUTOFF_SHARE, RAMPS, ROWS
+from .settings import LOOP_PER_MOTION, LOW_SPEED_PERCENT, MAX_CUTOFF_SHARE, RAMPS, ROWS
 
-# of the peak: slower joints stick and slip, which sign(dq) does not describe
-LOW_SPEED_PERCENT = 4.0
 LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed
 # terms of friction that tell it at lower speeds, and how much lower
 SLOW_TERMS, SLIDING_SHARE = frozenset(("root", "load", "stribeck")), 0.25

@@ -136,7 +136,7 @@ def excitation_test(evidence: FitData) -> TrustLine | None:
     if not essential.any():
         return None
     W = np.linalg.qr(evidence.W[:, essential], mode="r")
-    _, values, directions = np.linalg.svd(W / np.linalg.norm(W, axis=0))
+    _, values, directions = np.linalg.svd(W / np.maximum(np.linalg.norm(W, axis=0), 1e-300))
     condition = float(values[0] / max(values[-1], 1e-300))
     worst = names[essential][np.argsort(-np.abs(directions[-1]))[:3]]
     said = {"condition": condition, "limit": MAX_CONDITION, "names": ", ".join(worst)}

@@ -143,9 +143,9 @@ def trust_in(evidence: FitData) -> Trust:
         lines["physical"] = replace(
             physical, level=LEVELS[0], text=text, finding=physical.finding or found
         )
-    fixed, causes = lines["fixed point"], (lines.get(test) for test in CAUSES)
+    fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
     known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)
-    if fixed.level in LEVELS[:2] and (cause := next(known, "")):
+    if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
         text = WORDS["cause"].format(text=fixed.text.partition(": check")[0], cause=cause)
         lines[fixed.test] = replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)

@@ -15,7 +15,6 @@ from identification.regression import (
     Overrides,
     equation_alone,
     make_problem,
-    rows_of_recording,
     torque_of_recording,
 )
 from identification.study import Noise
@@ -78,19 +77,18 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     """
     sources, fit = scara()[1].sources, fit_of("wls")
     others = identify_ls(Recordings(sources=sources[1:]), Overrides())
-    problem = make_problem(sources[0], Overrides(ramp_rows=fit.settings.ramp_rows))
+    problem = make_problem(sources[0], Overrides()).for_errors
     ((held_out, _, trained),) = (
         of
         for name, *of in fit.trust.line("held-out blocks").figures
         if name == sources[0].recording
     )
-    fast = rows_of_recording(*equation_alone(problem)).counts
     for beta, told, within in (
         (others.beta, held_out, 0.02),
         (fit.beta, trained, 1e-3),
     ):
-        tau, predicted, _ = torque_of_recording(*equation_alone(problem), beta)
-        error = 100 * np.linalg.norm((tau - predicted)[fast]) / np.linalg.norm(tau[fast])
+        tau, (predicted,), of, *_ = torque_of_recording(*equation_alone(problem), [beta])
+        error = 100 * np.linalg.norm((tau - predicted)[of]) / np.linalg.norm(tau[of])
         assert told == pytest.approx(error, rel=within)
 
 

@@ -164,7 +164,8 @@ def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_o
     known = np.array([data.prior.get(name, 0.0) for name in system.names])
     free = [i for i, name in enumerate(system.names) if name not in data.prior]
     (W, Y), Z = system.weighted(weights), data.Z[:, free] * data.weight[:, None]
-    motion = problem.motion.between(fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz)
+    s = problem.for_errors.settings
+    motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     whole, T = (
         problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns],
         len(fit.tau),
@@ -177,8 +178,8 @@ def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_o
         beta = known.copy()
         ZT, rest = Z[others].T, (Y - W @ known)[others]
         beta[free] = np.linalg.solve(ZT @ W[others][:, free], ZT @ rest)
-        counts = data.observed.counts[block]
-        error = (fit.tau - fit.settings.decimator.filtered((whole @ beta).T).T)[block]
+        counts = fit.counts[block]
+        error = (fit.tau - s.decimator.filtered((whole @ beta).T).T)[block]
         squares += (error[counts] ** 2).sum(), (fit.tau[block][counts] ** 2).sum()
     assert data.prior_error_percent == pytest.approx(
         100 * np.sqrt(squares[0] / squares[1]), rel=0.01

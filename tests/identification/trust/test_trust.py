@@ -58,7 +58,7 @@ def test_a_description_asks_for_matlabs_edges():
 def test_samples_that_stand_weigh_nothing_in_both_methods_and_settings_say_so():
     signals, ls, iv = signals_of(TX40), ls_of(TX40), iv_of(TX40)
     whole = identify_ls(signals, Overrides(low_speed_percent=0.0))
-    rows = ls.errors[-1].moving_rows + ls.errors[-1].standing_rows
+    rows = ls.data.observed.share.size
     assert whole.estimate.rows == rows
     assert ls.estimate.rows < 0.9 * rows
     # 3.0 % with all samples.
@@ -211,12 +211,15 @@ def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
         "all",
         "all samples",
     )
-    assert used("cutoff_hz", "decimation", "span") == [40.0, 20, "all samples"]
-    assert used("cutoff_hz", "decimation", options=("--cutoff-hz", "none")) == [None, 20]
+    percents = {"ls": 7.0, "iv": 7.0}
+    assert used("low_speed_percent", "span") == [percents, "all samples"]
+    # the filters of errors are those of any fit
+    (hz,) = used("cutoff_hz")
+    assert used("torque_lag_s", options=("--torque-lag-s", "0.002")) == [0.002]
     fit.write_text(
         json.dumps({**stored, "cutoff_hz": None, "edges": "matlab", "sample_rate_hz": 500.0})
     )
-    assert used("cutoff_hz", "decimation", "edges") == [None, 40, "matlab"]
+    assert used("cutoff_hz", "edges") == [hz, "matlab"]
 
 
 def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(capsys, tmp_path):

@@ -187,7 +187,7 @@ def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
     fit = identify_ls(signals, Overrides())
     write_json(tmp_path / "fit.json", fit_file(fit))
     stored = read_fit(tmp_path / "fit.json")
-    rms = np.sqrt(np.mean((fit.tau - fit.tau_predicted) ** 2, axis=0))
+    rms = np.sqrt(np.mean((fit.tau - fit.tau_predicted) ** 2, axis=0, where=fit.counts))
     np.testing.assert_allclose([joint.residual_rms for joint in stored.joints], rms)
     path, rrd = tmp_path / "log.mcap", tmp_path / "live.rrd"
     session = Session(recorded, path, 5.0)
