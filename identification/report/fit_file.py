@@ -169,8 +169,8 @@ class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class OnRecording(ResultFile, frozen=True, kw_only=True):
-    """The keys common to a fit and a validation: torque errors of all and of each
-    joint, settings, warnings.
+    """The keys common to a fit and a validation: torque errors of all and of each joint, the
+    filters that they are told behind, settings, warnings.
     """
 
     warnings: list[str] = msgspec.field(default_factory=list)
@@ -183,6 +183,8 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     cutoff_hz: AboveZero | None = None
     cutoff_forward_backward_3db_hz: float | None = None
     decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    error_cutoff_hz: AboveZero | None = None
+    error_decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
     edges: Literal["smooth", "matlab"] | None = None
     low_speed_percent: dict[Literal["ls", "iv"], float | None] | None = None
     ramp_rows: float | None = None

@@ -227,7 +227,7 @@ KINDS = (
         name=CURVED,
         torque=lambda of, x, *_: (
             (x.q - of.problem.poses.mean(axis=0)) ** 3
-            / np.maximum(np.ptp(of.problem.poses, axis=0), 1e-300) ** 2
+            / np.maximum(np.ptp(of.problem.poses, axis=0), 1e-9) ** 2
         ),
         unit="{effort}/{position}",
         advice="record its torque (of a spring, a hose or a stop) as known_torque",

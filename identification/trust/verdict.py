@@ -158,9 +158,10 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     negative factor of the prior, a sign that fits better turned, or a large held-out error; "" for
     nothing.
     """
-    if (lines["physical"].value or 0.0) > 0 and not lines["consistent"].far:
+    consistent, prior = lines.get("consistent"), lines.get("prior")
+    if (lines["physical"].value or 0.0) > 0 and not (consistent is not None and consistent.far):
         return ""
-    prior, held = lines.get("prior"), lines[HELD_OUT].value or 0.0
+    held = lines[HELD_OUT].value or 0.0
     if prior is not None and any(factor + half < 0 for _, factor, half, _ in prior.figures):
         return prior.finding
     ratio, mistake = turned_sign(evidence, range(evidence.robot.n))

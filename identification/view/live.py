@@ -93,7 +93,9 @@ def _open_viewer(recording: Any) -> None:
 
 
 class Residual:
-    """Measured minus modelled torque of the newest rows, both through the filters of a fit."""
+    """Measured minus modelled torque of the newest rows, both behind the filters of the errors of
+    a fit.
+    """
 
     def __init__(self, stored: FitFile, place: str, robot: Robot) -> None:
         self._robot, self._gained = robot, with_stored_gains(stored, robot)
@@ -101,7 +103,8 @@ class Residual:
         self._base = base_parameters(self._model)
         self._beta = stored_beta(stored, self._base, place)
         rms = [joint.residual_rms for joint in stored.joints]
-        if stored.sample_rate_hz is None or UNSET in rms:
+        cutoff_hz, n_d = stored.error_cutoff_hz, stored.error_decimation
+        if stored.sample_rate_hz is None or n_d is None or UNSET in rms:
             raise BadInputError(
                 "has no rms residuals", place=place, expected="a fit of this version: fit again"
             )
@@ -111,13 +114,10 @@ class Residual:
             1.0 / robot.bus.sync_period_s,
             stored.sample_rate_hz * robot.bus.sync_period_s,
         )
-        self._decimation = Decimation(factor=max(1, round((stored.decimation or 1) / ratio)))
+        self._decimation = Decimation(factor=max(1, round(n_d / ratio)))
         self._passband_hz = 0.4 * self._rate_hz / self._decimation.factor
-        below = stored.cutoff_hz is not None and stored.cutoff_hz < 0.5 * self._rate_hz
-        self._cutoff_hz, self._lag_s = (
-            stored.cutoff_hz if below else None,
-            stored.torque_lag_s or 0.0,
-        )
+        below = cutoff_hz is not None and cutoff_hz < 0.5 * self._rate_hz
+        self._cutoff_hz, self._lag_s = cutoff_hz if below else None, stored.torque_lag_s or 0.0
         self._rows: Block | None = None
         self._shown_ns = 0
 

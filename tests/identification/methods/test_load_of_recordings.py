@@ -76,7 +76,8 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     knows the others alone.
     """
     sources, fit = scara()[1].sources, fit_of("wls")
-    others = identify_ls(Recordings(sources=sources[1:]), Overrides())
+    same = Overrides(ramp_rows=fit.settings.ramp_rows)
+    others = identify_ls(Recordings(sources=sources[1:]), same)
     problem = make_problem(sources[0], Overrides()).for_errors
     ((held_out, _, trained),) = (
         of

@@ -141,9 +141,9 @@ def test_errors_and_counts_are_of_measured_rows(robot, measured):
         for x in (signals, signals_from_arrays(*measured, RATE_HZ, robot))
     )
     (whole, _), (of_all, _) = ((x.errors[-1], x) for x in (fit, clean))
-    assert whole.relative_error_percent == pytest.approx(of_all.relative_error_percent, rel=0.1)
-    counted = whole.moving_rows + whole.standing_rows
-    assert counted < of_all.moving_rows + of_all.standing_rows
+    # of a sixth of the rows
+    assert whole.relative_error_percent == pytest.approx(of_all.relative_error_percent, rel=0.15)
+    assert 100 < whole.moving_rows < 0.5 * of_all.moving_rows
     _, errors = validate_all([(signals, Overrides())], identification.Fit.file.func(fit), "fit")
     assert errors[-1].relative_error_percent == pytest.approx(whole.relative_error_percent, rel=0.2)
 

@@ -70,7 +70,7 @@ def test_the_table_has_each_fit_and_marks_the_step_of_friction(fleet, tmp_path, 
         found = [row[key] for key in ("sha256", "robot", "method", "status", "verdict")]
         assert found == [fit.problem.signals.sha256, "EMPS", "iv", fit.status, fit.trust.verdict]
         assert datetime.fromisoformat(row["start"]) == BEGAN + timedelta(weeks=k)
-        assert float(row["moving_error_percent"]) == fit.errors[-1].moving_relative_error_percent
+        assert float(row["torque_error_percent"]) == fit.errors[-1].moving_relative_error_percent
         for j, name in enumerate(fit.estimate.names):
             half = 0.5 * (fit.intervals.high[j] - fit.intervals.low[j])
             assert (float(row[name]), float(row[f"{name}_half_width"])) == (

@@ -190,16 +190,17 @@ def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
     rms = np.sqrt(np.mean((fit.tau - fit.tau_predicted) ** 2, axis=0, where=fit.counts))
     np.testing.assert_allclose([joint.residual_rms for joint in stored.joints], rms)
     path, rrd = tmp_path / "log.mcap", tmp_path / "live.rrd"
-    session = Session(recorded, path, 5.0)
+    session = Session(recorded, path, 10.0)
     session.start()
     follow_recording(path, tmp_path / "fit.json", rrd, lambda text: None)
     session.join()
     model = InverseModel(signals.robot)
     base, problem = (
         base_parameters(model),
-        make_problem(signals, Overrides(torque_lag_s=stored.torque_lag_s)),
+        make_problem(signals, Overrides(torque_lag_s=stored.torque_lag_s)).for_errors,
     )
-    motion = problem.motion.between(0, len(signals.q), problem.settings.cutoff_hz)
+    first = problem.settings.start  # beyond the ends of the low-pass
+    motion = problem.motion.between(first, len(signals.q), problem.settings.cutoff_hz)
     rho = motion.tau - predicted_torque(motion, model, base, stored_beta(stored, base, "fit.json"))
     n_d, stamps = (
         problem.settings.decimation,
@@ -212,7 +213,8 @@ def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
         assert (stamps[at] == t_ns).all()
         # Decimation keeps the last sample: the whole recording is cut so that each row shown
         # is one that is kept.
-        expected = [Decimation(factor=n_d).filtered(rho[: k + 1 + 50 * n_d, j])[-51] for k in at]
+        ends = [k + 1 + 50 * n_d - first for k in at]
+        expected = [Decimation(factor=n_d).filtered(rho[:end, j])[-51] for end in ends]
         assert np.abs(shown[:, 0] - expected).max() < 0.05 * 4 * rms[j]
         _, band = values(rrd, f"/residual/{j + 1}/levels")
         np.testing.assert_allclose(band[-1], [4 * rms[j], -4 * rms[j]])
