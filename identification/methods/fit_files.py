@@ -145,7 +145,6 @@ def _on_recording(
 ) -> dict[str, Any]:
     signals, settings, whole = problem.signals, problem.settings, errors[-1]
     units, fs, cutoff_hz = signals.robot.effort_units, signals.sample_rate_hz, settings.cutoff_hz
-    judged = settings.for_errors(fs)
     return {
         "warnings": list(warnings),
         "relative_error_percent": whole.relative_error_percent,
@@ -161,8 +160,8 @@ def _on_recording(
         if cutoff_hz
         else None,
         "decimation": settings.decimation,
-        "error_cutoff_hz": judged.cutoff_hz,
-        "error_decimation": judged.decimation,
+        "error_cutoff_hz": problem.for_errors.settings.cutoff_hz,
+        "error_decimation": problem.for_errors.settings.decimation,
         "edges": settings.edges,
         "low_speed_percent": msgspec.structs.asdict(settings.low_speed),
         "ramp_rows": settings.ramp_rows,

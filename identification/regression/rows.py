@@ -357,7 +357,7 @@ def torque_of_recording(
     x : (p,) unknowns, whose lag and gains the measured torque has.
     sets : of base parameters (b,), by default those of x alone; each of a set predicts one of as
         many equal spans of the rows.
-    judged : whether they are behind the filters that errors are told behind, not those of the fit.
+    judged : whether they are behind the filters of errors, not those of the fit.
     exact : whether links' torques are computed at every sample, not on a spline between some, which
         is within 1e-6 of the torque.
 
@@ -369,8 +369,7 @@ def torque_of_recording(
     task = partial(_torque_of_block, sets or ((equation.arm.beta(x),),), exact)
     of = equation.problem.for_errors if judged else equation.problem
     equation = (replace(equation, problem=of) if judged else equation).read()
-    blocks = equation.by_block(task, x)
-    tau, predicted, speed = zip(*blocks, strict=True)
+    tau, predicted, speed = zip(*equation.by_block(task, x), strict=True)
     counts = sample_weights(problem := equation.problem).of_rows > 0
     counts, t_s = counts & problem.measured_rows()[:, None], problem.row_times_s()
     both = np.concatenate(tau), np.concatenate(predicted, axis=1)
@@ -397,5 +396,5 @@ def _torque_of_block(
             if first < last
         )
         predicted.append(motion.filtered(np.concatenate([*each]).T).T)
-    tau = motion.filtered((motion.tau + motion.known_torque).T).T
-    return tau, np.stack(predicted), motion.kept(motion.dq)
+    measured = motion.tau + motion.known_torque
+    return motion.filtered(measured.T).T, np.stack(predicted), motion.kept(motion.dq)

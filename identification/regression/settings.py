@@ -141,7 +141,6 @@ class Settings:
         """The same with the filters behind which torque errors are told; itself where the recording
         is too short for them.
         """
-        percent = self.low_speed_percent  # whatever the terms of friction are
         hz = min(LOOP_PER_BAND * self.band_hz, MAX_CUTOFF_SHARE * fs / CUTOFF_PER_BANDWIDTH)
         cutoff_hz, decimation = CUTOFF_PER_BANDWIDTH * hz, decimation_rule(fs, hz)
         border, (start, stop) = _border(cutoff_hz, fs), self.widest
@@ -155,7 +154,10 @@ class Settings:
             start=start,
             stop=stop,
             filtered=True,
-            low_speed_percent=LOW_SPEED_PERCENT if percent is None else percent,
+            # whatever the terms of friction are
+            low_speed_percent=LOW_SPEED_PERCENT
+            if self.low_speed_percent is None
+            else self.low_speed_percent,
             ramp_rows=RAMPS[0],
         )
 

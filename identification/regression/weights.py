@@ -164,9 +164,9 @@ def _moves(problem: Problem) -> Bools:
             LOW_SPEED_DEVIATIONS * np.sqrt(x) @ np.abs(directions.T)
             for x in (square, square + of_low_pass)
         ]
-        slides = [not SLOW_TERMS.isdisjoint(x.terms) for x in problem.signals.robot.joints]
         threshold = np.where(
-            (directions != 0) @ slides,
+            (directions != 0)
+            @ [not SLOW_TERMS.isdisjoint(x.terms) for x in problem.signals.robot.joints],
             np.maximum(SLIDING_SHARE * threshold, least[1]),
             np.maximum(threshold, least[0]),
         )

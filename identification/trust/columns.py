@@ -129,11 +129,11 @@ def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth
         the sign of the speed. There are no negative rotors.
     """
-    found = list[MissingTerm]()
+    found, asked = list[MissingTerm](), evidence.candidates.terms
     release_memory(evidence.observed.C)
     # of parts of the time those of a joint, which have to be told apart
     for (kind, _), of in groupby(
-        evidence.candidates.terms, lambda x: (x.kind, x.joint if x.kind == kinds.IN_PARTS else None)
+        asked, lambda x: (x.kind, x.joint if x.kind == kinds.IN_PARTS else None)
     ):
         terms = _scored(evidence, kind, list(of), fast=kind == kinds.CLOCKS)
         found += [x for x in terms if kind not in kinds.POSITIVE or x.value > 0 or not x.found]

@@ -42,9 +42,9 @@ def lag_test(evidence: FitData) -> TrustLine | None:
 
 
 def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
+    rest = intervals_of(evidence.observed.system, evidence.estimate).sigma  # without the lag
     fs, names, prior = 1 / lag.period_s, evidence.estimate.names, lag.prior or lag
     late, half, value_s = lag.value_s * fs, lag.half_width_s * fs, lag.value_s
-    rest = intervals_of(evidence.observed.system, evidence.estimate).sigma  # without the lag
     moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)
     counts = [i for i, name in enumerate(names) if name in evidence.essential] or range(len(names))
     worst = max(counts, key=lambda i: moved[i])

@@ -183,10 +183,10 @@ def with_predictions(
     the held-out error of its links: all else is fitted to the others. Torques (T, n) as measured
     and by the fit, which rows count, and by recording their instants.
     """
-    release_memory(evidence.observed.C)
     problem, system, estimate = evidence.problem, evidence.observed.system, evidence.estimate
     gain_known = evidence.robot.gain_known
     values, source = base_prior(problem.model, problem.base) if gain_known else ({}, "")
+    release_memory(evidence.observed.C)
     evidence = replace(evidence, prior=values, prior_source=source * bool(values))
     cases = [(evidence, _predicted_parts(evidence))]
     sets = [[estimate], _betas(*cases[0])]

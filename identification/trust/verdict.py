@@ -122,8 +122,8 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
         centre_of_mass_test,
         fixed_point_test,
     ),
-    *(physical_test, units_test, rows_test, control_law_test, prior_test, motion_test),
-    *(halves_test, excitation_test, added_columns_test, lag_test, held_out_test, consistent_test),
+    *(physical_test, units_test, prior_test, motion_test, rows_test, control_law_test),
+    *(halves_test, excitation_test, lag_test, added_columns_test, held_out_test, consistent_test),
     *(ends_test, essential_test, instruments_test, position_noise_test, effort_test),
 )
 

@@ -116,8 +116,10 @@ class Residual:
         )
         self._decimation = Decimation(factor=max(1, round(n_d / ratio)))
         self._passband_hz = 0.4 * self._rate_hz / self._decimation.factor
-        below = cutoff_hz is not None and cutoff_hz < 0.5 * self._rate_hz
-        self._cutoff_hz, self._lag_s = cutoff_hz if below else None, stored.torque_lag_s or 0.0
+        self._cutoff_hz, self._lag_s = (
+            cutoff_hz if (cutoff_hz or np.inf) < 0.5 * self._rate_hz else None,
+            stored.torque_lag_s or 0.0,
+        )
         self._rows: Block | None = None
         self._shown_ns = 0
 
