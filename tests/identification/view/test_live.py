@@ -215,7 +215,8 @@ def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
         # is one that is kept.
         ends = [k + 1 + 50 * n_d - first for k in at]
         expected = [Decimation(factor=n_d).filtered(rho[:end, j])[-51] for end in ends]
-        assert np.abs(shown[:, 0] - expected).max() < 0.05 * 4 * rms[j]
+        largest = np.abs(expected).max()  # of a joint that sticks, which rings in other rows
+        assert np.abs(shown[:, 0] - expected).max() < 0.05 * 4 * rms[j] + 0.01 * largest
         _, band = values(rrd, f"/residual/{j + 1}/levels")
         np.testing.assert_allclose(band[-1], [4 * rms[j], -4 * rms[j]])
 
