@@ -1,4 +1,4 @@
-"""How often a fit is trusted that should not be: 37 kinds of fault, clean recordings, and
+"""How often a fit is trusted that should not be: 41 kinds of fault, clean recordings, and
 noise of the position.
 
 Run with `HUNT_RUNS=14 NOISE_RUNS=16 pytest tests/benchmarks/test_hunt.py -s --benchmark-enable`,

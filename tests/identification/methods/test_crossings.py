@@ -89,7 +89,7 @@ def test_long_recordings_are_fitted_the_same_by_two_workers(
     monkeypatch.setattr(Work, "run", lambda *of: ran.append(of[0].workers) or run(*of))
     paths = written(tmp_path, concerns := frozenset(concerns), frozenset(columns), 25.0)[:count]
     fit, other = (fitted(paths, concerns, Work(n), decimation=1) for n in (1, 2))
-    assert len(fit.tau_predicted) / count > system.SHORT
+    assert len(fit.data.observed.tau) / count > system.SHORT
     assert len(problem.row_blocks(fit.problem)) > 16 * (2 - count)  # more than are sent at once
     assert set(ran) == {2}
     assert bits(fit) == bits(other)

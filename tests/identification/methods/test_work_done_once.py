@@ -1,5 +1,5 @@
 """A fit builds the model, solves least squares and filters the recording
-once, with all its files.
+once for itself and once for its torque errors, with all its files.
 """
 
 import pytest
@@ -16,11 +16,11 @@ from identification.model import InverseModel
     ("options", "filters", "solutions"),
     [
         # Two solutions choose the ramps of the weights.
-        ([], 2, 3),
+        ([], 3, 3),
         # The span of motion, the weights and the controller's inertias go by the rule's low-pass,
         # least squares with it.
-        (["--cutoff-hz", "none"], 2, 4),
-        (["--cutoff-hz", "40"], 3, 4),
+        (["--cutoff-hz", "none"], 3, 4),
+        (["--cutoff-hz", "40"], 4, 4),
     ],
 )
 def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solutions):
