@@ -91,7 +91,7 @@ def test_long_recordings_are_fitted_the_same_by_two_workers(
     fit, other = (fitted(paths, concerns, Work(n), decimation=1) for n in (1, 2))
     assert len(fit.data.observed.tau) / count > system.SHORT
     assert len(problem.row_blocks(fit.problem)) > 16 * (2 - count)  # more than are sent at once
-    assert set(ran) == {2}
+    assert 2 in ran  # a single block, as of torque errors, stays in this process
     assert bits(fit) == bits(other)
     again = validate(identification.Fit(**vars(fit)), paths[-1]).relative_error_percent
     assert again == pytest.approx(fit.recordings[-1].errors[-1].relative_error_percent, rel=0.06)
