@@ -302,11 +302,11 @@ def inertia_prior(model: Model, x: Array) -> Array:
     inertias of equation (E): least squares behind a low-pass, that of errors if the fit has none,
     as the inertias are poorly determined without.
     """
-    if all(problem.settings.filtered for problem in model.problems):
-        return x
-    behind = model.for_errors
-    rows = behind.rows(x).of(behind.unknowns.arm)
-    return behind.x_of(behind.combined(rows, weighted_least_squares(rows)), x)
+    with suppress(NoFitError):  # too few rows behind it
+        if not all(problem.settings.filtered for problem in model.problems):
+            rows = (behind := model.for_errors).rows(x).of(behind.unknowns.arm)
+            return behind.x_of(behind.combined(rows, weighted_least_squares(rows)), x)
+    return x
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:

@@ -147,18 +147,21 @@ def _ahead_section(recordings: Sequence[Validated]) -> list[Section]:
     found = next((x for one in recordings if (x := one.ahead) is not None), np.full(1, np.nan))
     if np.isnan(found).all():
         return []
-    error, way = found
-    joints = recordings[0].problem.signals.robot.joints
+    joints, (error, way) = recordings[0].problem.signals.robot.joints, found
+    # a joint that stands has no way that its error could be compared with
+    percents = 100 * error / np.where(way > 0.01 * way.max(axis=1, keepdims=True), way, np.nan)
     rows: list[Row] = [
-        (joint.name, *(Number(float(x), ".3g") for x in percents))
-        for joint, percents in zip(joints, (100 * error / np.maximum(way, 1e-300)).T, strict=True)
+        (joint.name, *(Number(float(x), ".3g") for x in of_joint))
+        for joint, of_joint in zip(joints, percents.T, strict=True)
     ]
-    numbers = tuple(f"after {x:g} s" for x in HORIZONS_S)
     return [
         Section(
             title="position by the direct model, open loop from measured states: error, % of the "
             "way moved",
-            table=Table(columns=columns("joint", numbers=numbers), rows=tuple(rows)),
+            table=Table(
+                columns=columns("joint", numbers=tuple(f"after {x:g} s" for x in HORIZONS_S)),
+                rows=tuple(rows),
+            ),
         )
     ]
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..arrays import Array, Bools
 from ..data import Signals
+from .motion import STANDSTILL_SPEED, largest_of_type
 
 _SPECTRUM = 200_000  # samples of a recording that show where its motion ends
 _SAMPLES = 20_000  # of these, that show where most of it is
@@ -25,17 +26,21 @@ def motion_end_hz(signals: Signals) -> float:
 
 
 def motion_band_hz(signals: Signals) -> float:
-    """The frequency below which nearly all power of each joint's speed lies, Hz, without noise."""
-    q = signals.q[:_SPECTRUM]
-    stride = max(1, len(q) // _SAMPLES)
-    steps = np.diff(q[::stride], axis=0)
+    """The frequency below which nearly all power of each joint's speed lies, Hz, without noise and
+    joints that stand.
+    """
+    stride = max(1, min(len(signals.q), _SPECTRUM) // _SAMPLES)
+    steps = np.diff(signals.q[:_SPECTRUM:stride], axis=0)
     power = np.abs(np.fft.rfft(np.hanning(len(steps))[:, None] * steps, axis=0))[1:] ** 2
     f = np.arange(1, len(power) + 1) * signals.sample_rate_hz / (stride * max(1, len(steps)))
     if not len(f):
         return signals.sample_rate_hz
     power = np.where(_above_noise(power, f * stride / signals.sample_rate_hz), power, 0.0)
-    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
-    return float(f[min(int((share < BAND).sum(axis=0).max()), len(f) - 1)])
+    size, joints = power.sum(axis=0), signals.robot.joints
+    # without joints that stand, as in `standing_joints`: what is left of them is noise
+    moves = size > STANDSTILL_SPEED**2 * largest_of_type(size, joints)
+    below = np.cumsum(power[:, moves], axis=0) < BAND * size[moves]
+    return float(f[min(int(below.sum(axis=0).max(initial=0)), len(f) - 1)])
 
 
 def _above_noise(power: Array, f: Array) -> Bools:

@@ -172,21 +172,17 @@ def _moves(problem: Problem) -> Bools:
         )
     slow = np.abs(speed) < threshold
     slow[1:] |= speed[1:] * speed[:-1] < 0  # a reversal between two samples
-    stands = slow @ (directions != 0)
-    blur = round(0.5 * fs / cutoff_hz)
-    return ~np.stack([nearby(own, blur) for own in stands.T], axis=1) & measured
+    near = [nearby(own, round(0.5 * fs / cutoff_hz)) for own in (slow @ (directions != 0)).T]
+    return ~np.stack(near, axis=1) & measured
 
 
 def _noise_of_speed(problem: Problem, cutoff_hz: float) -> Array:
     """Deviation (n,) of the noise of the speed behind a low-pass, of white noise of the position,
     which third differences show.
     """
-    fs, thirds = (
-        problem.signals.sample_rate_hz,
-        np.diff(problem.signals.q[:BLOCK_SAMPLES], 3, axis=0),
-    )
-    of_position = 1.4826 * np.median(np.abs(thirds), axis=0) / np.sqrt(20)
-    return np.asarray(of_position * 2 * np.pi * np.sqrt(2 * cutoff_hz**3 / (3 * fs)))
+    thirds = np.abs(np.diff(problem.signals.q[:BLOCK_SAMPLES], 3, axis=0))
+    passed = np.sqrt(2 * cutoff_hz**3 / (3 * problem.signals.sample_rate_hz))
+    return np.asarray(1.4826 * np.median(thirds, axis=0) / np.sqrt(20) * 2 * np.pi * passed)
 
 
 def _ramped(moves: Bools, L: int) -> Array:
