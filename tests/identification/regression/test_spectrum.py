@@ -7,7 +7,7 @@ import pytest
 from conftest import REPLAY
 
 from identification.data import load_signals
-from identification.regression import make_problem
+from identification.regression import Overrides, make_problem
 from identification.regression.spectrum import motion_band_hz
 
 
@@ -23,6 +23,8 @@ def test_torque_errors_of_a_recording_in_which_a_joint_stands_are_behind_the_sam
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     q = signals.q.copy()
     q[:, 1] = q[0, 1]
-    both = (make_problem(x).for_errors.settings for x in (signals, replace(signals, q=q)))
+    both = (
+        make_problem(x, Overrides()).for_errors.settings for x in (signals, replace(signals, q=q))
+    )
     (cutoff_hz, n_d), other = ((x.cutoff_hz, x.decimation) for x in both)
     assert other == (pytest.approx(cutoff_hz, rel=0.3), pytest.approx(n_d, rel=0.3))
