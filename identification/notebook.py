@@ -304,8 +304,8 @@ fit.__annotations__ = {"return": Fit}
 def validate(
     fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None
 ) -> ValidationFile:
-    """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all
-    rows, `joints`, `warnings`.
+    """Torque errors of a fit on another recording of the robot, as those of a fit:
+    `relative_error_percent`, `joints`, `warnings`; and how far the fit predicts the motion `ahead`.
 
     `overrides` replace the settings of the fit. Raises `BadInputError`: the
     recording is of another robot.

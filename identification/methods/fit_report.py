@@ -266,8 +266,12 @@ def _percent(error: float | None) -> str:
 def _rows_line(fit: Fit) -> str:
     """The number of rows by their weights, and what weighs nothing."""
     percent = fit.settings.low_speed_percent
-    slow = "4 % of the peak speed, or 4 deviations of its noise"
-    slow = slow if percent is None else f"{percent:g} % of the peak speed"
+    slow = "4 % of the peak speed (1 % with root, load or Stribeck terms)"
+    slow = (
+        f"{slow}, or 4 deviations of its noise"
+        if percent is None
+        else f"{percent:g} % of the peak speed"
+    )
     line = f"{fit.estimate.rows:.0f} of {fit.data.observed.share.size} rows"
     if percent == 0:
         return line

@@ -218,7 +218,8 @@ def error_line(errors: tuple[TorqueResidual, ...], settings: Settings) -> str:
     return (
         f"relative {headline(errors)} in the {e.moving_rows} of "
         f"{e.moving_rows + e.standing_rows} rows in which "
-        f"joints move, behind a low-pass of {settings.cutoff_hz or np.inf:.3g} Hz"
+        "joints move, behind "
+        + (f"a low-pass of {settings.cutoff_hz:.3g} Hz" if settings.cutoff_hz else "no low-pass")
     )
 
 

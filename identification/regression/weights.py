@@ -126,8 +126,9 @@ def _moves(problem: Problem) -> Bools:
     Slow: below 4 % of the peak in the span, 1 % where friction has terms of slow motion (root,
     load, Stribeck), or 4 deviations of the noise of the regressor's speed if that is more.
     Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher one; the
-    noise is the difference, and that of the position that passes the low-pass. The low-pass smears
-    a speed by half a period of its cut-off, so a joint that sticks for a moment seems to creep.
+    noise is the difference and, for terms of slow motion, what passes of that of the position. The
+    low-pass smears a speed by half a period of its cut-off, so a joint that sticks for a moment
+    seems to creep.
 
     A low-pass that was put where the motion ends smears a reversal over more than the reversal
     takes: at twice that frequency speeds have little more noise, and rows beside reversals stay.

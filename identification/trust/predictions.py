@@ -128,7 +128,7 @@ def _line_of(
     text = f"error {error:.3g} %{' of recordings' * several} held out, {training:.3g} % trained"
     text, ratio = "; ".join([text, *without]), held / max(trained, 1e-300)
     more = (
-        f"{text}: the fit does not generalise ({ratio:.2g} times where joints move): "
+        f"{text}: the fit does not generalise ({ratio:.2g} times in weighted rows): "
         f"record {'more' if several else 'longer'}, with more varied motion, or fit with "
         "--essential"
         + ", or take the parameters of --consistent, which generalise better"
