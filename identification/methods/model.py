@@ -165,7 +165,7 @@ class Model:
 
         Predicted by x if there is no set; by several estimates of a set, each in equal spans of a
         recording, or in one recording. Those that are `judged` are behind the filters that errors
-        are told behind, links' torques on a spline between some samples.
+        are told behind.
         """
         values = [[self.x_of(one, x) for one in estimates] for estimates in sets]
         each = [
@@ -178,7 +178,7 @@ class Model:
             )
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        task = partial(torque_of_recording, exact=not judged, judged=judged)
+        task = partial(torque_of_recording, judged=judged)
         tau, predicted, counts, _, t_s = zip(*self.run(task, each), strict=True)
         both = np.concatenate(tau), np.concatenate(predicted, axis=1)
         return *both, np.concatenate(counts), list(t_s)

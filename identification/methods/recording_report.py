@@ -82,7 +82,7 @@ class Validated:
 
 def validated(problem: Problem, beta: Array) -> Validated:
     """The torque of base parameters (b,), with the payload, on a recording."""
-    torques = torque_of_recording(*equation_alone(problem), [beta], exact=False, judged=True)
+    torques = torque_of_recording(*equation_alone(problem), [beta], judged=True)
     tau, (predicted,), counts, *_ = torques
     return Validated(problem.for_errors, tau, predicted, counts)
 

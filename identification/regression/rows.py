@@ -286,7 +286,7 @@ def rows_of_recording(
     problem, unknowns, lag = (equation := equation.read()).problem, equation.unknowns, None
     share = sample_weights(problem).of_rows
     if of_lag:
-        tau, (predicted,), _, speed, _ = torque_of_recording(equation, x, exact=False)
+        tau, (predicted,), _, speed, _ = torque_of_recording(equation, x)
         of = np.r_[unknowns.arm, unknowns.lags]
         lag = LagFilters(problem, of, share, share * (tau - predicted), speed)
     names, f = unknowns.all, len(unknowns.names)
@@ -347,9 +347,11 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 
 @one_thread
 def torque_of_recording(
-    equation: Equation, x: Array, *sets: Sequence[Array], exact: bool = True, judged: bool = False
+    equation: Equation, x: Array, *sets: Sequence[Array], judged: bool = False
 ) -> tuple[Array, Array, Bools, Array, Array]:
     """Compute the torques of a recording, decimated, without weights and without W.
+
+    Those of links are on a spline between some samples of a low-passed motion, within 1e-6.
 
     Parameters
     ----------
@@ -358,15 +360,13 @@ def torque_of_recording(
     sets : of base parameters (b,), by default those of x alone; each of a set predicts one of as
         many equal spans of the rows.
     judged : whether they are behind the filters of errors, not those of the fit.
-    exact : whether links' torques are computed at every sample, not on a spline between some, which
-        is within 1e-6 of the torque.
 
     Returns
     -------
     Measured torque (T, n), that predicted by each set (K, T, n), N m or N, which rows
     (T, n) count, joint speed (T, n), rad/s or m/s, and instants (T,), s.
     """
-    task = partial(_torque_of_block, sets or ((equation.arm.beta(x),),), exact)
+    task = partial(_torque_of_block, sets or ((equation.arm.beta(x),),))
     of = equation.problem.for_errors if judged else equation.problem
     equation = (replace(equation, problem=of) if judged else equation).read()
     tau, predicted, speed = zip(*equation.by_block(task, x), strict=True)
@@ -378,10 +378,10 @@ def torque_of_recording(
 
 @one_thread
 def _torque_of_block(
-    sets: Sequence[Sequence[Array]], exact: bool, motion: MotionBlock, _: None
+    sets: Sequence[Sequence[Array]], motion: MotionBlock, _: None
 ) -> tuple[Array, Array, Array]:
     settings, N = motion.problem.settings, len(motion.q)
-    of, stride = (motion.problem.model, motion.problem.base), 1 if exact else motion.torque_stride
+    of, stride = (motion.problem.model, motion.problem.base), motion.torque_stride
     rows, fs = len(settings.instants), motion.problem.signals.sample_rate_hz
     predicted = list[Array]()
     for betas in sets:
