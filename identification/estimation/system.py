@@ -36,16 +36,18 @@ def equal_spans(instants: int) -> Ints:
     return np.asarray(-(-np.arange(count + 1) * instants // count))
 
 
-def spans_at(spans: Sequence[Ints], rows: Sequence[int]) -> Ints:
-    """The span of each of `rows` (K,) equidistant instants of recordings with these `spans`, all
-    counted one after the other.
+def spans_at(spans: Sequence[Ints], instants: Sequence[tuple[Ints, Ints]]) -> Ints:
+    """The span of the rows (K,) of recordings at other instants than those of their `spans`, all
+    counted one after the other; beyond an end the nearest.
+
+    `instants`: by recording those of the spans (T,), and the others (K,), in samples.
     """
     first = np.cumsum([0, *(len(own) - 1 for own in spans)])
-    each = zip(spans, rows, first, strict=False)
+    each = zip(spans, instants, first, strict=False)
     return np.concatenate(
         [
-            np.searchsorted(own, (np.arange(count) + 0.5) * own[-1] / count, side="right") - 1 + k
-            for own, count, k in each
+            np.searchsorted(own[1:-1], np.searchsorted(of, at), side="right") + k
+            for own, (of, at), k in each
         ]
     )
 

@@ -15,6 +15,7 @@ from ..regression import (
     Problem,
     base_name,
     equation_alone,
+    fast_size,
     rows_of_recording,
     sample_weights,
 )
@@ -96,14 +97,13 @@ def _noise_like(problem: Problem) -> Array:
     """
     settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
     q = problem.signals.q[: settings.stop + round(fs)]  # no more than is used
-    used = q[settings.start : settings.stop]
+    used, size = q[settings.start : settings.stop], fast_size(len(q))
+    frequencies = np.fft.rfftfreq(size)
     above = used - problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q
     window = np.hanning(len(used))[:, None]
-    power = np.abs(np.fft.rfft(above * window, axis=0)) ** 2 / np.sum(window**2)
-    cosine = np.cos(2 * np.pi * np.fft.rfftfreq(len(used)))
-    seen = np.flatnonzero(
-        np.fft.rfftfreq(len(used), 1 / fs) > max(1.5 * (settings.cutoff_hz or 0.0), fs / 8)
-    )
+    power = np.abs(np.fft.rfft(above * window, size, axis=0)) ** 2 / np.sum(window**2)
+    cosine = np.cos(2 * np.pi * frequencies)
+    seen = np.flatnonzero(frequencies > max(1.5 * (settings.cutoff_hz or 0.0) / fs, 1 / 8))
     bands = [band for band in np.array_split(seen, BANDS) if len(band)]
     # of an exponential distribution
     level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)
@@ -112,10 +112,11 @@ def _noise_like(problem: Problem) -> Array:
     # (correlations, bands, n)
     off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]
     best = off.std(axis=1).argmin(axis=0)
-    size = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])
-    white = np.fft.rfft(rng.standard_normal(q.shape), axis=0)
-    turns = np.exp(-2j * np.pi * np.fft.rfftfreq(len(q)))[:, None]
-    return np.asarray(np.fft.irfft(white * size / (1 - CORRELATIONS[best] * turns), len(q), axis=0))
+    scale = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])
+    white = np.fft.rfft(rng.standard_normal((size, q.shape[1])), axis=0) * scale
+    turns = np.exp(-2j * np.pi * frequencies)[:, None]
+    noise = np.fft.irfft(white / (1 - CORRELATIONS[best] * turns), size, axis=0)
+    return np.asarray(noise[: len(q)])
 
 
 def _with_noise(problem: Problem, noise: Array) -> Problem:

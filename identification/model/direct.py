@@ -134,7 +134,8 @@ class DirectModel:
         rigid = self.rigid
         if len(q) > _ONE_BY_ONE * q.shape[1]:
             gravity = rigid.gravity.linear if gravity is None else gravity
-            return self.inverse.torques_of_links((q, dq, ddq), self.links, gravity)
+            (tau,) = self.inverse.torques_of_links((q, dq, ddq), self.links[None], gravity)
+            return np.asarray(tau)
         if gravity is not None:
             rigid = rigid.copy()
             rigid.gravity.linear = gravity

@@ -169,16 +169,17 @@ class InverseModel:
     def torques_of_links(
         self, motion: tuple[Array, Array, Array], parameters: Array, gravity: Array
     ) -> Array:
-        """Torque (N, n) of links with `parameters` (n, 10) in the order of `LINK`, over the
-        motion q, dq, ddq (N, n).
+        """Torques (K, N, n) of links with each of the `parameters` (K, n, 10) in the order of
+        `LINK`, over the motion q, dq, ddq (N, n).
         """
-        tau, unit_wrenches = np.zeros(motion[0].shape), (_FORCES, _MOMENTS)
-        for block, twists in self._twists(motion, len(parameters), gravity):
-            for twist, own, carriers in zip(twists[1:], parameters, self._carriers, strict=True):
-                tau[block, carriers] += _link_torques(
-                    twist, *(np.tensordot(own[None], x, 1) for x in unit_wrenches)
-                ).T
-        return tau
+        (N, n), K, unit_wrenches = motion[0].shape, len(parameters), (_FORCES, _MOMENTS)
+        tau = np.zeros((K, n, N))
+        for block, twists in self._twists(motion, n, gravity):
+            for i, carriers in enumerate(self._carriers):
+                wrenches = (np.tensordot(parameters[:, i], x, 1) for x in unit_wrenches)
+                torques = _link_torques(twists[i + 1], *wrenches)
+                tau[:, carriers, block] += torques.reshape(K, len(carriers), -1)
+        return np.ascontiguousarray(tau.swapaxes(1, 2))
 
     def _twists(
         self, motion: tuple[Array, Array, Array], links: int, gravity: Array

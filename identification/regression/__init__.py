@@ -1,7 +1,7 @@
 """From signals to W and Y: settings, filters, motions, terms, weights of samples, rows."""
 
 from .blocks import MotionBlock, motion_blocks, predicted_torque
-from .filtering import Decimation, forward_backward_3db_hz, lowpass_reach
+from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass_reach
 from .lag import MAX_LAW_PERCENT, combined_lag, lag_without_fit, lags_in
 from .law import SPEED_DELAYS, Law, described_gains, law_of
 from .motion import (

@@ -154,9 +154,18 @@ def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
 def predicted_torque(
     motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array, stride: int = 1
 ) -> Array:
-    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq)
-    beta; links' as `smooth`.
+    """Torque (..., N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq)
+    beta, by beta (..., b); links' as `smooth`.
     """
-    model = direct_model(dynamics, base.standard_parameters(beta))
-    rigid = smooth(model.torques_of_links, motion, stride)
-    return model.torque(motion.q, motion.dq, motion.ddq, rigid=rigid)
+    models = [
+        direct_model(dynamics, base.standard_parameters(one)) for one in beta.reshape(-1, base.b)
+    ]
+    links, gravity = np.array([one.links for one in models]), dynamics.model.gravity.linear
+    rigid = smooth(
+        lambda *states: dynamics.torques_of_links(states, links, gravity).swapaxes(0, 1),
+        motion,
+        stride,
+    ).swapaxes(0, 1)
+    each = zip(models, rigid, strict=True)
+    tau = [one.torque(motion.q, motion.dq, motion.ddq, rigid=of_links) for one, of_links in each]
+    return np.reshape(tau, (*beta.shape[:-1], *motion.q.shape))

@@ -122,7 +122,7 @@ class Decimation:
     def _filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
         r, *others = decimation_passes(self.factor)
         k, N = _chebyshev(r).reach // r + 1, x.shape[-1]
-        size = _fast_size(N + 2 * k)
+        size = fast_size(N + 2 * k)
         extended = np.concatenate([x, np.repeat(x[..., -1:], size - N, -1)], axis=-1)
         passed = np.fft.irfft(np.fft.rfft(extended) * _gain(r, size)[: size // 2 + 1], size)[
             ..., k : N - k
@@ -195,7 +195,7 @@ def _decimated(x: Array, r: int) -> Array:
     N, reach, near = x.shape[-1], _chebyshev(r).reach, min(6 * r, x.shape[-1])
     first_row = (N - 1) % r
     lead = reach + (-(reach + first_row)) % r  # a multiple of r before the first decimated sample
-    rows = _fast_size(-(-(lead + N + reach) // r))
+    rows = fast_size(-(-(lead + N + reach) // r))
     extended = np.empty((*x.shape[:-1], rows * r))
     extended[..., lead : lead + N] = x
     # Odd reflection at the end of a line through the last samples.
@@ -282,7 +282,7 @@ class _Filter:
         the steady state of its first sample.
         """
         N, lead = x.shape[-1], self.reach + padding
-        size = _fast_size(lead + N + lead)
+        size = fast_size(lead + N + lead)
         H, end = self.response(size), lead + N + padding
         extended = np.empty((*x.shape[:-1], size))
         extended[..., lead - padding : lead] = 2 * x[..., :1] - x[..., padding:0:-1]
@@ -313,7 +313,7 @@ def _chebyshev(r: int) -> _Filter:
     return _Filter(-np.sinh(a) * np.sin(angles) + 1j * np.cosh(a) * np.cos(angles), 0.8 / r, floor)
 
 
-def _fast_size(least: int) -> int:
+def fast_size(least: int) -> int:
     """The smallest number from `least` on with no factors but 2, 3 and 5, for a fast transform."""
     # those divide a power of 30 that is high enough
     return next(size for size in count(least) if pow(30, size.bit_length(), size) == 0)

@@ -366,9 +366,13 @@ def torque_of_recording(
     Measured torque (T, n), that predicted by each set (K, T, n), N m or N, which rows
     (T, n) count, joint speed (T, n), rad/s or m/s, and instants (T,), s.
     """
-    task = partial(_torque_of_block, sets or ((equation.arm.beta(x),),))
-    of = equation.problem.for_errors if judged else equation.problem
-    equation = (replace(equation, problem=of) if judged else equation).read()
+    sets, s = sets or ([equation.arm.beta(x)],), (of := equation.problem).settings
+    spans, rows = max(map(len, sets)), len(s.instants)
+    betas = np.stack([np.resize(one, (spans, len(one[0]))) for one in sets], axis=1)
+    # as spans of time of the fit end
+    edges = s.stop - s.decimation * (rows + -np.arange(1, spans) * rows // spans)
+    task = partial(_torque_of_block, betas, edges)
+    equation = (replace(equation, problem=of.for_errors) if judged else equation).read()
     tau, predicted, speed = zip(*equation.by_block(task, x), strict=True)
     counts = sample_weights(problem := equation.problem).of_rows > 0
     counts, t_s = counts & problem.measured_rows()[:, None], problem.row_times_s()
@@ -378,23 +382,21 @@ def torque_of_recording(
 
 @one_thread
 def _torque_of_block(
-    sets: Sequence[Sequence[Array]], motion: MotionBlock, _: None
+    betas: Array, edges: Ints, motion: MotionBlock, _: None
 ) -> tuple[Array, Array, Array]:
-    settings, N = motion.problem.settings, len(motion.q)
-    of, stride = (motion.problem.model, motion.problem.base), motion.torque_stride
-    rows, fs = len(settings.instants), motion.problem.signals.sample_rate_hz
-    predicted = list[Array]()
-    for betas in sets:
-        # as spans of time end
-        edges = settings.stop - settings.decimation * (
-            rows + -np.arange(len(betas) + 1) * rows // len(betas)
+    """Torque measured, and predicted by each (K, b) of the `betas` in the spans of samples between
+    the `edges`; and speed.
+    """
+    problem, N = motion.problem, len(motion.q)
+    first = round(motion.t_s[0] * problem.signals.sample_rate_hz)
+    cuts = pairwise([0, *np.clip(edges - first, 0, N), N])
+    each = [
+        predicted_torque(
+            motion.part(slice(*at)), problem.model, problem.base, beta, motion.torque_stride
         )
-        cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, N), N]
-        each = (
-            predicted_torque(motion.part(slice(first, last)), *of, beta, stride)
-            for beta, (first, last) in zip(betas, pairwise(cuts), strict=True)
-            if first < last
-        )
-        predicted.append(motion.filtered(np.concatenate([*each]).T).T)
-    measured = motion.tau + motion.known_torque
-    return motion.filtered(measured.T).T, np.stack(predicted), motion.kept(motion.dq)
+        for beta, at in zip(betas, cuts, strict=True)
+        if at[0] < at[1]
+    ]
+    predicted = motion.filtered(np.concatenate(each, axis=1).swapaxes(1, 2))
+    measured = motion.filtered((motion.tau + motion.known_torque).T)
+    return measured.T, predicted.swapaxes(1, 2), motion.kept(motion.dq)

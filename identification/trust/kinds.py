@@ -129,7 +129,7 @@ class Kind:
 
 def stride_of(motion: MotionBlock) -> int:
     """Step between samples that tell what links need."""
-    return motion.decimation.factor // SAMPLES_A_ROW
+    return max(1, motion.decimation.factor // SAMPLES_A_ROW)
 
 
 def _directions(of: About) -> list[tuple[str, int]]:

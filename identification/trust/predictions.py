@@ -202,7 +202,8 @@ def with_predictions(
             some = (known + one.values_of(system.names) for one in _betas(*cases[1]))
             sets.append([replace(estimate, names=system.names, beta=beta) for beta in some])
     tau, (trained, *predicted), counts, t_s = predict(*sets, by_recording=evidence.by_recording)
-    at = spans_at(system.spans, [*map(len, t_s)])
+    of_rows = [(of.settings.instants, of.for_errors.settings.instants) for of in evidence.problems]
+    at = spans_at(system.spans, of_rows)
     (line, by_others), *by_prior = (
         _held_out(of, parts, at, (tau, trained, one, counts))
         for (of, parts), one in zip(cases, predicted, strict=True)
@@ -299,44 +300,45 @@ def _cause(evidence: FitData) -> str:
     of the first recording.
     """
     problem, payload = evidence.problem, evidence.arms[0].payload
-    names = [joint.name for joint in evidence.robot.joints]
-    base, same, (at, *motion) = problem.base, np.eye(len(names)), row_states(problem)
+    names, (at, *motion) = [joint.name for joint in evidence.robot.joints], row_states(problem)
+    base, same, none = problem.base, np.arange(len(names)), np.zeros(len(names))
     beta = np.array([evidence.prior.get(name, 0.0) for name in base.names])
     beta += payload.values(evidence.estimate) * base.links if payload else 0.0
     links = direct_model(problem.model, base.standard_parameters(beta))
     recorded, counts = evidence.observed.tau[at], evidence.observed.share[at] > 0
-    none = np.zeros(3)
-
-    def left(
-        of_motion: Array, of_torque: Array, *, turned: Array | float = 0.0, pulled: Array = none
-    ) -> float:
-        tau, (q, dq, ddq) = recorded @ of_torque, (x @ of_motion for x in motion)
-        rigid = links.torques_of_links(q + turned, dq, ddq) + links.gravity(q, pulled)
-        moves = (counts @ np.abs(of_motion) > 0).T[..., None]
-        others = np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2)
-        others = np.linalg.qr(others * moves)[0]
-        both = moves * np.stack([(tau - rigid).T, tau.T], axis=2)
-        share, whole = ((both - others @ (others.swapaxes(1, 2) @ both)) ** 2).sum(axis=1).T
-        return float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)).sum())
-
-    found = [(left(same, same) - MIN_CAUSE, "")]
-    for a, b in combinations(range(len(names)), 2):
+    # efforts and positions taken from these joints, positions times a factor and turned
+    cases = [("", same, same, none + 1, none)]
+    for a, b in combinations(same, 2):
         order, pair = same.copy(), f"of joints {names[a]} and {names[b]} exchanged"
-        order[[a, b]] = same[[b, a]]
-        found.append((left(same, order), f"recorded efforts {pair}"))
-        found.append((left(order, same), f"recorded positions {pair}"))
-    for own, of in [*zip(same, names, strict=True), (np.ones(len(names)), "all joints")]:
+        order[[a, b]] = b, a
+        cases.append((f"recorded efforts {pair}", order, *cases[0][2:]))
+        cases.append((f"recorded positions {pair}", same, order, *cases[0][3:]))
+    for own, of in [*zip(np.eye(len(names)), names, strict=True), (none + 1, "all joints")]:
         for text, factor in UNITS.items():
-            found.append((left(same + np.diag((factor - 1) * own), same), text.format(of)))
-    for own, joint in zip(same, evidence.robot.joints, strict=True):
+            cases.append((text.format(of), same, same, 1 + (factor - 1) * own, none))
+    for own, joint in zip(np.eye(len(names)), evidence.robot.joints, strict=True):
         for deg in (-90, 90, 180) if joint.type == "revolute" else ():
             text = WORDS["zero off"].format(joint=joint.name, deg=deg)
-            found.append((left(same, same, turned=-np.deg2rad(deg) * own), text))
+            cases.append((text, *cases[0][1:-1], -np.deg2rad(deg) * own))
     gravity = np.array(evidence.robot.gravity)
-    for direction in (*np.eye(3), *-np.eye(3)) if gravity[:2].any() == 0 else ():
-        mounted = "xyz"[int(np.abs(direction).argmax())]
-        sign = "-" if direction.sum() < 0 else "+"
-        text = WORDS["gravity"].format(sign=sign, axis=mounted)
-        pulled = np.linalg.norm(gravity) * direction - gravity
-        found.append((left(same, same, pulled=pulled), text))
-    return min(found)[1]
+    directions = [*np.eye(3), *-np.eye(3)] if gravity[:2].any() == 0 else []
+    for along in directions:
+        sign, axis = "-" if along.sum() < 0 else "+", "xyz"[int(np.abs(along).argmax())]
+        cases.append((WORDS["gravity"].format(sign=sign, axis=axis), *cases[0][1:]))
+    texts, *each = zip(*cases, strict=True)
+    efforts, positions, factors, turned = map(np.array, each)
+    q, dq, ddq = (x[:, positions] * factors for x in motion)
+    states = (x.reshape(-1, len(names)) for x in (q + turned, dq, ddq))
+    rigid = links.torques_of_links(*states).reshape(q.shape)
+    for k, along in enumerate(directions, len(cases) - len(directions)):
+        rigid[:, k] += links.gravity(motion[0], np.linalg.norm(gravity) * along - gravity)
+    q, dq, ddq = (x.T for x in motion)
+    others = np.stack([ddq, dq, np.sign(dq), np.ones_like(q)], axis=2) * counts.T[..., None]
+    others, tau = np.linalg.qr(others)[0][positions], recorded[:, efforts]
+    both = counts[:, positions, None] * np.stack([tau - rigid, tau], axis=3)
+    both = both.transpose(1, 2, 0, 3)  # (cases, joints, rows, 2)
+    left = ((both - others @ (others.swapaxes(2, 3) @ both)) ** 2).sum(axis=2)
+    share = np.clip(left[..., 0] / (left[..., 1] + 1e-300), MIN_LEFT, 1.0)
+    size = np.log(share).sum(axis=1)
+    size[0] -= MIN_CAUSE
+    return str(texts[int(size.argmin())])
