@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         validated, errors = methods.validate_all(recordings, stored, place)
         of_set: tuple[TorqueResidual, ...] = ()
         if consistent is not None:
-            _, of_set = methods.validate_all(recordings, consistent, place)
+            _, of_set = methods.validate_all(recordings, consistent, place, ahead=False)
     of_settings = dict.fromkeys(text for one in validated for text in one.problem.settings.warnings)
     warnings = (*of_settings, *dict.fromkeys(notes), *stored.warnings_of(place))
     document = methods.validation_document(validated, name, errors, warnings, of_set)

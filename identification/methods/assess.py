@@ -64,7 +64,7 @@ def evidence_of(
     """
     estimate, unknowns, rows = solved.estimate, model.unknowns, solved.rows
     assert rows is not None
-    candidates, *_ = model.candidates(x, rows.speed, simulated=not rows.recorded)
+    candidates, *_ = model.candidates(x, (rows.speed, rows.tau), simulated=not rows.recorded)
     lags = counted_lags(model, solved.lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
     return FitData(
@@ -171,12 +171,6 @@ def _warnings(model: Model) -> tuple[str, ...]:
         for p in problems
         for event in p.signals.events
         if event.kind == "warning"
-    ]
-    named += [
-        f"{p.signals.recording} is too short for the filters behind which torque errors are told: "
-        "they include noise that passes those of the fit"
-        for p in problems
-        if p.for_errors.settings is p.settings
     ]
     return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
 

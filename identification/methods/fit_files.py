@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import msgspec
-import numpy as np
 from msgspec import UNSET
 
 from acquisition.robot import Controller, Robot
@@ -16,7 +15,7 @@ from ..trust import HeldOut
 from .fit import Fit
 from .horizon import HORIZONS_S
 from .parameters import fitted_parameters
-from .recording_report import Validated, errors_on
+from .recording_report import Validated, errors_on, first_ahead
 
 
 def fit_file(fit: Fit) -> report.FitFile:
@@ -125,7 +124,7 @@ def validation_file(
 ) -> report.ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
     each = [_recording(one.problem, errors_on([one])[-1]) for one in recordings]
-    ahead = recordings[0].ahead
+    ahead = first_ahead(recordings)
     return report.ValidationFile(
         **_on_recording(recordings[0].problem, errors, warnings),
         fit=fit,
@@ -134,7 +133,7 @@ def validation_file(
             f"{time_s:g}": report.Ahead(error=error.tolist(), way=way.tolist())
             for time_s, error, way in zip(HORIZONS_S, *ahead, strict=True)
         }
-        if ahead is not None and not np.isnan(ahead).any()
+        if ahead is not None
         else {},
         consistent_errors=list(consistent) or UNSET,
     )

@@ -12,16 +12,16 @@ MOST_STARTS = 20
 MAX_STEP_S = 0.001
 
 
-def errors_ahead(problem: Problem, beta: Array) -> Array:
+def errors_ahead(problem: Problem, beta: Array) -> Array | None:
     """Predict the positions of a recording by base parameters (b,) and its recorded torque.
 
     Returns (2, h, n) the rms over the starts of the error after each of `HORIZONS_S`, and of the
-    way moved until then, rad or m; NaN where the recording is too short, or M is not positive.
+    way moved until then, rad or m; None where the recording is too short, M is not positive, or the
+    motion grows beyond bounds.
     """
     s, fs = problem.settings, problem.signals.sample_rate_hz
     ahead = [max(1, round(x * fs)) for x in HORIZONS_S]
-    found, span = np.full((2, len(ahead), len(problem.robot.motors)), np.nan), ahead[-1] + 1
-    measured = problem.measured_samples()
+    span, measured = ahead[-1] + 1, problem.measured_samples()
     starts = [
         k for k in range(s.start, s.stop - span, max(1, span)) if measured[k : k + span].all()
     ]
@@ -35,6 +35,7 @@ def errors_ahead(problem: Problem, beta: Array) -> Array:
         try:
             q = open_loop(model, (motion.q[0], motion.dq[0]), tau, (fs, MAX_STEP_S), fastest)
         except ArithmeticError:
-            return found
+            return None
         each.append((q[ahead] - motion.q[ahead], motion.q[ahead] - motion.q[0]))
-    return np.asarray(np.sqrt(np.mean(np.square(each), axis=0))) if each else found
+    found = np.sqrt(np.mean(np.square(each), axis=0)) if each else np.array(np.inf)
+    return found if np.isfinite(found).all() else None

@@ -64,7 +64,7 @@ class Loop:
             that of the essential parameters if only these are estimated; `essential`: their test.
         iteration: settings of the passes.
         robots: prepared for simulations.
-        speed: (rows, n) measured, of all recordings.
+        measured: speed and torque of all recordings.
         fitted: places of the unknowns that are estimated.
         most, tolerance_percent: of the passes.
     """
@@ -72,7 +72,8 @@ class Loop:
     def __init__(self, model: Model, start: Pass, iteration: Iteration, *, essential: bool) -> None:
         """From least squares; `essential`: only such parameters are estimated."""
         assert start.rows is not None
-        self.model, self.speed, self.iteration = model, start.rows.speed, iteration
+        self.model, self.iteration = model, iteration
+        self.measured = start.rows.speed, start.rows.tau
         start, ls, self.essential = solution_of(model, start, essential=essential)
         self.start, self.ls = start.without_rows(), ls.without_rows()
         self.x = model.x_of(start.estimate, start.x)
@@ -122,8 +123,8 @@ class Loop:
         of_lag = self.model.exogenous and not other
         # The first pass is not the last one where a lag is looked for, and needs no tests.
         tests = not of_lag or number > 1 or all(lag.stated for lag in before[-1].lags)
-        speed = self.speed if tests else None  # q_s, dq_s, ddq_s, with (E), and (6)
-        z, rows = self.model.along(self.robots, x, asked, speed, of_lag=of_lag)
+        measured = self.measured if tests else None  # q_s, dq_s, ddq_s, with (E), and (6)
+        z, rows = self.model.along(self.robots, x, asked, measured, of_lag=of_lag)
         rows, lags, settled = with_lags_found(rows, before[-1].lags, number)  # (G)
         try:
             estimate = self.step(rows)  # (C), (D)
@@ -254,7 +255,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     if best is last and last.rows is not None and last.rows.C.size:
         return replace(last, confirmed_by=after)
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
-    z, rows = model.along(loop.robots, x, best.asked, loop.speed)
+    z, rows = model.along(loop.robots, x, best.asked, loop.measured)
     found = replace(best, x=x, z=z, rows=rows, estimate=loop.step(rows), lags=last.lags)
     return replace(found, confirmed_by=after if best is last else confirmed(found))
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..arrays import Array, Bools, Ints
 from ..data import HERE, RecordingFile, Recordings, Signals, Work, check_one_robot
-from ..estimation import Estimate, System, combined, one_thread
+from ..estimation import Estimate, System, combined, one_thread, spans_of
 from ..regression import (
     Candidate,
     Equation,
@@ -30,6 +30,7 @@ from ..regression import (
     rows_of_recording,
     stacked_rows,
     torque_of_recording,
+    with_common_band,
 )
 from ..simulation import Simulated, SimulatedRecording, simulate
 from ..trust import Candidates
@@ -42,6 +43,7 @@ Say = Callable[[str], None]
 Robots = Sequence[Callable[[float], SimulatedRecording]]
 # values of x (p,) to simulate, and their covariance (f, f), None for a regular start
 Asked = tuple[Array, Array | None]
+Measured = tuple[Array, Array]  # (rows, n) speed and torque of all recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,21 +127,26 @@ class Model:
         return _run(self.work, task, [(one, *given) for one, given in pairs])
 
     def candidates(
-        self, x: Array, speed: Array, *, simulated: bool = False
+        self, x: Array, measured: Measured, *, simulated: bool = False
     ) -> tuple[Candidates, ...]:
         """By recording the terms that are not in the model, about x, along the measured or the
-        simulated motion; `speed` (rows, n) is the measured one of all.
+        simulated motion, by what is `measured` of all.
         """
+        speed, tau = measured
         sliding = np.abs(speed @ self.problem.model.coulomb_directions.T)
+        parts = spans_of([len(one.settings.instants) for one in self.problems])
         return tuple(
             Candidates(
                 problem=one.apart.problem,
                 beta=one.arm.beta(x),
                 peak=np.abs(speed).max(axis=0),
+                most=np.abs(tau).max(axis=0),
+                speed=speed[part],
+                alone=len(parts) == 1,
                 sliding=sliding.max(axis=0),
                 simulated=simulated and self.exogenous,
             )
-            for one in self.equations
+            for one, part in zip(self.equations, parts, strict=True)
         )
 
     def rows(self, x: Array, further: Sequence[Candidate] = ()) -> Rows:
@@ -215,19 +222,19 @@ class Model:
         robots: Robots,
         x: Array,
         asked: Asked | None,
-        speed: Array | None = None,
+        measured: Measured | None = None,
         *,
         of_lag: bool = False,
     ) -> tuple[tuple[Simulated, ...], Rows]:
         """[C Z J r] of all recordings about x, and by recording along whose motion: that of the
         robot simulated with what is asked; if nothing is asked, that which the reference predicts.
 
-        With `speed` (rows, n), the measured one of all, there are the columns of terms that are
-        not in the model; `of_lag`: with rows of the lag, equation (G).
+        With what is `measured` of all there are the columns of terms that are not in the model;
+        `of_lag`: with rows of the lag, equation (G).
         """
         none = [None] * len(robots)
         own = self.unknowns.simulated(*asked) if asked else none
-        further = none if speed is None else self.candidates(x, speed, simulated=True)
+        further = none if measured is None else self.candidates(x, measured, simulated=True)
         tasks = [
             (robot, (x, beta), term, of_lag)
             for robot, beta, term in zip(robots, own, further, strict=True)
@@ -298,7 +305,9 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
 def with_common_rate(
     given: Recordings, found: list[Problem], overrides: Overrides, most: float
 ) -> list[Problem]:
-    """The same with common cut-off and rate of rows; only those that change are read again."""
+    """The same with common cut-off, rate of rows and filters of the errors; only those whose
+    cut-off or rate changes are read again.
+    """
     settings = [problem.settings for problem in found]
     rates = [problem.signals.sample_rate_hz for problem in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
@@ -310,7 +319,7 @@ def with_common_rate(
     of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
     tasks = [(given.sources[k], one, most) for k, one in zip(again, of, strict=True)]
     changed = dict(zip(again, _run(given.work, observe, tasks), strict=True))
-    return [changed.get(k, one) for k, one in enumerate(found)]
+    return with_common_band([changed.get(k, one) for k, one in enumerate(found)])
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> Model:

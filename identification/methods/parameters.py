@@ -26,7 +26,7 @@ from ..model import (
     base_prior,
     direct_model,
 )
-from ..regression import Overrides, Problem, base_name, make_problem
+from ..regression import Overrides, Problem, base_name, make_problem, with_common_band
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
@@ -284,18 +284,23 @@ def signals_as_fitted(
 
 @one_thread
 def validate_all(
-    recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
+    recordings: Sequence[tuple[Signals, Overrides]],
+    stored: FitFile,
+    place: str,
+    *,
+    ahead: bool = True,
 ) -> tuple[tuple[Validated, ...], tuple[TorqueResidual, ...]]:
     """The torque of a stored fit on recordings of one robot, each with what replaces its settings,
     and the errors of all together, as `errors_on`; nothing is fitted.
 
-    Payloads are as the fit found them; `place` names it in errors.
+    Payloads are as the fit found them; `place` names it in errors; `ahead`: whether the motion is
+    predicted too.
     """
     check_one_robot([signals for signals, _ in recordings])
-    problems = [make_problem(*one) for one in recordings]
+    problems = with_common_band([make_problem(*one) for one in recordings])
     betas = (stored_beta(stored, one.base, place) + payload_beta(stored, one) for one in problems)
     each = tuple(
-        replace(validated(one, beta), ahead=errors_ahead(one.for_errors, beta))
+        replace(validated(one, beta), ahead=errors_ahead(one.for_errors, beta) if ahead else None)
         for one, beta in zip(problems, betas, strict=True)
     )
     return each, errors_on(each)

@@ -87,6 +87,11 @@ def validated(problem: Problem, beta: Array) -> Validated:
     return Validated(problem.for_errors, tau, predicted, counts)
 
 
+def first_ahead(recordings: Sequence[Validated]) -> Array | None:
+    """How far the motion is predicted ahead, in the first of the recordings that shows it."""
+    return next((one.ahead for one in recordings if one.ahead is not None), None)
+
+
 def errors_on(recordings: Sequence[Validated]) -> tuple[TorqueResidual, ...]:
     """Torque errors of recordings together: one per joint and, last, that of all joints."""
     rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
@@ -141,11 +146,8 @@ def validation_document(
 
 
 def _ahead_section(recordings: Sequence[Validated]) -> list[Section]:
-    """Errors of the positions that the direct model predicts, by joint; of several recordings those
-    of the first that has some.
-    """
-    found = next((x for one in recordings if (x := one.ahead) is not None), np.full(1, np.nan))
-    if np.isnan(found).all():
+    """Errors of the positions that the direct model predicts, by joint, as of `first_ahead`."""
+    if (found := first_ahead(recordings)) is None:
         return []
     joints, (error, way) = recordings[0].problem.signals.robot.joints, found
     # a joint that stands has no way that its error could be compared with

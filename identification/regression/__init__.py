@@ -17,7 +17,7 @@ from .motion import (
     standing_joints,
 )
 from .motor_paths import SATURATED
-from .problem import Problem, make_problem, row_blocks
+from .problem import Problem, make_problem, row_blocks, with_common_band
 from .rows import (
     Candidate,
     Equation,

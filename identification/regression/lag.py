@@ -14,7 +14,6 @@ recorded torque is noise in whitened rows.
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
@@ -133,16 +132,15 @@ class LagFilters:
         measured `speed`; all (T, n).
         """
         self.of, self._sliding = of, np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
-        # where none leaves enough, the first that leaves some
-        for least, self.order in product((MIN_ROWS, 1), LAG_ORDERS):
-            used = fast_for_lag_by(problem, speed, self._sliding, self.order) & (share.T > 0)
-            rows = _behind(used, self.order).sum(axis=1)
-            if (rows >= np.where(share.any(axis=0), least, 0)).all():
-                break
-        self._filters = [
-            np.r_[1.0, -autoregression(r * fast, self.order)]
-            for r, fast in zip(left.T, used, strict=True)
+        used = [
+            fast_for_lag_by(problem, speed, self._sliding, k) & (share.T > 0) for k in LAG_ORDERS
         ]
+        rows = np.array([_behind(*of).sum(axis=1) for of in zip(used, LAG_ORDERS, strict=True)])
+        # the first that leaves enough of all joints of which any does, or else some
+        enough = [(rows[:, rows[-1] > 0] >= least).all(axis=1) for least in (MIN_ROWS, 1)]
+        at = int(np.argmax(enough[0] if enough[0].any() else enough[1]))
+        self.order, each = LAG_ORDERS[at], zip(left.T, used[at], strict=True)
+        self._filters = [np.r_[1.0, -autoregression(r * fast, self.order)] for r, fast in each]
 
     def whitened(self, rows: Array, z: MotionBlock) -> tuple[Array, Array]:
         """The rows [Z J r] (n, columns, T) of a block, filtered, and their weights (n, T): none

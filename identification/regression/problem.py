@@ -227,6 +227,12 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     )
 
 
+def with_common_band(problems: Sequence[Problem]) -> list[Problem]:
+    """The same with torque errors behind common filters, those of the widest band of motion."""
+    band_hz = max(one.settings.band_hz for one in problems)
+    return [replace(one, settings=replace(one.settings, band_hz=band_hz)) for one in problems]
+
+
 def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
     """The rows of the span used, in blocks: the rows that the filters need samples of, and in these
     the rows of the block itself. The borders depend only on the recording.

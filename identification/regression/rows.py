@@ -12,7 +12,7 @@ Linear terms give Y = W beta + rho with W = J and Y = r + J x.
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import chain, islice, pairwise, repeat, starmap
+from itertools import chain, groupby, islice, pairwise, repeat, starmap
 from typing import Any, Protocol
 
 import numpy as np
@@ -367,11 +367,11 @@ def torque_of_recording(
     (T, n) count, joint speed (T, n), rad/s or m/s, and instants (T,), s.
     """
     sets, s = sets or ([equation.arm.beta(x)],), (of := equation.problem).settings
-    spans, rows = max(map(len, sets)), len(s.instants)
-    betas = np.stack([np.resize(one, (spans, len(one[0]))) for one in sets], axis=1)
-    # as spans of time of the fit end
-    edges = s.stop - s.decimation * (rows + -np.arange(1, spans) * rows // spans)
-    task = partial(_torque_of_block, betas, edges)
+    rows, groups = len(s.instants), list[tuple[Ints, Array]]()
+    for spans, some in groupby(sets, len):  # their edges are where spans of the fit end
+        edges = s.stop - s.decimation * (rows + -np.arange(1, spans) * rows // spans)
+        groups.append((edges, np.stack([*some], axis=1)))
+    task = partial(_torque_of_block, groups)
     equation = (replace(equation, problem=of.for_errors) if judged else equation).read()
     tau, predicted, speed = zip(*equation.by_block(task, x), strict=True)
     counts = sample_weights(problem := equation.problem).of_rows > 0
@@ -382,21 +382,22 @@ def torque_of_recording(
 
 @one_thread
 def _torque_of_block(
-    betas: Array, edges: Ints, motion: MotionBlock, _: None
+    groups: Sequence[tuple[Ints, Array]], motion: MotionBlock, _: None
 ) -> tuple[Array, Array, Array]:
-    """Torque measured, and predicted by each (K, b) of the `betas` in the spans of samples between
-    the `edges`; and speed.
-    """
-    problem, N = motion.problem, len(motion.q)
-    first = round(motion.t_s[0] * problem.signals.sample_rate_hz)
-    cuts = pairwise([0, *np.clip(edges - first, 0, N), N])
-    each = [
-        predicted_torque(
-            motion.part(slice(*at)), problem.model, problem.base, beta, motion.torque_stride
-        )
-        for beta, at in zip(betas, cuts, strict=True)
-        if at[0] < at[1]
-    ]
-    predicted = motion.filtered(np.concatenate(each, axis=1).swapaxes(1, 2))
-    measured = motion.filtered((motion.tau + motion.known_torque).T)
-    return measured.T, predicted.swapaxes(1, 2), motion.kept(motion.dq)
+    """Torque measured, and predicted in spans between samples by betas (spans, K, b); speed."""
+    problem, stride, N = motion.problem, motion.torque_stride, len(motion.q)
+    first, predicted = round(motion.t_s[0] * problem.signals.sample_rate_hz), list[Array]()
+    for edges, betas in groups:
+        cuts = pairwise([0, *np.clip(edges - first, 0, N), N])
+        each = [
+            predicted_torque(motion.part(slice(*at)), problem.model, problem.base, beta, stride)
+            for beta, at in zip(betas, cuts, strict=True)
+            if at[0] < at[1]
+        ]
+        predicted += [*np.concatenate(each, axis=1)]
+    measured, found = (motion.tau + motion.known_torque).T, np.stack(predicted).swapaxes(1, 2)
+    return (
+        motion.filtered(measured).T,
+        motion.filtered(found).swapaxes(1, 2),
+        motion.kept(motion.dq),
+    )

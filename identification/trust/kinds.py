@@ -26,6 +26,7 @@ RATIO, HYSTERESIS, IN_PARTS = "ratio", "hysteresis", "friction of a part of the 
 PARTS = 6  # of the time
 # of a joint's travel, in which hysteresis turns from one side to the other
 TRAVELS = (0.1, 0.2)
+FORGOTTEN = 1e-12  # of its deflection, by the way since
 POSITIVE = (STRIBECK, ROTOR, HYSTERESIS)  # their values
 # Near reversals, friction that rises smoothly looks like these; they hardly show in the residual.
 IN_FAST_ROWS = (LAG, CLOCKS)
@@ -41,7 +42,9 @@ class About:
 
     Attributes:
         problem: of the recording; `beta`: (b,) its base parameters.
-        peak: (n,) largest speeds of the joints.
+        peak, most: (n,) largest speeds and torques of the joints in all recordings.
+        speed: (T, n) of the rows.
+        alone: whether there is no other recording.
         simulated: whether the motion has the torque of a simulated robot that
             follows a recorded reference.
     """
@@ -49,6 +52,9 @@ class About:
     problem: Problem
     beta: Array
     peak: Array
+    most: Array
+    speed: Array
+    alone: bool
     simulated: bool
 
     @cached_property
@@ -160,10 +166,11 @@ def _with_ratio(of: About, x: MotionBlock, links: Array, k: int) -> Array:
 
 
 def _of_parts(of: About) -> list[tuple[str, int]]:
-    """Of each joint in each part of the time."""
-    first, last = of.span_s
+    """Of each joint in each part of the time, of several recordings in the same part of each."""
+    first, last = of.span_s if of.alone else (0.0, 100.0)
     borders = np.linspace(first, last, PARTS + 1)
-    times = [f"from {a:.3g} to {b:.3g} s" for a, b in pairwise(borders)]
+    unit = "s" if of.alone else "% of each recording"
+    times = [f"from {a:.3g} to {b:.3g} {unit}" for a, b in pairwise(borders)]
     return [
         (f"of joint {joint.name} {time}", j)
         for j, joint in enumerate(of.robot.joints)
@@ -171,16 +178,31 @@ def _of_parts(of: About) -> list[tuple[str, int]]:
     ]
 
 
+def _of_springs(of: About) -> float:
+    """The share of the residual that springs take: any slow error looks like a slow position."""
+    return MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0
+
+
 def _hysteresis(of: About, x: MotionBlock, _: Array, k: int) -> Array:
-    """z (N, n) with dz = (dq - |dq| z) / x, friction of Dahl, x a share of each joint's travel.
+    """z (N, n) of friction of Dahl, x a share of each joint's travel; a block begins with z of the
+    rows before.
+    """
+    travel = TRAVELS[k % len(TRAVELS)] * np.ptp(of.problem.poses, axis=0)
+    travel = np.maximum(travel, np.finfo(float).tiny)
+    row_s = of.problem.settings.decimation / of.problem.signals.sample_rate_hz
+    begin = _dahl(of.speed * row_s / travel, np.zeros_like(travel))[x.near.start]
+    return _dahl(np.diff(x.q, axis=0, prepend=x.q[:1]) / travel, begin)
+
+
+def _dahl(steps: Array, begin: Array) -> Array:
+    """z (N, n) with dz = (dq - |dq| z) / x, from its first value on, by the steps dq / x.
 
     A step is z <- a z + b; steps are put together in twos, fours and so on.
     """
-    travel = TRAVELS[k % len(TRAVELS)] * np.ptp(of.problem.poses, axis=0)
-    steps = np.diff(x.q, axis=0, prepend=x.q[:1]) / np.maximum(travel, np.finfo(float).tiny)
     a, reach = np.exp(-np.abs(steps)), 1
     z = np.asarray(np.sign(steps) * (1 - a))
-    while reach < len(z):
+    z[0] = begin
+    while reach < len(z) and a[reach:].max() > FORGOTTEN:
         z[reach:] += a[reach:] * z[:-reach]
         a[reach:] *= a[:-reach].copy()
         reach *= 2
@@ -220,8 +242,7 @@ KINDS = (
         torque=lambda of, x, *_: x.q,
         unit="{effort}/{position}",
         advice="record its torque (of a spring, a hose or a weight) as known_torque",
-        # any slow error correlates with a slow position
-        least_percent=lambda of: MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0,
+        least_percent=_of_springs,
     ),
     Kind(
         name=CURVED,
@@ -231,13 +252,12 @@ KINDS = (
         ),
         unit="{effort}/{position}",
         advice="record its torque (of a spring, a hose or a stop) as known_torque",
-        least_percent=lambda of: MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0,
+        least_percent=_of_springs,
     ),
     Kind(
         name="limit of the effort",
         torque=lambda of, x, *_: (
-            np.sign(x.tau)
-            * np.maximum(np.abs(x.tau) - LIMITED * np.abs(x.tau).max(axis=0, initial=0.0), 0.0)
+            np.sign(x.tau) * np.maximum(np.abs(x.tau) - LIMITED * of.most, 0.0)
         ),
         unit="of what is beyond 70 % of its peak",
         advice="state saturation of the motor, or record the effort behind its limit",
