@@ -76,8 +76,7 @@ def _count(q: Array) -> tuple[Array, Array]:
     odd = extra != 0
     # of neighbours that compensate each other
     group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]
-    net = np.bincount(group, extra[odd])
-    without = np.bincount(group, extra[odd] < 0)
+    net, without = np.bincount(group, extra[odd]), np.bincount(group, extra[odd] < 0)
     held = np.minimum(without, without + net)
     coarse = (np.abs(m) > MIN_DEVIATIONS * noise) & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)

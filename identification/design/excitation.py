@@ -296,8 +296,7 @@ def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple
 def excitation_document(excitation: Excitation) -> Document:
     """Expected intervals of a reference, in short the widest, and the limits that it uses."""
     e, s = excitation, excitation.settings
-    smaller = e.plain / e.sigma
-    known = e.beta is not None
+    smaller, known = e.plain / e.sigma, e.beta is not None
     rows = tuple(
         (
             name,

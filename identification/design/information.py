@@ -227,8 +227,7 @@ class Information:
         """The criterion relative to the deviations `plain` (b,), and its gradients
         (N, n) by q, dq and ddq.
         """
-        W = self._regressor(motion)
-        slopes = []
+        W, slopes = self._regressor(motion), []
         for c, term in self._sliding:
             friction, slope = term.rounded(motion[1], self.creep)
             W[:, :, c] = friction[:, None] * term.direction

@@ -167,8 +167,7 @@ class Limits:
         basis and their slopes.
         """
         n, K = self.robot.n, basis[0].shape[1]
-        efforts = at[:, 3 * n :]
-        J = np.zeros((*at.shape, n, K))
+        efforts, J = at[:, 3 * n :], np.zeros((*at.shape, n, K))
         for kind, A in enumerate(basis):
             for j in range(n):
                 J[:, kind * n + j, j] = A[at[:, kind * n + j]] / self.maximum[kind, j]

@@ -69,8 +69,7 @@ def best_of_searches(
     `MAX_DEVIATION_RATIO` times the plain one come first. `say` gets a line of text at each
     iteration. Raises `BadInputError`: if no search keeps the limits.
     """
-    found = list[tuple[tuple[bool, float], Array, Array]]()
-    worst = ""
+    found, worst = list[tuple[tuple[bool, float], Array, Array]](), ""
     basis, finer = (
         problem.series.basis(times * problem.samples) for times in (1, CHECKS_PER_SAMPLE)
     )

@@ -123,8 +123,7 @@ def combined(
     )
     if differs(off, both, found.freedom):
         return estimate
-    G = np.linalg.solve(both, found.covariance[at]).T
-    kept = np.eye(len(names))
+    G, kept = np.linalg.solve(both, found.covariance[at]).T, np.eye(len(names))
     kept[:, at] -= G
     moves, beta = G * (half / found.reach), estimate.beta + G @ off
     W, Y = system.weighted(estimate.weights)

@@ -121,8 +121,7 @@ def consistent_parameters(
             value=decrement,
             expected=f"{MAX_DECREMENT:g} at most",
         )
-    moved = K @ chi - beta
-    sigma = np.sqrt(np.diag(covariance))
+    moved, sigma = K @ chi - beta, np.sqrt(np.diag(covariance))
     return Consistent(
         chi=np.asarray(np.bincount(kept, chi, minlength=p), dtype=float),
         beta=K @ chi,
@@ -219,8 +218,7 @@ class _Objective:
         """Gradient (p,), and J (r, p) of the Hessian J'J, whose own
         condition is that of J squared.
         """
-        g = self._A.T @ (self._A @ chi - self._target) + self._pull
-        roots = self._roots(chi)
+        g, roots = self._A.T @ (self._A @ chi - self._target) + self._pull, self._roots(chi)
         assert roots is not None
         parts = [self._A]
         for (columns, basis, weight), L in zip(self._cones, roots, strict=True):

@@ -264,8 +264,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
         )
     W, Y = system.weighted(weights)
     spanning = W if Z is None else Z * weights[system.joint_of_row][:, None]
-    singular = refuse_rank_deficiency(spanning, system.names)
-    Q = orthonormal(spanning)
+    singular, Q = refuse_rank_deficiency(spanning, system.names), orthonormal(spanning)
     del spanning
     beta, bread, residual_norm, condition = _solve(Q, W, Y)
     if Z is None:
@@ -298,8 +297,7 @@ def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
     d = _norms(W)
     A = Q.T @ W / d  # upper triangular where Q spans W
     q, R = np.linalg.qr(A)
-    bread = np.linalg.solve(R, q.T) / d[:, None]
-    beta = np.linalg.solve(R, q.T @ (Q.T @ Y)) / d
+    bread, beta = np.linalg.solve(R, q.T) / d[:, None], np.linalg.solve(R, q.T @ (Q.T @ Y)) / d
     return beta, bread, float(np.linalg.norm(Y - W @ beta)), float(np.linalg.cond(A))
 
 

@@ -164,7 +164,8 @@ def _warnings(model: Model) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [model.problems[k] for k in model.order]
     of_settings = [
-        [*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems
+        [*p.for_errors.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)]
+        for p in problems
     ]
     named = [
         f"{p.signals.recording}: " * (len(problems) > 1) + f"recording: {event.text}"

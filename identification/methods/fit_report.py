@@ -108,8 +108,7 @@ def _verdict_section(fit: Fit, notes: Sequence[str]) -> Section:
         if fit.trust.assumed
         else []
     )
-    status = f"status: {fit.status}{reason}"
-    hz = fit.problem.signals.sample_rate_hz
+    status, hz = f"status: {fit.status}{reason}", fit.problem.signals.sample_rate_hz
     error = shared.error_line(fit.errors, fit.settings.for_errors(hz))
     lines += [status, error, *(f"note: {text}" for text in notes)]
     if fit.status in NO_FIXED_POINT:

@@ -134,8 +134,7 @@ class Loop:
         # Compared with the values asked for, not with the consistent ones simulated instead.
         # Parameters near zero never settle in percent: half a deviation is enough.
         tolerance, system = 0.01 * self.tolerance_percent, rows.system
-        change = np.abs(estimate.beta - x[self.fitted])
-        w = estimate.weights[system.joint_of_row]
+        change, w = np.abs(estimate.beta - x[self.fitted]), estimate.weights[system.joint_of_row]
         norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(system.names)])))
         norm_change, size = abs(estimate.residual_norm - norm_before), np.abs(estimate.beta)
         with np.errstate(divide="ignore"):

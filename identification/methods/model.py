@@ -43,7 +43,6 @@ Say = Callable[[str], None]
 Robots = Sequence[Callable[[float], SimulatedRecording]]
 # values of x (p,) to simulate, and their covariance (f, f), None for a regular start
 Asked = tuple[Array, Array | None]
-Measured = tuple[Array, Array]  # (rows, n) speed and torque of all recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,10 +126,10 @@ class Model:
         return _run(self.work, task, [(one, *given) for one, given in pairs])
 
     def candidates(
-        self, x: Array, measured: Measured, *, simulated: bool = False
+        self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
     ) -> tuple[Candidates, ...]:
         """By recording the terms that are not in the model, about x, along the measured or the
-        simulated motion, by what is `measured` of all.
+        simulated motion, by what is `measured` of all: speed and torque (rows, n).
         """
         speed, tau = measured
         sliding = np.abs(speed @ self.problem.model.coulomb_directions.T)
@@ -222,15 +221,15 @@ class Model:
         robots: Robots,
         x: Array,
         asked: Asked | None,
-        measured: Measured | None = None,
+        measured: tuple[Array, Array] | None = None,
         *,
         of_lag: bool = False,
     ) -> tuple[tuple[Simulated, ...], Rows]:
         """[C Z J r] of all recordings about x, and by recording along whose motion: that of the
         robot simulated with what is asked; if nothing is asked, that which the reference predicts.
 
-        With what is `measured` of all there are the columns of terms that are not in the model;
-        `of_lag`: with rows of the lag, equation (G).
+        With what is `measured` of all, speed and torque (rows, n), there are the columns of terms
+        that are not in the model; `of_lag`: with rows of the lag, equation (G).
         """
         none = [None] * len(robots)
         own = self.unknowns.simulated(*asked) if asked else none

@@ -278,8 +278,7 @@ def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -
 
 def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[str, ...]:
     """The settings in words; `used` is what is done with the span."""
-    fs = signals.sample_rate_hz
-    cutoff = "no low-pass"
+    fs, cutoff = signals.sample_rate_hz, "no low-pass"
     if settings.cutoff_hz is not None:
         both = forward_backward_3db_hz(settings.cutoff_hz, fs)
         cutoff = (

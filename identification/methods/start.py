@@ -70,8 +70,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Mod
     BadInputError : nothing determines the scale of drive gains.
     """
     model, rows = leave_out_collinear_terms(model, rows)
-    x = rows.x
-    arm = np.setdiff1d(model.unknowns.arm, model.load)
+    x, arm = rows.x, np.setdiff1d(model.unknowns.arm, model.load)
     if model.unknowns.motors:
         refuse_without_scale(model, rows, arm)
     # First of the unknowns that have columns about nothing known: by the described gains, whose

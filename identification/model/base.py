@@ -58,8 +58,7 @@ class BaseParameters:
         """
         # pinocchio divides by masses. Free ones exceed those of beta, so that no
         # regrouped mass becomes zero.
-        chi = np.zeros(self.K.shape[1])
-        given = beta[np.isin(self.columns, self.masses)]
+        chi, given = np.zeros(self.K.shape[1]), beta[np.isin(self.columns, self.masses)]
         chi[np.setdiff1d(self.masses, self.columns)] = 1.0 + np.abs(given).max(initial=0.0)
         chi[self.columns] = beta - self.K @ chi
         return chi
@@ -145,8 +144,7 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
         groups.setdefault(float(f"{row[c]:.6g}"), []).append(names[c])
     text = ""
     for coefficient, members in groups.items():
-        size = abs(coefficient)
-        inside = " + ".join(members)
+        size, inside = abs(coefficient), " + ".join(members)
         if size == 1.0:
             # A sum needs a bracket only after a minus.
             term = f"({inside})" if coefficient < 0 and len(members) > 1 else inside

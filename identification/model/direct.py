@@ -284,8 +284,7 @@ def regressor_gradient(
     """
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
     n = model.robot.n
-    inertias = np.zeros((*G.shape[:2], n, len(LINK)))
-    out = np.zeros((3, *q.shape))
+    inertias, out = np.zeros((*G.shape[:2], n, len(LINK))), np.zeros((3, *q.shape))
     for c, column in enumerate(base.columns):
         source = model.sources[column]
         if isinstance(source, JointTerm):

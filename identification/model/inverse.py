@@ -53,8 +53,7 @@ class InverseModel:
         self.robot = robot
         self.model = _model_from_urdf(robot) if robot.urdf is not None else _model_from_dh(robot)
         self.model.gravity.linear = np.array(robot.gravity)
-        self._data = self.model.createData()
-        n = robot.n
+        self._data, n = self.model.createData(), robot.n
         self.sources: list[tuple[int, int] | JointTerm] = []
         for j in range(n):
             self.sources += [(j, i) for i in range(len(LINK))]
@@ -95,8 +94,7 @@ class InverseModel:
     def regressor(self, q: Array, dq: Array, ddq: Array, columns: Ints | None = None) -> Array:
         """The regressor (N, n, b) over the motion q, dq, ddq (N, n): its `columns` (b,), or all."""
         columns = np.arange(self.p) if columns is None else columns
-        entries = self.entries(columns)
-        W = np.zeros((*q.shape, len(columns)))
+        entries, W = self.entries(columns), np.zeros((*q.shape, len(columns)))
         W[:, entries[:, 0], entries[:, 1]] = self.series(q, dq, ddq, columns).T
         return W
 
@@ -336,8 +334,7 @@ def _model_from_dh(robot: Robot) -> pin.Model:
 
 def _model_from_urdf(robot: Robot) -> pin.Model:
     """The movable joints that the description names; others of the URDF are locked at zero."""
-    place = f"robot {robot.name}: URDF"
-    wanted = [joint.name for joint in robot.joints]
+    place, wanted = f"robot {robot.name}: URDF", [joint.name for joint in robot.joints]
     try:
         root = ET.fromstring(robot.urdf or "")
         joints = root.findall("joint")

@@ -296,8 +296,7 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
         )
     q = np.random.default_rng(SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
     (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)
-    back = turned.transpose(0, 1, 3, 2)
-    T = np.zeros((POSES, idm.robot.n, 4, 4))
+    back, T = turned.transpose(0, 1, 3, 2), np.zeros((POSES, idm.robot.n, 4, 4))
     T[..., :3, :3], T[..., 3, 3] = back @ turned_prior, 1.0
     T[..., :3, 3] = np.einsum("knij,knj->kni", back, at_prior - at)
     differs = np.abs(T - T[0]).max(axis=(0, 2, 3)) > MAX_FRAME_DIFFERENCE

@@ -281,10 +281,8 @@ def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple
     Kp, Kd, Ki = gains
     of = {"e": Kp, "f": Kd, "v": Kd, "i": Ki * Kp / Kd if "q" in letters else Ki, "q": Ki}
     stated, k = np.array([of[letter] for letter in letters]), len(letters)
-    A = np.c_[J[:, :k] @ stated, J[:, k:]]
-    y = rho + J[:, :k] @ (x[:k] - stated)
-    scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-    moves = scaled_solution(A, y)
+    A, y = np.c_[J[:, :k] @ stated, J[:, k:]], rho + J[:, :k] @ (x[:k] - stated)
+    scale, moves = np.maximum(np.linalg.norm(A, axis=0), 1e-300), scaled_solution(A, y)
     sd = (
         (y - A @ moves).std()
         * np.sqrt(np.linalg.pinv((A / scale).T @ (A / scale))[-1, -1])

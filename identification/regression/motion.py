@@ -135,7 +135,7 @@ def spline_coefficients(x: Array) -> Array:
 
 def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
     """f(q, dq, ddq) (N, ...) along a smooth motion: computed at every `stride`-th sample, on a
-    cubic spline between them.
+    cubic spline between them. Series, not samples, are contiguous in memory.
     """
     stride = max(1, stride)
     last = (len(motion.q) - 1) // stride * stride
@@ -143,12 +143,12 @@ def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
         return f(motion.q, motion.dq, motion.ddq)
     at = np.r_[0:last:stride, last : len(motion.q)]
     x, count = f(motion.q[at], motion.dq[at], motion.ddq[at]), last // stride
-    c = spline_coefficients(x[: count + 1].reshape(count + 1, -1))
-    knots = np.stack([c[k : k + count] for k in range(4)]).reshape(4, -1)
-    between = (np.array(_spline_weights(np.arange(stride) / stride)).T @ knots).reshape(
-        stride, count, -1
-    )
-    return np.concatenate([between.swapaxes(0, 1).reshape(last, *x.shape[1:]), x[count:]])
+    series = x.reshape(len(at), -1)
+    c = np.ascontiguousarray(spline_coefficients(series[: count + 1]).T)
+    knots = np.stack([c[:, k : k + count] for k in range(4)], axis=2)
+    between = knots @ np.array(_spline_weights(np.arange(stride) / stride))
+    found = np.concatenate([between.reshape(len(c), last), series[count:].T], axis=1)
+    return found.T.reshape(len(motion.q), *x.shape[1:])
 
 
 def motion_between(

@@ -182,8 +182,7 @@ def _paths(x: Array, fs: float, step: int) -> list[Array]:
     """By motor the spline coefficients of every `step`-th sample of a path (N, n), of its two
     derivatives and its integral.
     """
-    dx = differentiate(x, fs)
-    summed = (np.cumsum(x, axis=0) - 0.5 * x) / fs
+    dx, summed = differentiate(x, fs), (np.cumsum(x, axis=0) - 0.5 * x) / fs
     series = np.stack([x, dx, differentiate(dx, fs), summed], axis=-1)[::step]
     return [spline_coefficients(series[:, j]) for j in range(x.shape[1])]
 

@@ -141,8 +141,7 @@ def payload_columns(
         [problem.signals.payload for problem in problems],
         dict[Payload, PayloadColumns](),
     )
-    stated = [payload for payload in payloads if payload is not None]
-    lightest = None
+    stated, lightest = [payload for payload in payloads if payload is not None], None
     if len(stated) == len(payloads):
         lightest = min(stated, key=lambda one: np.inf if one.mass_kg is None else one.mass_kg)
     for problem, payload, label in zip(problems, payloads, labels, strict=True):

@@ -159,6 +159,12 @@ class Problem:
     def for_errors(self) -> "Problem":
         """The same behind the filters behind which torque errors are told."""
         settings = self.settings.for_errors(self.signals.sample_rate_hz)
+        if settings is self.settings:
+            text = (
+                f"{self.signals.recording} is too short for the filters behind which torque errors "
+                "are told: they include noise that passes those of the fit"
+            )
+            settings = replace(settings, warnings=(*settings.warnings, text))
         stated = self.signals.motion_hz is None
         signals = self.signals if stated else replace(self.signals, motion_hz=None)
         return replace(self, signals=signals, settings=settings)

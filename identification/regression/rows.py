@@ -349,9 +349,8 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 def torque_of_recording(
     equation: Equation, x: Array, *sets: Sequence[Array], judged: bool = False
 ) -> tuple[Array, Array, Bools, Array, Array]:
-    """Compute the torques of a recording, decimated, without weights and without W.
-
-    Those of links are on a spline between some samples of a low-passed motion, within 1e-6.
+    """Compute the torques of a recording, decimated, without weights and without W; those of links
+    are on a spline between some samples of a low-passed motion, within 1e-6.
 
     Parameters
     ----------
@@ -376,8 +375,8 @@ def torque_of_recording(
     tau, predicted, speed = zip(*equation.by_block(task, x), strict=True)
     counts = sample_weights(problem := equation.problem).of_rows > 0
     counts, t_s = counts & problem.measured_rows()[:, None], problem.row_times_s()
-    both = np.concatenate(tau), np.concatenate(predicted, axis=1)
-    return *both, counts, np.concatenate(speed), t_s
+    measured, of_sets = np.concatenate(tau), np.concatenate(predicted, axis=1)
+    return measured, of_sets, counts, np.concatenate(speed), t_s
 
 
 @one_thread
@@ -395,9 +394,6 @@ def _torque_of_block(
             if at[0] < at[1]
         ]
         predicted += [*np.concatenate(each, axis=1)]
-    measured, found = (motion.tau + motion.known_torque).T, np.stack(predicted).swapaxes(1, 2)
-    return (
-        motion.filtered(measured).T,
-        motion.filtered(found).swapaxes(1, 2),
-        motion.kept(motion.dq),
-    )
+    series = np.stack([motion.tau + motion.known_torque, *predicted]).swapaxes(1, 2)
+    measured, *found = motion.filtered(series).swapaxes(1, 2)
+    return measured, np.stack(found), motion.kept(motion.dq)

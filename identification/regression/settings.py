@@ -315,7 +315,7 @@ def make_settings(
             value=max(0, stop - start),
             expected=f"at least {MIN_ROWS * decimation}, {MIN_ROWS} decimated rows",
         )
-    found = Settings(
+    return Settings(
         cutoff_hz=cutoff_hz,
         decimation=decimation,
         start=start,
@@ -335,13 +335,6 @@ def make_settings(
         span_rule=span_rule,
         warnings=tuple(warnings),
     )
-    if found.for_errors(fs) is not found:
-        return found
-    text = (
-        f"{signals.recording} is too short for the filters behind which torque errors are told: "
-        "they include noise that passes those of the fit"
-    )
-    return replace(found, warnings=(*found.warnings, text))
 
 
 def known_lag(signals: Signals, overrides: Overrides) -> Lag:

@@ -89,8 +89,7 @@ class Arm:
         """The same with all of the payload known, by an estimate."""
         if self.payload is None:
             return self
-        carried = self.payload.values(estimate)
-        of_arm = np.isin(self.unknowns, self.names)
+        carried, of_arm = self.payload.values(estimate), np.isin(self.unknowns, self.names)
         return replace(
             self, P=self.P * of_arm, known=carried, payload=replace(self.payload, known=carried)
         )

@@ -121,8 +121,7 @@ class SimulatedRecording:
         refuse_foreign_reference(problem, self.saturated)
         signals, settings, robot = problem.signals, problem.settings, problem.robot
         fs, n_d, hz = signals.sample_rate_hz, settings.decimation, robot.bandwidth_hz
-        step_hz = rate_per_bandwidth * hz
-        self.cutoff_hz = rule_cutoff_hz(signals)
+        step_hz, self.cutoff_hz = rate_per_bandwidth * hz, rule_cutoff_hz(signals)
         self.blocks = tuple(row_blocks(problem))
         self.stride = max(
             m for m in range(1, n_d + 1) if n_d % m == 0 and m <= max(1, fs / step_hz)

@@ -63,7 +63,10 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         if not robot.gain_known
         else ""
     )
-    told = [first, *(x for x in found if _is_rival(x, first))][:2]
+    # another kind at the same joint that explains as much
+    rivals = (x for x in found if x.kind != first.kind and x.where == first.where)
+    share = MIN_RIVAL * first.together_percent
+    told = [first, *(x for x in rivals if x.together_percent > share)][:2]
     more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
     if len(told) > 1:  # a rotor that is allowed takes what another kind explains, and hides it
         told.sort(key=lambda x: x.kind == kinds.ROTOR)
@@ -86,12 +89,6 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         value=first.t if terms else None,
         assumed=assumed,
     )
-
-
-def _is_rival(term: MissingTerm, first: MissingTerm) -> bool:
-    """Whether another kind at the same joint explains as much as the first."""
-    share = MIN_RIVAL * first.together_percent
-    return term.kind != first.kind and term.where == first.where and term.together_percent > share
 
 
 def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
@@ -179,8 +176,7 @@ def _scored(
             norm > MIN_BIAS * np.linalg.norm(Y) if kind == kinds.ZERO else left > MIN_BIAS * norm
         )
     size = np.where(independent, (z * C).sum(axis=0), np.inf)
-    g = z.T @ rho / size
-    own = z[:, independent].T
+    g, own = z.T @ rho / size, z[:, independent].T
     of_all = np.linalg.lstsq(own @ C[:, independent], own @ rho, rcond=1e-6)[0]
     with_term, with_all = rho[:, None] - g * apart, rho - apart[:, independent] @ of_all
     noise, common = with_term, None
@@ -212,8 +208,7 @@ def _columns(evidence: FitData, terms: Sequence[MissingTerm]) -> Array:
     system, columns = evidence.observed.system, [term.column for term in terms]
     if columns[0] >= 0:
         return evidence.observed.C[:, columns]
-    kind = KINDS[terms[0].place[0]]
-    middle = np.cumsum(evidence.lengths) - 0.5 * evidence.lengths
+    kind, middle = KINDS[terms[0].place[0]], np.cumsum(evidence.lengths) - 0.5 * evidence.lengths
     k = np.searchsorted(evidence.ends, middle) - 1
     u = (middle - evidence.ends[k]) / np.diff(evidence.ends)[k] - 0.5
     beta = np.where(

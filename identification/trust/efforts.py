@@ -15,7 +15,6 @@ import numpy as np
 from acquisition.robot import RADIANS_AS_DEGREES
 
 from ..arrays import Array, Bools, Ints
-from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
 from .drives import law_line
@@ -38,15 +37,12 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
     power, brakes = _power(evidence)
     if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
         return None
-    problem, one = evidence.problem.with_samples().beginning(), np.eye(len(R))
-    decimated = _decimated(problem)
-    factors = _factors(problem, decimated, one)
-    with_it, found = _error(factors, one), list[tuple[float, float, str]]()
-    for mistake, motor, A, B in _mistakes(problem):
-        tried = _error(factors if B is None else _factors(problem, decimated, B), A)
-        score = tried / (MAX_RATIO if motor is None or not brakes[motor] else MAX_RATIO_OF_BRAKE)
-        if ((A if B is None else B.T @ A) * power).sum() > 0:
-            found.append((score, tried, mistake))
+    with_it, undone = _undone(evidence)
+    found = [
+        (tried / (MAX_RATIO if m is None or not brakes[m] else MAX_RATIO_OF_BRAKE), tried, mistake)
+        for tried, mistake, m, A in undone
+        if (A * power).sum() > 0
+    ]
     least, error, finding = min(found, default=(np.inf, 0.0, ""), key=lambda one: one[0])
     return first_case(
         "signs and order",
@@ -82,18 +78,28 @@ def turned_sign(evidence: FitData, motors: Collection[int] | Ints) -> tuple[floa
     """Of the signs of some motors the one that, turned, leaves the smallest torque error: that over
     the error as it is, and the mistake that it would undo.
     """
+    with_it, undone = _undone(evidence, motors)
+    return min((tried / max(with_it, 1e-300), mistake) for tried, mistake, *_ in undone)
+
+
+def _undone(
+    evidence: FitData, motors: Collection[int] | Ints | None = None
+) -> tuple[float, list[tuple[float, str, int | None, Array]]]:
+    """The torque error, and those with one of the mistakes undone, or one of signs of some motors:
+    error, mistake, motor of a sign, and the map (n, n) of torques times speeds.
+    """
     problem, one = evidence.problem.with_samples().beginning(), np.eye(evidence.robot.n)
-    decimated = _decimated(problem)
-    factors = _factors(problem, decimated, one)
-    as_it_is = max(_error(factors, one), 1e-300)
-    return min(
+    factors = _factors(problem, decimated := _decimated(problem), one)
+    return _error(factors, one), [
         (
-            _error(factors if B is None else _factors(problem, decimated, B), A) / as_it_is,
+            _error(factors if B is None else _factors(problem, decimated, B), A),
             mistake,
+            motor,
+            A if B is None else B.T @ A,
         )
         for mistake, motor, A, B in _mistakes(problem)
-        if motor in motors
-    )
+        if motors is None or motor in motors
+    ]
 
 
 def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:
@@ -155,10 +161,10 @@ def _error(factors: Array, A: Array) -> float:
     """
     b = factors.shape[2] - len(A) - 1
     Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])
-    weight = 1 / np.maximum(np.linalg.norm(Y, axis=1, keepdims=True), 1e-300)
-    return relative_residual(
-        (factors[..., :b] * weight[..., None]).reshape(-1, b), (Y * weight).ravel()
-    )
+    weight = 1 / np.maximum(np.linalg.norm(Y, axis=1), 1e-300)
+    rows = np.concatenate([factors[..., :b], Y[..., None]], axis=2) * weight[:, None, None]
+    left = np.asarray(np.linalg.qr(rows.reshape(-1, b + 1), mode="r"))[:, -1]
+    return float(np.abs(left[-1]) / max(np.linalg.norm(left), 1e-300))
 
 
 def saturation_test(evidence: FitData) -> TrustLine | None:

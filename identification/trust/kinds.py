@@ -92,7 +92,6 @@ class About:
         return np.array([value.get(f"{name}{j + 1}", 0.0) for j in range(len(self.peak))])
 
 
-Places = Callable[[About], Iterable[tuple[str, int]]]
 # (N, n) per unit of a candidate along a motion, by what `_of_links` gives there, of its k-th place
 Torque = Callable[[About, MotionBlock, Array, int], Array]
 
@@ -126,7 +125,7 @@ class Kind:
     parts: int = 1
     friction: str = ""
     lacks: Callable[[About, int], bool] = lambda *_: True
-    at: Places = lambda of: [
+    at: Callable[[About], Iterable[tuple[str, int]]] = lambda of: [
         (f"of joint {joint.name}", j) for j, joint in enumerate(of.robot.joints)
     ]
     missing: str = " missing"
@@ -160,7 +159,7 @@ def _root(of: About, x: MotionBlock, links: Array, k: int) -> Array:
 
 def _with_ratio(of: About, x: MotionBlock, links: Array, k: int) -> Array:
     """Where joint k moves by a hundredth more than told, and its motor's torque is as much more."""
-    torque = links[..., 1 + len(of.peak) + k].copy()
+    torque = np.array(links[..., 1 + len(of.peak) + k])
     torque[:, k] += x.tau[:, k]
     return np.asarray(0.01 * torque)
 
@@ -247,8 +246,8 @@ KINDS = (
     Kind(
         name=CURVED,
         torque=lambda of, x, *_: (
-            (x.q - of.problem.poses.mean(axis=0)) ** 3
-            / np.maximum(np.ptp(of.problem.poses, axis=0), 1e-9) ** 2
+            (off := x.q - of.problem.poses.mean(axis=0))
+            * (off / np.maximum(np.ptp(of.problem.poses, axis=0), 1e-9)) ** 2
         ),
         unit="{effort}/{position}",
         advice="record its torque (of a spring, a hose or a stop) as known_torque",

@@ -326,10 +326,11 @@ def _cause(evidence: FitData) -> str:
         sign, axis = "-" if along.sum() < 0 else "+", "xyz"[int(np.abs(along).argmax())]
         cases.append((WORDS["gravity"].format(sign=sign, axis=axis), *cases[0][1:]))
     texts, *each = zip(*cases, strict=True)
-    efforts, positions, factors, turned = map(np.array, each)
-    q, dq, ddq = (x[:, positions] * factors for x in motion)
-    states = (x.reshape(-1, len(names)) for x in (q + turned, dq, ddq))
-    rigid = links.torques_of_links(*states).reshape(q.shape)
+    efforts, positions, *_ = map(np.array, each)
+    motions, of_case = np.unique(np.stack(each[1:], axis=1), axis=0, return_inverse=True)
+    q, dq, ddq = (x[:, motions[:, 0].astype(int)] * motions[:, 1] for x in motion)
+    states = (x.reshape(-1, len(names)) for x in (q + motions[:, 2], dq, ddq))
+    rigid = links.torques_of_links(*states).reshape(q.shape)[:, of_case.ravel()]
     for k, along in enumerate(directions, len(cases) - len(directions)):
         rigid[:, k] += links.gravity(motion[0], np.linalg.norm(gravity) * along - gravity)
     q, dq, ddq = (x.T for x in motion)
