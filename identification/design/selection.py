@@ -278,11 +278,10 @@ class Trials:
         found = estimation.intervals_of(rows.system, estimate)
         betas = [beta for beta, _ in self._predictions(rows)]
         others = [replace(estimate, names=rows.system.names, beta=beta) for beta in betas]
-        tau, (fitted, by_others), counts, _ = model.torques(
+        tau, (fitted, by_others), counts, _, instants = model.torques(
             settled.x, [estimate], others, by_recording=self.by_recording, judged=True
         )
-        of_rows = [(of.settings.instants, of.for_errors.settings.instants) for of in model.problems]
-        at = estimation.spans_at(rows.system.spans, of_rows)
+        at = estimation.spans_at(rows.system.spans, instants)
 
         def percent(predicted: Array, part: Bools) -> float | None:
             among = counts & part[at][:, None]

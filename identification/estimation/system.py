@@ -36,20 +36,13 @@ def equal_spans(instants: int) -> Ints:
     return np.asarray(-(-np.arange(count + 1) * instants // count))
 
 
-def spans_at(spans: Sequence[Ints], instants: Sequence[tuple[Ints, Ints]]) -> Ints:
-    """The span of the rows (K,) of recordings at other instants than those of their `spans`, all
-    counted one after the other; beyond an end the nearest.
-
-    `instants`: by recording those of the spans (T,), and the others (K,), in samples.
+def spans_at(spans: Sequence[Ints], instants: Sequence[Ints]) -> Ints:
+    """The span of each of the `instants` (K,) of recordings with these `spans`, all counted one
+    after the other; behind the end the last.
     """
     first = np.cumsum([0, *(len(own) - 1 for own in spans)])
     each = zip(spans, instants, first, strict=False)
-    return np.concatenate(
-        [
-            np.searchsorted(own[1:-1], np.searchsorted(of, at), side="right") + k
-            for own, (of, at), k in each
-        ]
-    )
+    return np.concatenate([np.searchsorted(own[1:-1], at, side="right") + k for own, at, k in each])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -64,7 +64,7 @@ def evidence_of(
     """
     estimate, unknowns, rows = solved.estimate, model.unknowns, solved.rows
     assert rows is not None
-    candidates, *_ = model.candidates(x, (rows.speed, rows.tau), simulated=not rows.recorded)
+    candidates, *_ = model.candidates(x, (rows.speed, rows.most), simulated=not rows.recorded)
     lags = counted_lags(model, solved.lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
     return FitData(

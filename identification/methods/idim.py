@@ -171,7 +171,7 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     """
     assert found.rows is not None
     x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
-    rows = model.rows(x, model.candidates(x, (found.rows.speed, found.rows.tau)))
+    rows = model.rows(x, model.candidates(x, (found.rows.speed, found.rows.most)))
     estimate = step_of(model, rows, method)  # of these very rows
     intervals = intervals_of(rows.system, estimate)
     found = replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)

@@ -64,7 +64,7 @@ class Loop:
             that of the essential parameters if only these are estimated; `essential`: their test.
         iteration: settings of the passes.
         robots: prepared for simulations.
-        measured: speed and torque of all recordings.
+        measured: speed, and largest torques, of all recordings.
         fitted: places of the unknowns that are estimated.
         most, tolerance_percent: of the passes.
     """
@@ -73,7 +73,7 @@ class Loop:
         """From least squares; `essential`: only such parameters are estimated."""
         assert start.rows is not None
         self.model, self.iteration = model, iteration
-        self.measured = start.rows.speed, start.rows.tau
+        self.measured = start.rows.speed, start.rows.most
         start, ls, self.essential = solution_of(model, start, essential=essential)
         self.start, self.ls = start.without_rows(), ls.without_rows()
         self.x = model.x_of(start.estimate, start.x)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..arrays import Array, Bools, Ints
 from ..data import HERE, RecordingFile, Recordings, Signals, Work, check_one_robot
-from ..estimation import Estimate, System, combined, one_thread, spans_of
+from ..estimation import Estimate, System, combined, one_thread
 from ..regression import (
     Candidate,
     Equation,
@@ -129,23 +129,23 @@ class Model:
         self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
     ) -> tuple[Candidates, ...]:
         """By recording the terms that are not in the model, about x, along the measured or the
-        simulated motion, by what is `measured` of all: speed and torque (rows, n).
+        simulated motion, by what is `measured` of all: speed (rows, n), `most` of `Rows`.
         """
-        speed, tau = measured
+        speed, most = measured
         sliding = np.abs(speed @ self.problem.model.coulomb_directions.T)
-        parts = spans_of([len(one.settings.instants) for one in self.problems])
+        ends = np.cumsum([len(one.settings.instants) for one in self.problems])
         return tuple(
             Candidates(
                 problem=one.apart.problem,
                 beta=one.arm.beta(x),
                 peak=np.abs(speed).max(axis=0),
-                most=np.abs(tau).max(axis=0),
-                speed=speed[part],
-                alone=len(parts) == 1,
+                most=most.max(axis=0),
+                speed=part,
+                alone=len(ends) == 1,
                 sliding=sliding.max(axis=0),
                 simulated=simulated and self.exogenous,
             )
-            for one, part in zip(self.equations, parts, strict=True)
+            for one, part in zip(self.equations, np.split(speed, ends[:-1]), strict=True)
         )
 
     def rows(self, x: Array, further: Sequence[Candidate] = ()) -> Rows:
@@ -165,9 +165,10 @@ class Model:
         *sets: Sequence[Estimate],
         by_recording: bool = False,
         judged: bool = False,
-    ) -> tuple[Array, Array, Bools, list[Array]]:
+    ) -> tuple[Array, Array, Bools, list[Array], list[Ints]]:
         """Decimated torque (rows, n) as measured by x, as predicted by each set of estimates
-        (K, rows, n), which rows (rows, n) count, and by recording their instants, s.
+        (K, rows, n), which rows (rows, n) count, and by recording their instants, in s and as those
+        of the fit.
 
         Predicted by x if there is no set; by several estimates of a set, each in equal spans of a
         recording, or in one recording. Those that are `judged` are behind the filters that errors
@@ -185,9 +186,9 @@ class Model:
             for k, arm in enumerate(self.unknowns.arms)
         ]
         task = partial(torque_of_recording, judged=judged)
-        tau, predicted, counts, _, t_s = zip(*self.run(task, each), strict=True)
+        tau, predicted, counts, _, t_s, at = zip(*self.run(task, each), strict=True)
         both = np.concatenate(tau), np.concatenate(predicted, axis=1)
-        return *both, np.concatenate(counts), list(t_s)
+        return *both, np.concatenate(counts), list(t_s), list(at)
 
     def predicted(self, x: Array, *estimate: Estimate) -> Array:
         """The torque (rows, n) that x, or an estimate, predicts."""
@@ -228,7 +229,7 @@ class Model:
         """[C Z J r] of all recordings about x, and by recording along whose motion: that of the
         robot simulated with what is asked; if nothing is asked, that which the reference predicts.
 
-        With what is `measured` of all, speed and torque (rows, n), there are the columns of terms
+        With what is `measured` of all, as of `candidates`, there are the columns of terms
         that are not in the model; `of_lag`: with rows of the lag, equation (G).
         """
         none = [None] * len(robots)

@@ -151,10 +151,10 @@ class Rows:
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
         tau: (T, n) decimated torques by x, not weighted.
         speed: (T, n) joint speeds.
+        most: (k, n) largest torques of the drives, not decimated, in each of the blocks.
         recorded: whether Z are along the measured motion.
         late: rows of the lag, of unknowns but gains: residual r, columns J and last of the lags;
-            their instruments, and the order of the filter that whitens them. None along the
-            measured motion.
+            instruments; order of the filter that whitens them. None along the measured motion.
     """
 
     x: Array
@@ -167,6 +167,7 @@ class Rows:
     share: Array
     tau: Array
     speed: Array
+    most: Array
     recorded: bool
     late: tuple[System, Array, int] | None = None
 
@@ -224,10 +225,10 @@ def _rows_of_block(
     asked: tuple[Ints, Candidate | None, LagFilters | None],
     motion: MotionBlock,
     z: MotionBlock | None,
-) -> tuple[Ints, SpanRows, SpanRows, Array, Array, Array]:
+) -> tuple[Ints, SpanRows, SpanRows, Array, Array, Array, Array]:
     """Of a block, along its measured motion and along `z`, None for the same: where [G C Z J r] are
-    split, these rows, and those of the lag; (rows, n) torque, speed, and weights of the rows of the
-    lag. What is `asked`: the places (k,) of Z in x, further columns, filters of the lag.
+    split, these rows, and those of the lag; (rows, n) torque, speed, weights of the rows of the
+    lag; and `most`. What is `asked`: places (k,) of Z in x, further columns, filters of the lag.
     """
     (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
     instants = len(motion.problem.settings.instants)
@@ -253,6 +254,7 @@ def _rows_of_block(
         motion.filtered((motion.tau + motion.known_torque).T).T,
         motion.kept(motion.dq),
         of_lag.T,
+        np.abs(motion.tau).max(axis=0, keepdims=True),
     )
 
 
@@ -286,14 +288,12 @@ def rows_of_recording(
     problem, unknowns, lag = (equation := equation.read()).problem, equation.unknowns, None
     share = sample_weights(problem).of_rows
     if of_lag:
-        tau, (predicted,), _, speed, _ = torque_of_recording(equation, x)
+        tau, (predicted,), _, speed, *_ = torque_of_recording(equation, x)
         of = np.r_[unknowns.arm, unknowns.lags]
         lag = LagFilters(problem, of, share, share * (tau - predicted), speed)
-    names, f = unknowns.all, len(unknowns.names)
-    own = bool(unknowns.motors) or along is not None
+    names, f, own = unknowns.all, len(unknowns.names), bool(unknowns.motors) or along is not None
     # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
-    asked = own or further is not None
-    places = np.r_[np.arange(f * own), unknowns.lags] if asked else np.arange(0)
+    places = np.r_[: f * own, unknowns.lags] if own or further is not None else np.arange(0)
     task = partial(_rows_of_block, equation.apart, x, (places, further, lag))
     collected, late, parts = SpanRows(), SpanRows(), list[Sequence[Array]]()
     # The robot may have been prepared for other weights.
@@ -304,13 +304,12 @@ def rows_of_recording(
         collected.add(rows)
         late.add(of_late)
         parts.append(arrays)
-    tau, speed, of_lags = (np.concatenate(each) for each in zip(*parts, strict=True))
+    tau, speed, of_lags, most = (np.concatenate(each) for each in zip(*parts, strict=True))
     rows, fast_rows, followed = collected.rows(share)
     G, C, Z, J, r = np.split(rows, edges, axis=1)
-    W = J[:, :f]
     return Rows(
         x=x,
-        system=System(W=W, Y=r[:, 0] + W @ x[:f], names=names[:f], **followed),
+        system=System(W=J[:, :f], Y=r[:, 0] + J[:, :f] @ x[:f], names=names[:f], **followed),
         L=np.c_[J[:, f:], Z[:, f * own :]],
         C=C,
         fast=fast_rows,
@@ -319,6 +318,7 @@ def rows_of_recording(
         share=share,
         tau=tau,
         speed=speed,
+        most=most,
         recorded=along is None,
         late=lag.system(late, of_lags, names) if lag else None,
     )
@@ -331,7 +331,7 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
     order = by_joint([rows.system for rows in each])
     of: dict[str, Any] = {
         name: np.concatenate([getattr(rows, name) for rows in each])
-        for name in ("L", "C", "fast", "G", "Z", "share", "tau", "speed")
+        for name in ("L", "C", "fast", "G", "Z", "share", "tau", "speed", "most")
     }
     of |= {name: of[name][order] for name in ("L", "C", "fast", "G", "Z")}
     late, Z, orders = zip(*(rows.late or (None, None, None) for rows in each), strict=True)
@@ -348,7 +348,7 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 @one_thread
 def torque_of_recording(
     equation: Equation, x: Array, *sets: Sequence[Array], judged: bool = False
-) -> tuple[Array, Array, Bools, Array, Array]:
+) -> tuple[Array, Array, Bools, Array, Array, Ints]:
     """Compute the torques of a recording, decimated, without weights and without W; those of links
     are on a spline between some samples of a low-passed motion, within 1e-6.
 
@@ -363,7 +363,7 @@ def torque_of_recording(
     Returns
     -------
     Measured torque (T, n), that predicted by each set (K, T, n), N m or N, which rows
-    (T, n) count, joint speed (T, n), rad/s or m/s, and instants (T,), s.
+    (T, n) count, joint speed (T, n), rad/s or m/s, and instants (T,), in s and as those of the fit.
     """
     sets, s = sets or ([equation.arm.beta(x)],), (of := equation.problem).settings
     rows, groups = len(s.instants), list[tuple[Ints, Array]]()
@@ -376,7 +376,8 @@ def torque_of_recording(
     counts = sample_weights(problem := equation.problem).of_rows > 0
     counts, t_s = counts & problem.measured_rows()[:, None], problem.row_times_s()
     measured, of_sets = np.concatenate(tau), np.concatenate(predicted, axis=1)
-    return measured, of_sets, counts, np.concatenate(speed), t_s
+    at = np.searchsorted(s.instants, problem.settings.instants)
+    return measured, of_sets, counts, np.concatenate(speed), t_s, at
 
 
 @one_thread

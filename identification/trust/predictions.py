@@ -39,8 +39,9 @@ MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 
 # decimated torque (rows, n), that predicted by sets of estimates (K, rows, n), each of a set in an
-# equal span of each recording, which rows count, and by recording their instants
-Predict = Callable[..., tuple[Array, Array, Bools, list[Array]]]
+# equal span of each recording, which rows count, and by recording their instants, also as those of
+# the fit
+Predict = Callable[..., tuple[Array, Array, Bools, list[Array], list[Ints]]]
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors
 # of a joint's square, without what is not of links, for its factor to be one of the prior's
@@ -201,9 +202,10 @@ def with_predictions(
             cases.append((by_links, _predicted_parts(by_links)))
             some = (known + one.values_of(system.names) for one in _betas(*cases[1]))
             sets.append([replace(estimate, names=system.names, beta=beta) for beta in some])
-    tau, (trained, *predicted), counts, t_s = predict(*sets, by_recording=evidence.by_recording)
-    of_rows = [(of.settings.instants, of.for_errors.settings.instants) for of in evidence.problems]
-    at = spans_at(system.spans, of_rows)
+    tau, (trained, *predicted), counts, t_s, instants = predict(
+        *sets, by_recording=evidence.by_recording
+    )
+    at = spans_at(system.spans, instants)
     (line, by_others), *by_prior = (
         _held_out(of, parts, at, (tau, trained, one, counts))
         for (of, parts), one in zip(cases, predicted, strict=True)

@@ -240,6 +240,16 @@ def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
     return None
 
 
+def position_noise_test(evidence: FitData) -> TrustLine | None:
+    """Whether position noise biases least squares; made while the recording is read."""
+    return evidence.position_noise
+
+
+def held_out_test(evidence: FitData) -> TrustLine | None:
+    """Whether the fit of other blocks or recordings predicts each; made with all predictions."""
+    return evidence.held_out
+
+
 def motion_test(evidence: FitData) -> TrustLine | None:
     """Joints that stand in all recordings; friction of creeping differs from that of motion."""
     speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from operator import attrgetter
 
 import numpy as np
 
@@ -25,8 +24,10 @@ from .solution import (
     excitation_test,
     fixed_point_test,
     halves_test,
+    held_out_test,
     instruments_test,
     motion_test,
+    position_noise_test,
     rows_test,
     units_test,
 )
@@ -122,11 +123,8 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
         fixed_point_test,
     ),
     *(physical_test, units_test, prior_test, motion_test, rows_test, control_law_test),
-    *(halves_test, excitation_test, lag_test, added_columns_test),
-    attrgetter("held_out"),  # made with all predictions
-    *(consistent_test, ends_test, essential_test, instruments_test),
-    attrgetter("position_noise"),  # made while the recording is read
-    effort_test,
+    *(halves_test, excitation_test, lag_test, added_columns_test, held_out_test, consistent_test),
+    *(ends_test, essential_test, instruments_test, position_noise_test, effort_test),
 )
 
 

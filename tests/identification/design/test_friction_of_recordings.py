@@ -25,6 +25,7 @@ from identification.regression import (
     rows_of_recording,
     torque_of_recording,
     weights_at,
+    with_common_band,
 )
 from identification.study import write_signals
 from identification.view import charts
@@ -87,7 +88,9 @@ def test_parts_are_held_out_one_by_one(count, own):
     choice = chosen(own) if count > 1 else select_friction(recordings, RULES)
     assert choice.recommended.terms == (ROOT | LOAD, LOAD)
     w = identify_ls(recordings, choice.overrides).estimate.weights[:, None]
-    problems = [make_problem(signals, choice.overrides) for signals in recordings.sources]
+    problems = with_common_band(
+        [make_problem(signals, choice.overrides) for signals in recordings.sources]
+    )
     plain = [rows_of_recording(*equation_alone(problem)) for problem in problems]
     fast = np.concatenate([one.counts for one in plain]).T
     each = zip(*map(weighted_rows, problems), strict=True)
@@ -125,13 +128,13 @@ def test_parts_are_held_out_one_by_one(count, own):
     tau, predicted, counts = (
         np.concatenate(x) for x in zip(*((t, p, c) for t, (p,), c, *_ in of_each), strict=True)
     )
-    rows = [len(t) for t, *_ in of_each]
-    judged = np.repeat(range(count), rows) if count > 1 else in_fifths(rows[0])
+    # a fifth ends where one of the fit does
+    judged = np.concatenate([np.full(len(at), k) for k, (*_, at) in enumerate(of_each)])
+    judged = judged if count > 1 else part[np.minimum(of_each[0][-1], len(part) - 1)]
     for k in range(part.max() + 1):
         shown = counts & (judged == k)[:, None]
         error = 100 * np.linalg.norm((tau - predicted)[shown]) / np.linalg.norm(tau[shown])
-        # a fifth ends where a span of time of the fit does
-        within = 1e-6 if count > 1 else 0.02
+        within = 1e-6 if count > 1 else 0.02  # the samples of rows beside a border
         assert choice.usual.held_out_percents[k] == pytest.approx(error, rel=within)
 
 
@@ -284,7 +287,7 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
     whole, each = rows_of(fit, ["r1", "r2", "r3"]), []
     for fitted, label in zip(fit.recordings, ("r1", "r2", "r3"), strict=True):
         dots = rows_of(fit.on(fitted), [label])
-        *_, speed, _ = torque_of_recording(*equation_alone(fitted.problem.for_errors))
+        *_, speed, _, _ = torque_of_recording(*equation_alone(fitted.problem.for_errors))
         v, rho = speed[:, 0], (fit.tau - fit.tau_predicted)[fitted.rows, 0]
         rows = np.abs(v) > 0.02 * np.abs(v).max()
         if own:

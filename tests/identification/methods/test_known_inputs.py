@@ -298,9 +298,8 @@ def test_a_spring_has_to_take_more_than_other_terms():
         problem = make_problem(load_signals(REPLAY / name / "session.mcap"), Overrides())
         peak = np.ones(problem.signals.robot.n)
         beta = described_parameters(problem.model, problem.base)
-        terms = Candidates(
-            problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False
-        ).terms
+        of = {"peak": peak, "most": peak, "sliding": peak, "speed": peak[None]}
+        terms = Candidates(problem=problem, beta=beta, **of, alone=True, simulated=False).terms
         assert {term.least_percent for term in terms if term.kind == SPRING} == {least}
 
 

@@ -35,6 +35,7 @@ from identification.regression import (
     make_unknowns,
     rows_of_recording,
     torque_of_recording,
+    with_common_band,
 )
 from identification.report import ParameterSet, differences, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
@@ -73,7 +74,7 @@ def fitted(method: str = "wls", seeds: tuple[int, ...] = (1, 2, 3)):
 def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     fit = fitted()
     ramps = Overrides(ramp_rows=fit.settings.ramp_rows)
-    problems = [make_problem(recorded(k), ramps) for k in (1, 2, 3)]
+    problems = with_common_band([make_problem(recorded(k), ramps) for k in (1, 2, 3)])
     systems = [rows_of_recording(*equation_alone(problem)).system for problem in problems]
     W, Y, joint = (
         np.concatenate([getattr(s, name) for s in systems]) for name in ("W", "Y", "joint_of_row")
