@@ -17,6 +17,7 @@ from identification.estimation import (
     instrumental_variables,
     intervals_of,
     ordinary_least_squares,
+    spans_at,
     stacked,
 )
 from identification.estimation.confidence import cosines, deviations
@@ -192,3 +193,10 @@ def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monke
         assert len(own) == min(one.shape[1], T if short else (7, 3)[j])
     rows.add(SpanRows.of_block(T, 0, columns, 0.0 * share.T))
     assert rows.rows(0.0 * share)[0].shape == (0, 7)  # no row counts
+
+
+def test_rows_of_other_instants_belong_to_the_span_that_they_lie_in():
+    """Of two recordings; behind the end the last span."""
+    spans = np.array([0, 10, 20, 30]), np.array([0, 5, 10])
+    instants = np.array([0, 9, 10, 29, 30]), np.array([4, 5, 12])
+    assert spans_at(spans, instants).tolist() == [0, 0, 1, 2, 2, 3, 4, 4]

@@ -257,7 +257,7 @@ def test_options_that_cannot_be_meant_are_refused(more, words, capsys):
     assert all(word in err for word in words)
 
 
-def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
+def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys, monkeypatch):
     session, out, free = (
         REPLAY / "scara" / "session.mcap",
         tmp_path / "fit.json",
@@ -266,6 +266,11 @@ def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
     validation = tmp_path / "validation.json"
     assert main(["fit", str(session), "--consistent", "--json", str(out)]) == 0
     content = json.loads(out.read_text())
+
+    integrated = []
+    monkeypatch.setattr(
+        "identification.methods.parameters.errors_ahead", lambda *of: integrated.append(of)
+    )
 
     def judged() -> tuple[float, float]:
         assert (
@@ -279,6 +284,7 @@ def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
 
     expected = content["relative_error_percent"], content["consistent"]["relative_error_percent"]
     assert judged() == pytest.approx(expected, rel=1e-6)
+    assert len(integrated) == 1  # of the fit, not also of the consistent set
     for one in content["standard_parameters"]:
         one["value"] *= 1.1
     out.write_text(json.dumps(content))

@@ -12,9 +12,11 @@ from hunt_kinds import cell_of, sound
 from independent_simulator import Imperfections, references, simulate, with_control
 
 from identification.commands import main
+from identification.data import Recordings
 from identification.design import select_friction
 from identification.methods import fit_document, fit_file, identify_ls, validate_all
 from identification.methods.horizon import HORIZONS_S, errors_ahead
+from identification.methods.recording_report import validated
 from identification.regression import Overrides, make_problem
 
 SESSION = REPLAY / "scara" / "session.mcap"
@@ -83,3 +85,22 @@ def test_the_motion_ahead_is_predicted_by_the_true_values_and_not_by_others():
     stored = fit_file(fit)
     (one,), _ = validate_all([(runs.signals(robot, 0), Overrides())], stored, "the fit")
     np.testing.assert_allclose(one.ahead, [error, way], rtol=1e-6)
+
+
+def test_recordings_have_common_filters_of_their_errors_fitted_or_validated():
+    """Those of the faster one; a recording that is too short for them is told of."""
+    setup = sound("scara", np.random.default_rng(0))
+    slow = replace(replace(setup, highest_hz=0.3).recording(1), recording="slow.mcap")
+    fast = setup.recording(0)
+    alone = [make_problem(one, Overrides()) for one in (fast, slow)]
+    expected, lower = (one.for_errors.settings.cutoff_hz for one in alone)
+    fit = identify_ls(Recordings(sources=(slow, fast)), Overrides())
+    each, _ = validate_all([(one, Overrides()) for one in (slow, fast)], fit_file(fit), "the fit")
+    told = [one.problem.for_errors.settings.cutoff_hz for one in (*fit.recordings, *each)]
+    assert told == [expected] * 4
+    assert lower < 0.5 * expected
+    # so slow that no row would be left
+    still = replace(alone[0], settings=replace(alone[0].settings, band_hz=0.01))
+    found = validated(still, fit.estimate.values_of(still.base.names)).problem.settings
+    assert found.cutoff_hz == still.settings.cutoff_hz
+    assert "too short for the filters" in found.warnings[-1]

@@ -23,6 +23,7 @@ from identification.methods.iteration import with_lags_found
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
 from identification.regression.lag import LagFilters
 from identification.regression.law import law_of
+from identification.regression.states import LAG_ORDERS
 from identification.trust import TrustLine, trust_in
 
 
@@ -265,6 +266,19 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
     assert 0.3 * len(x) < np.sum(used) < 0.9 * len(x)
     assert np.linalg.norm(white.Y) ** 2 == pytest.approx(9 * np.sum(e[used] ** 2), rel=0.05)
     assert np.sum(x[used] ** 2) > 2 * np.sum(e[used] ** 2)
+
+
+def test_a_joint_that_shows_no_lag_leaves_the_filter_of_the_others_as_long():
+    problem = make_problem(recorded("scara"), Overrides())
+    share, speed = np.ones((2, 300, 2))
+    speed[::3, 1] = 0.0  # the elbow reverses all the time
+    x = np.random.default_rng(1).standard_normal((300, 2))
+    lag = LagFilters(problem, np.array([0]), share, x, speed)
+    assert lag.order == LAG_ORDERS[0]
+    speed[:270:30] = 0.0  # now and then all
+    assert LagFilters(problem, np.array([0]), share, x, speed).order == LAG_ORDERS[0]
+    speed[::9] = 0.0
+    assert LagFilters(problem, np.array([0]), share, x, speed).order < LAG_ORDERS[0]
 
 
 # Control law

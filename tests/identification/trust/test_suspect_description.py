@@ -14,7 +14,9 @@ from hunt_kinds import KINDS, SetUp, clocks_apart, denied_rotor, sound
 from independent_robots import plant
 from independent_simulator import Imperfections, description, designed_pd, without_settings
 
-from identification.methods import Fit
+from identification.data import Recordings
+from identification.methods import Fit, identify_ls
+from identification.regression import Overrides
 from identification.trust import columns
 from identification.trust.candidates import MissingTerm
 from identification.trust.columns import missing_terms
@@ -191,3 +193,25 @@ def test_a_late_elbow_is_named():
     fit = fit_by_default(white("scara").changed(late).recording(3))
     assert fit.trust.finding == "lag of joint elbow"
     assert figures(fit, "lag")[1][1] == pytest.approx(2.0, abs=0.3)
+
+
+def test_terms_have_the_same_columns_in_blocks_as_in_one_pass(monkeypatch):
+    """Hysteresis begins where the rows before end; the limit is of the whole recording's torque."""
+    signals, often = white("scara").recording(3), Overrides(decimation=2)
+    whole = identify_ls(signals, often).data.observed
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 20_000)
+    blocks = identify_ls(signals, often).data.observed
+    assert (len(whole.most), len(blocks.most) > 2) == (1, True)
+    off, size = (np.linalg.norm(x, axis=0) for x in (blocks.C - whole.C, whole.C))
+    assert (off <= 1e-3 * size).all()
+
+
+def test_several_recordings_name_a_brake_by_shares_of_their_time():
+    setup = KINDS["brake drags for 30 % of the time"].change(
+        white("scara"), np.random.default_rng(4)
+    )
+    each = (replace(setup.recording(k), recording=f"r{k}.mcap") for k in (3, 4))
+    fit = identify_ls(Recordings(sources=tuple(each)), Overrides())
+    told = fit.trust.line("added columns")
+    assert told.finding.startswith(IN_PARTS)
+    assert told.finding.endswith(" % of each recording")
