@@ -190,8 +190,7 @@ def excite(
     )
     x, sigma = best_of_searches(problem, settings.seed, place, say)
     reference = series.reference(x)
-    fine = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples))
-    gains = np.zeros(0)
+    fine, gains = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples)), np.zeros(0)
     if knowledge.payload is not None:
         deviations = information.gain_deviations(
             motion_of(x, series.basis(samples)), loads, knowledge.payload

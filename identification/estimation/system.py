@@ -38,7 +38,7 @@ def equal_spans(instants: int) -> Ints:
 
 def spans_at(spans: Sequence[Ints], instants: Sequence[Ints]) -> Ints:
     """The span of each of the `instants` (K,) of recordings with these `spans`, all counted one
-    after the other; behind the end the last.
+    after the other. Instants after the end are in the last span.
     """
     first = np.cumsum([0, *(len(own) - 1 for own in spans)])
     each = zip(spans, instants, first, strict=False)

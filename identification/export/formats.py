@@ -294,8 +294,7 @@ def _pose(element: Element) -> Array:
 def _read_inertia(inertial: Element, T: Array) -> Array:
     """Ten parameters (10,) of an inertial in a frame where its link's frame is T (4, 4)."""
     about = [float(_attribute(inertial, "inertia", key) or 0.0) for key in INERTIA]
-    mass = float(_attribute(inertial, "mass", "value") or 0.0)
-    T = T @ _pose(inertial)
+    mass, T = float(_attribute(inertial, "mass", "value") or 0.0), T @ _pose(inertial)
     return link_parameters(T @ pseudo_inertia(np.array([*about, 0.0, 0.0, 0.0, mass])) @ T.T)
 
 
@@ -350,8 +349,7 @@ def make_urdf(model: InverseModel) -> str:
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     """The angles of a rotation (3, 3) in a URDF, also at a pitch of 90°."""
-    yaw = math.atan2(R[1, 0], R[0, 0])
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    yaw, pitch = math.atan2(R[1, 0], R[0, 0]), math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     s, c = math.sin(yaw), math.cos(yaw)
     return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
 

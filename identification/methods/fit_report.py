@@ -33,8 +33,7 @@ PARAMETERS = "parameters"  # title of the section of all values
 def fit_document(fit: Fit) -> Document:
     """A fit as a report, the verdict first."""
     held, notes, several = fit.held_out_error_percent, fit.notes, len(fit.recordings) > 1
-    signals = fit.problem.signals
-    parameters = tuple(fitted_parameters(fit).parameters.values())
+    signals, parameters = fit.problem.signals, tuple(fitted_parameters(fit).parameters.values())
     settings = Section(
         title="settings and tests",
         lines=(

@@ -167,8 +167,8 @@ class Model:
         judged: bool = False,
     ) -> tuple[Array, Array, Bools, list[Array], list[Ints]]:
         """Decimated torque (rows, n) as measured by x, as predicted by each set of estimates
-        (K, rows, n), which rows (rows, n) count, and by recording their instants, in s and as those
-        of the fit.
+        (K, rows, n), which rows (rows, n) count, by recording their instants, s, and the row of the
+        fit at or after each.
 
         Predicted by x if there is no set; by several estimates of a set, each in equal spans of a
         recording, or in one recording. Those that are `judged` are behind the filters that errors

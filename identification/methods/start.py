@@ -254,8 +254,7 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
     refuse_standing_joints(rows.share, [problem.signals for problem in model.problems])
     while shapes and (worst := most_collinear(model.problem, rows.system, shapes)):
         left_out |= worst
-        shapes = [name for name in shapes if name not in left_out]
-        rows = rows.without(worst)
+        shapes, rows = [name for name in shapes if name not in left_out], rows.without(worst)
     return model.without(left_out), rows
 
 

@@ -111,8 +111,7 @@ def lags_in(late: tuple[System, Array, int], now_s: Array, lags: Sequence[Lag]) 
     with suppress(NoFitError):  # the rows do not determine them
         if system.Y.any():  # else the fit is exact
             step = instrumental_variables(system, Z, weights_of(system, system.Y))
-            within = intervals_of(system, step, most=WHITE_COSINES)
-            last = slice(-len(lags), None)
+            within, last = intervals_of(system, step, most=WHITE_COSINES), slice(-len(lags), None)
             values, sd = (now_s + step.beta[last]).tolist(), within.sigma[last].tolist()
             each = zip(known, values, sd, strict=True)
             return [
@@ -135,7 +134,7 @@ class LagFilters:
         used = [
             fast_for_lag_by(problem, speed, self._sliding, k) & (share.T > 0) for k in LAG_ORDERS
         ]
-        rows = np.array([_behind(*of).sum(axis=1) for of in zip(used, LAG_ORDERS, strict=True)])
+        rows = np.array([_behind(*one).sum(axis=1) for one in zip(used, LAG_ORDERS, strict=True)])
         # the first that leaves enough of all joints of which any does, or else some
         enough = [(rows[:, rows[-1] > 0] >= least).all(axis=1) for least in (MIN_ROWS, 1)]
         at = int(np.argmax(enough[0] if enough[0].any() else enough[1]))

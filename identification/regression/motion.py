@@ -135,7 +135,7 @@ def spline_coefficients(x: Array) -> Array:
 
 def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
     """f(q, dq, ddq) (N, ...) along a smooth motion: computed at every `stride`-th sample, on a
-    cubic spline between them. Series, not samples, are contiguous in memory.
+    cubic spline between them.
     """
     stride = max(1, stride)
     last = (len(motion.q) - 1) // stride * stride

@@ -234,7 +234,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
 
 def with_common_band(problems: Sequence[Problem]) -> list[Problem]:
-    """The same with torque errors behind common filters, those of the widest band of motion."""
+    """The same with torque errors told for a common band of motion, the widest."""
     band_hz = max(one.settings.band_hz for one in problems)
     return [replace(one, settings=replace(one.settings, band_hz=band_hz)) for one in problems]
 
@@ -249,8 +249,7 @@ def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
     n_d, rows = problem.settings.decimation, len(problem.settings.instants)
     margin = -(-decimation_reach(n_d) // n_d)
     series = int(problem.model.nonzero[:, problem.base.columns].sum())
-    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
-    found = list[tuple[slice, slice]]()
+    size, found = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1), list[tuple[slice, slice]]()
     for first, last in pairwise([*range(0, max(1, rows - margin), size), rows]):
         low, high = max(0, first - margin), min(rows, last + margin)
         found.append((slice(low, high), slice(first - low, last - low)))

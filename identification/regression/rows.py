@@ -151,7 +151,7 @@ class Rows:
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
         tau: (T, n) decimated torques by x, not weighted.
         speed: (T, n) joint speeds.
-        most: (k, n) largest torques of the drives, not decimated, in each of the blocks.
+        most: (k, n) largest decimated torques of the drives in each of the blocks.
         recorded: whether Z are along the measured motion.
         late: rows of the lag, of unknowns but gains: residual r, columns J and last of the lags;
             instruments; order of the filter that whitens them. None along the measured motion.
@@ -254,7 +254,7 @@ def _rows_of_block(
         motion.filtered((motion.tau + motion.known_torque).T).T,
         motion.kept(motion.dq),
         of_lag.T,
-        np.abs(motion.tau).max(axis=0, keepdims=True),
+        np.abs(motion.filtered(motion.tau.T)).max(axis=1)[None],
     )
 
 
@@ -350,7 +350,7 @@ def torque_of_recording(
     equation: Equation, x: Array, *sets: Sequence[Array], judged: bool = False
 ) -> tuple[Array, Array, Bools, Array, Array, Ints]:
     """Compute the torques of a recording, decimated, without weights and without W; those of links
-    are on a spline between some samples of a low-passed motion, within 1e-6.
+    are on a spline between samples of a low-passed motion, at the rule's decimation within 1e-6.
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def torque_of_recording(
     Returns
     -------
     Measured torque (T, n), that predicted by each set (K, T, n), N m or N, which rows
-    (T, n) count, joint speed (T, n), rad/s or m/s, and instants (T,), in s and as those of the fit.
+    (T, n) count, joint speed (T, n), rad/s or m/s, instants (T,), s, and rows of the fit there.
     """
     sets, s = sets or ([equation.arm.beta(x)],), (of := equation.problem).settings
     rows, groups = len(s.instants), list[tuple[Ints, Array]]()

@@ -214,8 +214,7 @@ class Unknowns:
         """x with base parameters beta (b,), the same for every recording; no payloads, gains as
         described.
         """
-        values = dict(zip(map(base_name, self.arms[0].names), beta, strict=True))
-        found = x.copy()
+        values, found = dict(zip(map(base_name, self.arms[0].names), beta, strict=True)), x.copy()
         found[: len(self.names)] = [values.get(base_name(name), 0.0) for name in self.names]
         found[self.gains] = 1.0
         return found

@@ -304,8 +304,7 @@ def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMot
     (N, n), q, fs, found = r.shape, signals.q, signals.sample_rate_hz, allocate(r.shape)
     reach = lowpass_reach(rule_cutoff_hz(signals), fs)
     within = range(max(0, start - reach), min(N, stop + reach))
-    late = [round(delay_s * fs) for delay_s in DELAYS_S]
-    every = -(-len(within) // MOST_SAMPLES)
+    late, every = [round(delay_s * fs) for delay_s in DELAYS_S], -(-len(within) // MOST_SAMPLES)
     used = np.array(within[::every])
     peak = np.abs(differentiate(r[used], fs / every)).max(axis=0)
 

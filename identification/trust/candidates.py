@@ -113,7 +113,7 @@ class Candidates(About):
             kind, k = KINDS[term.place[0]], term.place[1]
             assert kind.torque is not None
             torque = kind.torque(self, motion, links, k)
-            if len(at := np.flatnonzero(torque[:: stride_of(motion)].any(axis=0))):
+            if len(at := np.flatnonzero(np.einsum("tj,tj->j", torque, torque))):
                 found[at, column] = motion.weighted(torque.T[at], at)
         return found
 

@@ -15,6 +15,7 @@ import numpy as np
 from acquisition.robot import RADIANS_AS_DEGREES
 
 from ..arrays import Array, Bools, Ints
+from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
 from .drives import law_line
@@ -85,8 +86,8 @@ def turned_sign(evidence: FitData, motors: Collection[int] | Ints) -> tuple[floa
 def _undone(
     evidence: FitData, motors: Collection[int] | Ints | None = None
 ) -> tuple[float, list[tuple[float, str, int | None, Array]]]:
-    """The torque error, and those with one of the mistakes undone, or one of signs of some motors:
-    error, mistake, motor of a sign, and the map (n, n) of torques times speeds.
+    """The torque error; and with each of the mistakes undone, of signs of `motors` only if these
+    are given: error, mistake, motor of a sign, and the map (n, n) of torques times speeds.
     """
     problem, one = evidence.problem.with_samples().beginning(), np.eye(evidence.robot.n)
     factors = _factors(problem, decimated := _decimated(problem), one)
@@ -163,8 +164,8 @@ def _error(factors: Array, A: Array) -> float:
     Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])
     weight = 1 / np.maximum(np.linalg.norm(Y, axis=1), 1e-300)
     rows = np.concatenate([factors[..., :b], Y[..., None]], axis=2) * weight[:, None, None]
-    left = np.asarray(np.linalg.qr(rows.reshape(-1, b + 1), mode="r"))[:, -1]
-    return float(np.abs(left[-1]) / max(np.linalg.norm(left), 1e-300))
+    R = np.asarray(np.linalg.qr(rows.reshape(-1, b + 1), mode="r"))
+    return relative_residual(R[:, :-1], R[:, -1])
 
 
 def saturation_test(evidence: FitData) -> TrustLine | None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array, Ints
 from ..model import DirectModel, direct_model
-from ..regression import MotionBlock, Problem, smooth
+from ..regression import MotionBlock, Problem, row_blocks, smooth
 
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
 # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
@@ -26,7 +27,7 @@ RATIO, HYSTERESIS, IN_PARTS = "ratio", "hysteresis", "friction of a part of the 
 PARTS = 6  # of the time
 # of a joint's travel, in which hysteresis turns from one side to the other
 TRAVELS = (0.1, 0.2)
-FORGOTTEN = 1e-12  # of its deflection, by the way since
+FORGOTTEN = 1e-12  # share of z that is left after the way since
 POSITIVE = (STRIBECK, ROTOR, HYSTERESIS)  # their values
 # Near reversals, friction that rises smoothly looks like these; they hardly show in the residual.
 IN_FAST_ROWS = (LAG, CLOCKS)
@@ -43,7 +44,7 @@ class About:
     Attributes:
         problem: of the recording; `beta`: (b,) its base parameters.
         peak, most: (n,) largest speeds and torques of the joints in all recordings.
-        speed: (T, n) of the rows.
+        speed: (T, n) measured in the rows of this recording.
         alone: whether there is no other recording.
         simulated: whether the motion has the torque of a simulated robot that
             follows a recorded reference.
@@ -66,6 +67,24 @@ class About:
         return np.flatnonzero(
             still.max(axis=(0, 1)) > MIN_ARM_M * np.linalg.norm(self.robot.gravity)
         )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Take along to other processes where blocks begin, not the speeds of all rows."""
+        return vars(self) | {"wound": self.wound, "speed": self.speed[:0]}
+
+    @cached_property
+    def travels(self) -> Array:
+        """(k, n) shares of each joint's travel."""
+        found = np.outer(TRAVELS, np.ptp(self.problem.poses, axis=0))
+        return np.maximum(found, np.finfo(float).tiny)
+
+    @cached_property
+    def wound(self) -> dict[int, Array]:
+        """z (k, n) of hysteresis where a block begins, by its first row: that of the row before."""
+        row_s = self.problem.settings.decimation / self.problem.signals.sample_rate_hz
+        ways = row_s * np.concatenate([0 * self.travels[:1], self.speed])
+        z = np.stack([_dahl(ways / travel, ways[0]) for travel in self.travels])
+        return {near.start: z[:, near.start] for near, _ in row_blocks(self.problem)}
 
     @property
     def robot(self) -> Robot:
@@ -183,13 +202,8 @@ def _of_springs(of: About) -> float:
 
 
 def _hysteresis(of: About, x: MotionBlock, _: Array, k: int) -> Array:
-    """z (N, n) of friction of Dahl, x a share of each joint's travel; a block begins with z of the
-    rows before.
-    """
-    travel = TRAVELS[k % len(TRAVELS)] * np.ptp(of.problem.poses, axis=0)
-    travel = np.maximum(travel, np.finfo(float).tiny)
-    row_s = of.problem.settings.decimation / of.problem.signals.sample_rate_hz
-    begin = _dahl(of.speed * row_s / travel, np.zeros_like(travel))[x.near.start]
+    """z (N, n) of friction of Dahl, x a share of each joint's travel."""
+    travel, begin = (every[k % len(TRAVELS)] for every in (of.travels, of.wound[x.near.start]))
     return _dahl(np.diff(x.q, axis=0, prepend=x.q[:1]) / travel, begin)
 
 

@@ -39,8 +39,8 @@ MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 
 # decimated torque (rows, n), that predicted by sets of estimates (K, rows, n), each of a set in an
-# equal span of each recording, which rows count, and by recording their instants, also as those of
-# the fit
+# equal span of each recording, which rows count, by recording their instants, and the row of the
+# fit at or after each
 Predict = Callable[..., tuple[Array, Array, Bools, list[Array], list[Ints]]]
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors
@@ -344,4 +344,4 @@ def _cause(evidence: FitData) -> str:
     share = np.clip(left[..., 0] / (left[..., 1] + 1e-300), MIN_LEFT, 1.0)
     size = np.log(share).sum(axis=1)
     size[0] -= MIN_CAUSE
-    return str(texts[int(size.argmin())])
+    return str(min(zip(size.tolist(), texts, strict=True))[1])

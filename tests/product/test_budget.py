@@ -17,7 +17,7 @@ from conftest import REPLAY, ROOT
 from identification.commands import main
 
 PACKAGES = ("acquisition", "identification")
-MOST_STATEMENTS = {"acquisition": 8_826, "identification": 11_322, "tests": 21_265}
+MOST_STATEMENTS = {"acquisition": 8_826, "identification": 11_322, "tests": 21_270}
 SLACK = 60  # statements that a limit may be above what is there before it has to fall
 ROOMS = {"acquisition": 9, "identification": 13}
 MOST_RECORDS, MOST_VISITS = 37, 245

@@ -203,7 +203,7 @@ def test_terms_have_the_same_columns_in_blocks_as_in_one_pass(monkeypatch):
     blocks = identify_ls(signals, often).data.observed
     assert (len(whole.most), len(blocks.most) > 2) == (1, True)
     off, size = (np.linalg.norm(x, axis=0) for x in (blocks.C - whole.C, whole.C))
-    assert (off <= 1e-3 * size).all()
+    assert (off <= 1e-5 * size).all()
 
 
 def test_several_recordings_name_a_brake_by_shares_of_their_time():

@@ -1,7 +1,7 @@
 """What makes a fit one that is not to be used, or names a cause, where a test alone does not."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import msgspec
 import numpy as np
@@ -129,15 +129,22 @@ def test_a_spring_that_is_not_linear_and_a_limit_of_the_effort_are_named():
         beyond = np.maximum(np.abs(q) - 0.5 * np.abs(q).max(axis=0), 0.0)
         return np.sign(q) * beyond * [0.0, 4.0]
 
-    def unlimited(signals):
+    def unlimited(signals, joint=(0.0, 1.0)):
         tau, most = signals.effort, 0.7 * np.abs(signals.effort).max(axis=0)
-        return np.sign(tau) * np.maximum(np.abs(tau) - most, 0.0) * [0.0, 1.0]
+        return np.sign(tau) * np.maximum(np.abs(tau) - most, 0.0) * joint
 
-    for change, kind in ((stop, "spring that is not linear"), (unlimited, "limit of the effort")):
-        fit = fit_by_least_squares(with_torque(setup, change).recording(3))
+    for change, kind in (
+        (stop, "spring that is not linear of joint elbow"),
+        (unlimited, "limit of the effort of joint elbow"),
+        (partial(unlimited, joint=(1.0, 0.0)), "limit of the effort of joint shoulder"),
+    ):
+        signals = with_torque(setup, change).recording(3)
+        effort = np.array(signals.effort)
+        effort[3000] *= 2.0  # one bad sample hides nothing
+        fit = fit_by_least_squares(replace(signals, effort=effort))
         line = fit.trust.line("added columns")
         assert line.level == "caution", line.text
-        assert line.finding.startswith(f"{kind} of joint elbow"), line.text
+        assert line.finding.startswith(kind), line.text
     assert fit_by_least_squares(without.recording(3)).trust.line("added columns").level == "ok"
 
 
