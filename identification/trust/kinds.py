@@ -46,8 +46,7 @@ class About:
         peak, most: (n,) largest speeds and torques of the joints in all recordings.
         speed: (T, n) measured in the rows of this recording.
         alone: whether there is no other recording.
-        simulated: whether the motion has the torque of a simulated robot that
-            follows a recorded reference.
+        simulated: whether the motion is of a simulated robot that follows a recorded reference.
     """
 
     problem: Problem
@@ -75,8 +74,7 @@ class About:
     @cached_property
     def travels(self) -> Array:
         """(k, n) shares of each joint's travel."""
-        found = np.outer(TRAVELS, np.ptp(self.problem.poses, axis=0))
-        return np.maximum(found, np.finfo(float).tiny)
+        return np.maximum(np.outer(TRAVELS, np.ptp(self.problem.poses, axis=0)), 1e-9)
 
     @cached_property
     def wound(self) -> dict[int, Array]:
@@ -171,8 +169,7 @@ def _turned(of: About, k: int) -> Array:
 
 
 def _root(of: About, x: MotionBlock, links: Array, k: int) -> Array:
-    along = of.problem.model.coulomb_directions[k]
-    v = x.dq @ along
+    v = x.dq @ (along := of.problem.model.coulomb_directions[k])
     return np.asarray((np.sign(v) * np.sqrt(np.abs(v)))[:, None] * along)
 
 
@@ -208,9 +205,8 @@ def _hysteresis(of: About, x: MotionBlock, _: Array, k: int) -> Array:
 
 
 def _dahl(steps: Array, begin: Array) -> Array:
-    """z (N, n) with dz = (dq - |dq| z) / x, from its first value on, by the steps dq / x.
-
-    A step is z <- a z + b; steps are put together in twos, fours and so on.
+    """z (N, n) with dz = (dq - |dq| z) / x, from its first value on, by the steps dq / x: each is
+    z <- a z + b, put together in twos, fours and so on.
     """
     a, reach = np.exp(-np.abs(steps)), 1
     z = np.asarray(np.sign(steps) * (1 - a))
@@ -269,9 +265,7 @@ KINDS = (
     ),
     Kind(
         name="limit of the effort",
-        torque=lambda of, x, *_: (
-            np.sign(x.tau) * np.maximum(np.abs(x.tau) - LIMITED * of.most, 0.0)
-        ),
+        torque=lambda of, x, *_: np.sign(x.tau) * np.maximum(np.abs(x.tau) - LIMITED * of.most, 0),
         unit="of what is beyond 70 % of its peak",
         advice="state saturation of the motor, or record the effort behind its limit",
         missing="",
@@ -375,11 +369,7 @@ KINDS = (
     ),
     Kind(
         name=HYSTERESIS,
-        at=lambda of: [
-            (f"of joint {joint.name}", j)
-            for j, joint in enumerate(of.robot.joints)
-            for _ in TRAVELS
-        ],
+        at=lambda of: [place for place in Kind.at(of) for _ in TRAVELS],
         torque=_hysteresis,
         unit="{effort}",
         advice="look for a hose or a cable that follows the joint with friction of its own",
