@@ -105,7 +105,7 @@ class Program:
         """
         given = sys.argv[1:] if arguments is None else arguments
         # imports leave little garbage: to look for it takes 0.08 s of a fit
-        gc.set_threshold(50_000)
+        gc.set_threshold(200_000)
         # The matrices are small: threads of OpenBLAS, which reads this once, wait for each other.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
 

@@ -149,8 +149,7 @@ class Rows:
         G: (r, g) columns of links at rest, with C.
         Z: (r, f) instruments of the free unknowns; (r, 0) where they are W itself.
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
-        tau: (T, n) decimated torques by x, not weighted.
-        speed: (T, n) joint speeds.
+        tau, speed: (T, n) decimated torques by x, not weighted, and speeds of the joints.
         most: (k, n) largest decimated torques of the drives in each of the blocks.
         recorded: whether Z are along the measured motion.
         late: rows of the lag, of unknowns but gains: residual r, columns J and last of the lags;
@@ -231,7 +230,8 @@ def _rows_of_block(
     lag; and `most`. What is `asked`: places (k,) of Z in x, further columns, filters of the lag.
     """
     (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
-    instants = len(motion.problem.settings.instants)
+    instants, drives = len(motion.problem.settings.instants), motion.filtered(motion.tau.T)
+    has_known = motion.problem.signals.known_torque is not None
     J, r = equation.columns(x, motion), equation.residual(x, motion)[:, None]
     z = motion if z is None else z
     z = z.with_torque_of(equation.arm.beta(x)) if len(places) else z
@@ -251,10 +251,10 @@ def _rows_of_block(
         np.cumsum([part.shape[1] for part in each]),
         SpanRows.of_block(instants, motion.first, np.concatenate([*each, r], axis=1), share, fast),
         late,
-        motion.filtered((motion.tau + motion.known_torque).T).T,
+        (drives + motion.filtered(motion.known_torque.T) if has_known else drives).T,
         motion.kept(motion.dq),
         of_lag.T,
-        np.abs(motion.filtered(motion.tau.T)).max(axis=1)[None],
+        np.abs(drives).max(axis=1)[None],
     )
 
 
