@@ -11,7 +11,7 @@ from typing import Any
 from msgspec import UnsetType
 from numpy.typing import ArrayLike
 
-from . import export, methods, report
+from . import export, report, results
 from .arrays import Array
 from .report import Assumed, Difference, FitFile, Number, Parameter, Verdict
 
@@ -65,7 +65,7 @@ class AnyFit:
         """(rows, n) torque, N m or N, of the model without payload along q, dq, ddq
         (rows, n), rad or m and s.
         """
-        return methods.stored_torque(self.file, self.place, q, dq, ddq)
+        return results.stored_torque(self.file, self.place, q, dq, ddq)
 
     def compare(self, other: "AnyFit") -> tuple[Difference, ...]:
         """The differences of the parameters from those of another fit: `name`, `off`,
@@ -127,11 +127,11 @@ class StoredFit(AnyFit):
         document = report.Document(
             title=f"{self.place}: {self.file.summary}",
             badge=self.verdict or "",
-            figures=methods.main_figures(
+            figures=results.main_figures(
                 self.file.moving_relative_error_percent,  # in files of earlier versions too
                 self.file.held_out_error_percent or None,
                 {},
-                methods.half_width_percents(self.parameters),
+                results.half_width_percents(self.parameters),
             ),
             sections=(shown,),
         )

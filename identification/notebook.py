@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from acquisition.files import refuse_clash, write_text
 from acquisition.robot import Robot, parse_payload
 
-from . import design, export, methods, report, study
+from . import design, export, report, results, study
 from .arrays import Array
 from .data import (
     RecordingFile,
@@ -36,17 +36,17 @@ from .study import Noise, Run, Study
 P = ParamSpec("P")
 
 
-class Fit(AnyFit, methods.Fit):
+class Fit(AnyFit, results.Fit):
     """Base parameters of a robot with their tests, and what can be written of them;
-    attributes as of `methods.Fit`.
+    attributes as of `results.Fit`.
     """
 
-    file = cached_property(methods.fit_file)
+    file = cached_property(results.fit_file)
     place = cached_property[str](lambda fit: fit.problem.signals.recording)
 
     def residuals(self) -> Array:
         """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`,
-        those that do not count too; recordings in their order.
+        those that do not count too.
         """
         return self.tau - self.tau_predicted
 
@@ -58,7 +58,7 @@ class Fit(AnyFit, methods.Fit):
         """Write the whole report: .md the tables, .html also the pictures."""
         path = Path(path)
         if path.suffix == ".md":
-            write_text(path, report.to_markdown(methods.fit_document(self)))
+            write_text(path, report.to_markdown(results.fit_document(self)))
         elif path.suffix == ".html":
             from .view import draw_fit, join_pictures, write_html
 
@@ -92,19 +92,19 @@ class Fit(AnyFit, methods.Fit):
             are no such parameters.
         """
         found = (
-            None if prior is None else methods.read_prior(Path(prior), self.problem.signals.robot)
+            None if prior is None else results.read_prior(Path(prior), self.problem.signals.robot)
         )
-        return Fit(**vars(methods.with_consistent(self, found)))
+        return Fit(**vars(results.with_consistent(self, found)))
 
     def _repr_html_(self) -> str:
         from .view import draw_fit, notebook_figure
 
-        document = methods.fit_document(self).short
+        document = results.fit_document(self).short
         torque = draw_fit(self.on(self.recordings[0])).first
         return report.to_html(document, figures=notebook_figure(torque) if torque else "")
 
 
-def _of_user(found: methods.Fit) -> Fit:
+def _of_user(found: results.Fit) -> Fit:
     """The fit as users have it; called by what users call, so that the warning names their line."""
     fit = Fit(**vars(found))
     if fit.distrust:
@@ -114,7 +114,7 @@ def _of_user(found: methods.Fit) -> Fit:
     return fit
 
 
-def _for_users(identify: Callable[P, methods.Fit]) -> Callable[P, Fit]:
+def _for_users(identify: Callable[P, results.Fit]) -> Callable[P, Fit]:
     @wraps(identify)
     def identified(*args: P.args, **kwargs: P.kwargs) -> Fit:
         return _of_user(identify(*args, **kwargs))
@@ -122,7 +122,7 @@ def _for_users(identify: Callable[P, methods.Fit]) -> Callable[P, Fit]:
     return identified
 
 
-identify_ls, identify_iv = _for_users(methods.identify_ls), _for_users(methods.identify_iv)
+identify_ls, identify_iv = _for_users(results.identify_ls), _for_users(results.identify_iv)
 
 
 def read_fit(path: File) -> StoredFit:
@@ -282,7 +282,7 @@ def fit(
                 payload=parse_payload(text, described, "payload") if text else None,
             )
         )
-    found = methods.identify(
+    found = results.identify(
         Recordings(sources=tuple(sources)),
         Overrides(
             cutoff_hz=cutoff_hz,
@@ -312,12 +312,12 @@ def validate(
     """
     path = Path() if isinstance(recording, Signals) else Path(recording)
     signals = recording if isinstance(recording, Signals) else load_signals(recording)
-    signals, notes = methods.signals_as_fitted(
+    signals, notes = results.signals_as_fitted(
         signals, path, fit.file, "the fit", chosen=path == Path()
     )
-    settings, of_lag = methods.stored_settings(fit.file, signals, overrides or Overrides())
-    each, errors = methods.validate_all([(signals, settings)], fit.file, "the fit")
-    return methods.validation_file(
+    settings, of_lag = results.stored_settings(fit.file, signals, overrides or Overrides())
+    each, errors = results.validate_all([(signals, settings)], fit.file, "the fit")
+    return results.validation_file(
         each,
         "the fit",
         errors,

@@ -17,8 +17,9 @@ from conftest import DATA, RECORDS, REPLAY, imported, robot_named
 
 from acquisition.robot import load_robot
 from identification.data import Signals, load_signals
-from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.results import Fit, identify_iv, identify_ls
 
 PAGE = REPLAY / "published.md"
 EMPS = "robot-identify fit emps.mcap --method wls --robot replay_data/emps/robot_published.toml"

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     prior, first = options.b.suffix.lower() in (".urdf", ".toml"), read_fit(options.a)
     if prior:
-        from ..methods import prior_file
+        from ..results import prior_file
 
     fits = [first, prior_file(first, str(options.a), options.b) if prior else read_fit(options.b)]
     a, b = (ParameterSet.of_file(fit, label) for fit, label in zip(fits, labels, strict=True))

@@ -52,16 +52,10 @@ def run(options: argparse.Namespace) -> None:
         from acquisition.robot import load_robot
 
         from ..data import load_signals
-        from ..methods import (
-            PARAMETERS,
-            Iteration,
-            fit_document,
-            fit_file,
-            identify_iv,
-            identify_ls,
-        )
+        from ..methods import Iteration
         from ..regression import Overrides
         from ..report import write_json
+        from ..results import PARAMETERS, fit_document, fit_file, identify_iv, identify_ls
         from ..study import (
             base_file,
             description,
@@ -117,9 +111,9 @@ def _identify_gains(options: argparse.Namespace) -> None:
         from acquisition.robot import load_robot
 
         from ..data import RecordingFile, Recordings
-        from ..methods import fit_file, identify
         from ..regression import Overrides
         from ..report import write_json
+        from ..results import fit_file, identify
         from ..study import description, gains_document, record_gain_pair
 
         place = description(options.robot)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from acquisition.robot import Robot
 
     from ..data import Recordings
-    from ..methods import Fit
+    from ..results import Fit
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -81,8 +81,8 @@ def run(options: argparse.Namespace) -> int:
         refuse_clash(inputs, *pictures)
     with Progress("reading") as progress:
         from ..data import Recordings
-        from ..methods import fit_document, fit_file
         from ..report import write_json
+        from ..results import fit_document, fit_file
 
         recordings = Recordings(
             sources=tuple(shared.sources(options)),
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         prior = _prior(options) if options.consistent else None
         fit = _identify(options, recordings, progress.say)
         if options.consistent:
-            from ..methods import with_consistent
+            from ..results import with_consistent
 
             fit = with_consistent(fit, prior)
     document = fit_document(fit)
@@ -146,7 +146,7 @@ def _prior(options: argparse.Namespace) -> "Robot | None":
     """The prior of the links; read before any fit, so that a recording in A
     or V is refused at once.
     """
-    from ..methods import read_prior, refuse_unknown_gain
+    from ..results import read_prior, refuse_unknown_gain
 
     robot = shared.sources(options)[0].load().robot
     if not options.gains:
@@ -157,8 +157,9 @@ def _prior(options: argparse.Namespace) -> "Robot | None":
 def _identify(
     options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]
 ) -> "Fit":
-    from ..methods import Iteration, identify, stored_beta
+    from ..methods import Iteration
     from ..report import read_fit
+    from ..results import identify, stored_beta
 
     iteration = None if options.start is None else Iteration(start=options.start)
     if options.start not in (None, "regular", "ls"):

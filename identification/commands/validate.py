@@ -51,31 +51,31 @@ def run(options: argparse.Namespace) -> int:
         report=options.report,
     )
     with Progress("reading") as progress:
-        from .. import methods
+        from .. import results
         from ..report import read_fit, write_json
 
         place, name = str(options.fit), options.fit.name
         stored, recordings, notes = read_fit(options.fit), [], []
-        consistent = methods.consistent_fit(stored, place) if options.consistent else None
+        consistent = results.consistent_fit(stored, place) if options.consistent else None
         for path, source in zip(options.recordings, shared.sources(options), strict=True):
-            signals, lines = methods.signals_as_fitted(
+            signals, lines = results.signals_as_fitted(
                 source.load(), path, stored, place, chosen=options.robot is not None
             )
-            overrides, of_lag = methods.stored_settings(
+            overrides, of_lag = results.stored_settings(
                 stored, signals, from_options(Overrides, options)
             )
             recordings.append((signals, overrides))
             notes += lines + of_lag
         progress.say("predicting")
-        validated, errors = methods.validate_all(recordings, stored, place)
+        validated, errors = results.validate_all(recordings, stored, place)
         of_set: tuple[TorqueResidual, ...] = ()
         if consistent is not None:
-            _, of_set = methods.validate_all(recordings, consistent, place, ahead=False)
+            _, of_set = results.validate_all(recordings, consistent, place, ahead=False)
     of_settings = dict.fromkeys(text for one in validated for text in one.problem.settings.warnings)
     warnings = (*of_settings, *dict.fromkeys(notes), *stored.warnings_of(place))
-    document = methods.validation_document(validated, name, errors, warnings, of_set)
+    document = results.validation_document(validated, name, errors, warnings, of_set)
     if options.json:
-        write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
+        write_json(options.json, results.validation_file(validated, name, errors, warnings, of_set))
     digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
     shared.write_pictures(
         options, document, lambda view: [view.draw_validation(validated, document, digests)]

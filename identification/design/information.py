@@ -19,7 +19,6 @@ from .. import model as dynamics
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import BadInputError
-from ..methods import stored_beta, terms_without_fit
 from ..regression import (
     Overrides,
     decimation_rule,
@@ -28,6 +27,7 @@ from ..regression import (
     rows_of_recording,
 )
 from ..report import read_fit
+from ..results import stored_beta, terms_without_fit
 from .limits import Motion
 
 NOISE_SHARE = 0.02  # of a joint's rms torque, if the noise is unknown

@@ -15,7 +15,7 @@ import numpy as np
 
 from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
-from .. import estimation, methods
+from .. import estimation, methods, results
 from ..arrays import Array, Bools
 from ..data import Recordings, Signals
 from ..errors import BadInputError
@@ -133,10 +133,10 @@ class TermChoice:
         """The recommended terms by joint, as a description lists them under `friction`."""
         return described_terms(self.robot, self.recommended.terms)
 
-    def fits(self) -> list[methods.Fit]:
+    def fits(self) -> list[results.Fit]:
         """Least squares of the recordings with the usual terms, and with the recommended ones."""
         return [
-            methods.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides)
+            results.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides)
             for trial in (self.usual, self.recommended)
         ]
 
@@ -159,7 +159,7 @@ def select_friction(
     )
     given = overrides or Overrides()
     if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
-        gain = methods.identify(Recordings(sources=recordings), given, say=say).problem.robot.gain
+        gain = results.identify(Recordings(sources=recordings), given, say=say).problem.robot.gain
         recordings = tuple(
             one.with_gains_of(replace(one.robot, identified_gain=gain)) for one in recordings
         )

@@ -11,10 +11,10 @@ from acquisition.files import refuse_clash
 
 from ..arrays import Array
 from ..errors import BadInputError
-from ..methods import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import SHAPES, InverseModel, base_parameters
 from ..regression import base_name
 from ..report import Document, FitFile, Section
+from ..results import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from .exported_model import ExportedModel, split_parameters
 from .exporting import export_model, write_models
 from .tables import with_gains, with_law

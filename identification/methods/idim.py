@@ -14,11 +14,11 @@ from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
 from . import iteration as iv
-from .assess import assess_iv, evidence_of, fit_of, status_of
-from .fit import Fit, Pass
 from .iteration import Iteration
 from .model import Model, Say, read_model
+from .passes import Pass
 from .position_noise import position_noise_line
+from .solution import Solution, evidence_of, solution_by_instruments, status_of
 from .start import (
     at_gains,
     least_squares,
@@ -29,7 +29,7 @@ from .start import (
 
 
 @one_thread
-def identify(
+def solve(
     signals: Signals | Recordings,
     overrides: Overrides,
     *,
@@ -37,8 +37,8 @@ def identify(
     iteration: Iteration | None = None,
     essential: bool = False,
     say: Say = lambda text: None,
-) -> Fit:
-    """Identify base parameters beta (b,) from measured torque and position.
+) -> Solution:
+    """Solve for base parameters beta (b,) from measured torque and position.
 
         tau = IDM(q, dq, ddq) beta                                                       (2)
         Y = W beta + rho,     Y = F[w Y_fm],     W = F[w W_fm]                           (6)
@@ -57,9 +57,9 @@ def identify(
 
     Returns
     -------
-    The estimate with its tests. The status of least squares is `solved`; that of `iv` is
-    `converged` only if two passes agree and the robot simulated with the estimate follows the
-    recording, or if instruments of the reference alone suffice.
+    The solution, with the inputs of its tests. The status of least squares is `solved`; that of
+    `iv` is `converged` only if two passes agree and the robot simulated with the estimate follows
+    the recording, or if instruments of the reference alone suffice.
 
     Raises
     ------
@@ -76,14 +76,14 @@ def identify(
             start, how = at_gains(model, found), iteration or Iteration()
             loop = iv.Loop(model, start, how, essential=essential)
             del found, start  # its rows are as many as those of a pass
-            fit = _by_instruments(loop, say)
+            solution = _by_instruments(loop, say)
         except NoFitError as error:
             if method is None and not overrides.gains:
                 error.args = (f"{error.args[0]}; least squares: --method wls",)
             raise
     else:
-        fit = _by_measured_motion(model, found, by, essential=essential)
-    return replace(fit, method_reason=reason)
+        solution = _by_measured_motion(model, found, by, essential=essential)
+    return replace(solution, method_reason=reason)
 
 
 def _read(
@@ -139,33 +139,7 @@ def _can_be_simulated(model: Model, found: Pass) -> bool:
     return not model.unknowns.motors or (positive and model.exogenous)
 
 
-def identify_ls(
-    signals: Signals | Recordings,
-    overrides: Overrides,
-    *,
-    method: Literal["ols", "wls"] = "wls",
-    essential: bool = False,
-    say: Say = lambda text: None,
-) -> Fit:
-    """Identify by least squares, IDIM-LS, section 2 of Janot2014; parameters as of `identify`."""
-    return identify(signals, overrides, method=method, essential=essential, say=say)
-
-
-def identify_iv(
-    signals: Signals | Recordings,
-    overrides: Overrides,
-    iteration: Iteration,
-    *,
-    essential: bool = False,
-    say: Say = lambda text: None,
-) -> Fit:
-    """Identify by instrumental variables, IDIM-IV, section 3 of Janot2014; as of `identify`."""
-    return identify(
-        signals, overrides, method="iv", iteration=iteration, essential=essential, say=say
-    )
-
-
-def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Fit:
+def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Solution:
     """IDIM-LS: W and Y from the measured torque and the filtered position; drive gains with the
     torque that x predicts as instruments.
     """
@@ -190,10 +164,10 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
         alone = model.unknowns.plain and not len(model.load)
         noise = position_noise_line(first, method, ls, kept, alone=alone)
         evidence = replace(evidence, position_noise=noise)
-    return fit_of(model, evidence, x, ls, kept)
+    return Solution(model=model, x=x, evidence=evidence, least_squares=ls, essential=kept)
 
 
-def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
+def _by_instruments(loop: iv.Loop, say: Say) -> Solution:
     """IDIM-IV: the instruments Z are the columns of x along the motion of the robot simulated with
     the previous estimate.
 
@@ -223,4 +197,6 @@ def _by_instruments(loop: iv.Loop, say: Say) -> Fit:
         best = replace(alone, number=len(passes))
         passes, tests = [*passes, best], iv.tests_of(best)
         ended = status_of(model, best, best, tests[1])
-    return assess_iv(loop, best, [one.without_rows() for one in passes[1:]], ended, tests)
+    return solution_by_instruments(
+        loop, best, [one.without_rows() for one in passes[1:]], ended, tests
+    )

@@ -22,8 +22,8 @@ from ..model import BaseParameters, InverseModel
 from ..regression import Lag, Rows, lags_in
 from ..report import Status
 from ..simulation import Simulated
-from .fit import Pass, join_reasons
 from .model import Asked, Model
+from .passes import Pass, join_reasons
 from .start import solution_of
 
 # samples; the column of the lag is of first order, not exact for many

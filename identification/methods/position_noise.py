@@ -21,7 +21,7 @@ from ..regression import (
 )
 from ..report import FTest, Method
 from ..trust import TrustLine
-from .fit import Pass
+from .passes import Pass
 from .start import solver_of
 
 NAME, FINDING = "position noise", "least squares biased by position noise"

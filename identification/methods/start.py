@@ -38,8 +38,8 @@ from ..estimation import (
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, refuse_standing_joints, sample_weights
 from ..report import FTest, Method
-from .fit import Pass
 from .model import Model
+from .passes import Pass
 
 # share of the norm of an identifiable column that is independent of the others
 MIN_INDEPENDENT_NORM = 0.01

@@ -25,9 +25,9 @@ from acquisition.simulated import (
 
 from ..arrays import Array
 from ..errors import BadInputError
-from ..methods import Fit
 from ..model import inertias
 from ..report import Document, Number, Row, Section, Table, columns, value_form
+from ..results import Fit
 from ..simulation import RigidBodyPlant, drive_loops
 from .simulated_cell import periodic_reference, true_model
 

@@ -15,7 +15,6 @@ from acquisition.files import atomic_write
 from acquisition.robot import load_robot
 
 from ..data import RecordingFile, Recordings, Work
-from ..methods import fitted_parameters, identify
 from ..regression import Overrides
 from ..report import (
     Document,
@@ -29,6 +28,7 @@ from ..report import (
     versions,
     write_json,
 )
+from ..results import fitted_parameters, identify
 
 MAX_WIDTH = 60  # characters of the changes in a line of the printed table
 # by the path of a recording, or of a folder of some, what is fitted
@@ -130,7 +130,7 @@ def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) 
         method=fit.method,
         status=fit.status,
         verdict=fit.trust.verdict,
-        reason=fit.reason or "",
+        reason=fit.solution.reason or "",
         torque_error_percent=fit.errors[-1].relative_error_percent,
         parameters=dict(fitted_parameters(fit).parameters),
     )

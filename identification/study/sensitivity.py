@@ -13,10 +13,11 @@ from ..arrays import Array
 from ..data import RecordingFile, Work
 from ..errors import NoFitError, RobotIdimError
 from ..estimation import one_thread
-from ..methods import Iteration, identify_iv
+from ..methods import Iteration
 from ..model import described_parameters
 from ..regression import Overrides, make_settings
 from ..report import Document, Number, Row, Section, Table, columns, value_form
+from ..results import identify_iv
 
 CUTOFFS = {"2.5 x bandwidth": 2.5, "10 x bandwidth": 10.0, "none": 0.0}  # times the bandwidth
 DECIMATIONS = (0.5, 2.0)  # times that of the rules

@@ -14,10 +14,11 @@ from ..arrays import Array, Bools
 from ..data import Signals, Work
 from ..errors import RobotIdimError
 from ..estimation import one_thread
-from ..methods import Fit, Iteration, identify_iv, identify_ls
+from ..methods import Iteration
 from ..model import InverseModel, direct_model, poses_of, why_not_positive
 from ..options import StudyOptions
 from ..regression import Overrides
+from ..results import Fit, identify_iv, identify_ls
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 
 
@@ -136,4 +137,4 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         iv = identify_iv(signals, Overrides(law=ls.problem.law), Iteration())
     except RobotIdimError as error:
         return replace(run, reason=error.args[0])
-    return replace(run, status=iv.status, reason=iv.reason, iv=result(iv))
+    return replace(run, status=iv.status, reason=iv.solution.reason, iv=result(iv))

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..design import Excitation
-from ..methods import Fit
 from ..model import friction_alone
 from ..regression import base_name, rigid_torque_at_rows
 from ..report import Level, ParameterSet, differences
+from ..results import Fit
 from ..study import Run, VariedFit, moves_of
 from ..trust import Trust
 from .axes import Axis, decades, linear, logarithmic
@@ -171,7 +171,7 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
             (
                 dq,
                 np.abs(rigid),
-                (fit.tau - fit.tau_predicted)[one.rows][: len(dq)],
+                (one.tau - one.tau_predicted)[: len(dq)],
                 np.tile(own, (len(dq), 1)),
             )
         )

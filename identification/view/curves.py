@@ -11,8 +11,8 @@ from acquisition.robot import Robot
 from ..arrays import Array, Ints
 from ..data import Signals
 from ..design import Excitation
-from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings
+from ..results import Fit
 from .colors import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION
 from .panels import Curve, Line, Plot
 

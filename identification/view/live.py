@@ -22,10 +22,10 @@ from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
 from ..errors import BadInputError
-from ..methods import stored_beta, with_stored_gains
 from ..model import InverseModel, base_parameters
 from ..regression import Decimation, motion_between, predicted_torque, sampled_at
 from ..report import FitFile, read_fit
+from ..results import stored_beta, with_stored_gains
 from .colors import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Color
 from .rerun_panels import event_view, shown_text
 

@@ -6,7 +6,7 @@ The renderers, Rerun and HTML, show these lists.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from .. import methods
+from .. import results
 from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
@@ -20,7 +20,7 @@ from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, spectrum_charts
 
 
-def draw_fit(fit: methods.Fit, *, truth: Array | None = None) -> Picture:
+def draw_fit(fit: results.Fit, *, truth: Array | None = None) -> Picture:
     """A fit on one of its recordings. A fit by IV is shown together with its least squares.
 
     Times are seconds from the recording's first sample, on the timeline `time`. Measured curves
@@ -30,10 +30,10 @@ def draw_fit(fit: methods.Fit, *, truth: Array | None = None) -> Picture:
     the plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`,
     `column/<quantity>`, `events`, `health`, `report`.
     """
-    signals, own = fit.problem.signals, methods.fitted_parameters(fit)
-    others = [methods.fitted_parameters(fit, by_ls=True)] if fit.passes else []
-    others += [methods.true_parameters(fit.base, truth)] if truth is not None else []
-    document = methods.fit_document(fit).followed_by(
+    signals, own = fit.problem.signals, results.fitted_parameters(fit)
+    others = [results.fitted_parameters(fit, by_ls=True)] if fit.passes else []
+    others += [results.true_parameters(fit.base, truth)] if truth is not None else []
+    document = results.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
@@ -60,7 +60,7 @@ def draw_fit(fit: methods.Fit, *, truth: Array | None = None) -> Picture:
     )
 
 
-def draw_friction(before: methods.Fit, after: methods.Fit, document: Document) -> Picture:
+def draw_friction(before: results.Fit, after: results.Fit, document: Document) -> Picture:
     """The fits with the usual and with the recommended friction terms."""
     recording = ", ".join(one.problem.signals.recording for one in before.recordings)
     return Picture(
@@ -74,7 +74,7 @@ def draw_friction(before: methods.Fit, after: methods.Fit, document: Document) -
 
 
 def draw_validation(
-    validated: Sequence[methods.Validated], document: Document, sha256: Mapping[str, str]
+    validated: Sequence[results.Validated], document: Document, sha256: Mapping[str, str]
 ) -> Picture:
     """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the
     model, and the residual.
@@ -106,7 +106,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
         refusal = error.args[0]
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}",
-        document=methods.recording_document(signals, settings, refusal),
+        document=results.recording_document(signals, settings, refusal),
         pages=tuple(_signal_pages(signals, settings, None, [])),
         sha256={signals.recording: signals.sha256},
     )
@@ -169,7 +169,7 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
 
 
 def _signal_pages(
-    signals: Signals, settings: Settings | None, fit: methods.Fit | None, residuals: Sequence[Plot]
+    signals: Signals, settings: Settings | None, fit: results.Fit | None, residuals: Sequence[Plot]
 ) -> list[Page]:
     """The pages of a recording with or without a fit and its residuals: overview,
     signal quality, motion.
@@ -203,7 +203,7 @@ def _signal_pages(
     ]
 
 
-def _friction_page(fits: Mapping[str, methods.Fit]) -> Page:
+def _friction_page(fits: Mapping[str, results.Fit]) -> Page:
     """Friction of each joint over its speed, for one fit or several fits side by side."""
     of_fits = [charts.friction_charts(fit, name) for name, fit in fits.items()]
     of_joints = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}

@@ -17,8 +17,8 @@ from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
 from ..export import make_urdf
-from ..methods import Fit
 from ..model import InverseModel
+from ..results import Fit
 from .panels import Moving, Scene
 
 POSES_PER_S = 50.0  # close to the frame rate of a screen

@@ -14,8 +14,8 @@ from independent_simulator import Imperfections, Runs, described_controller, ref
 from acquisition.importing import import_tables
 from acquisition.robot import load_robot
 from identification.data import load_signals
-from identification.methods import identify_ls
 from identification.regression import Overrides
+from identification.results import identify_ls
 
 STEPS_MS, SHARES = (8, 9, 10, 11, 12, 13), (0.1, 0.2, 0.4, 0.15, 0.1, 0.05)
 OFF, TICK_S = 0.05, 0.001

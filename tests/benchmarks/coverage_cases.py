@@ -21,9 +21,10 @@ from independent_simulator import (
 )
 
 from identification.estimation import one_thread
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
+from identification.results import identify_iv, identify_ls
 
 Array = np.ndarray
 CHUNK = 20  # runs simulated side by side

@@ -22,9 +22,10 @@ from conftest import described_chi, robot_named
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import fourier_reference
 from identification.data import Work, load_signals
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
 from identification.regression import Overrides
+from identification.results import identify_iv, identify_ls
 from identification.study import Study, run_study
 
 SAMPLES = 45_000

@@ -29,9 +29,9 @@ from independent_simulator import (
 )
 
 from identification.estimation import one_thread
-from identification.methods import Fit
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
+from identification.results import Fit
 
 RUNS = int(os.environ.get("LAG_RUNS", "100"))
 LAGS = (0.0, 1.0, 2.0, 2.5)  # samples

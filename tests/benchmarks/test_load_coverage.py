@@ -27,8 +27,9 @@ from independent_simulator import (
 
 from identification.data import Recordings
 from identification.design import with_terms
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.results import identify_iv, identify_ls
 
 RUNS = int(os.environ.get("LOAD_RUNS", "20"))
 EACH = 2  # recordings of a fit

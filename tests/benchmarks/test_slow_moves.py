@@ -19,8 +19,8 @@ from independent_robots import Plant
 from independent_simulator import Imperfections, Reference, references, simulate
 
 from identification.estimation import one_thread
-from identification.methods import fit_file, validate_all
 from identification.regression import Overrides
+from identification.results import fit_file, validate_all
 
 RUNS = int(os.environ.get("SLOW_RUNS", "6"))
 SHARE, REST_S = 0.05, 0.3  # of the speed limits; between two moves

@@ -3,8 +3,8 @@
 import numpy as np
 
 from acquisition.robot import Robot
-from identification.methods import Fit
 from identification.model import InverseModel, described_parameters
+from identification.results import Fit
 
 
 def truth_of(fit: Fit, robot: Robot | None = None) -> np.ndarray:

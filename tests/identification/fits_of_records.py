@@ -7,8 +7,9 @@ from functools import cache
 from pathlib import Path
 
 from identification.data import Signals, load_signals
-from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.results import Fit, identify_iv, identify_ls
 
 
 @cache

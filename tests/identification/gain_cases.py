@@ -11,8 +11,8 @@ from conftest import REPLAY
 
 from acquisition.robot import Robot, robot_from_files
 from identification.data import Recordings, Signals
-from identification.methods import Fit, identify
 from identification.regression import Overrides
+from identification.results import Fit, identify
 
 Array = np.ndarray
 

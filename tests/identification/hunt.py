@@ -14,9 +14,10 @@ from hunt_kinds import ASSUMED, CLEAN, CORRECTED, KINDS, Kind, SetUp, cell_of, s
 from identification.data import Signals
 from identification.errors import RobotIdimError
 from identification.estimation import one_thread
-from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
+from identification.results import Fit, identify_iv, identify_ls
 
 HALF_WIDTHS, PERCENT = 3.0, 2.0  # an essential parameter that is further off than both is harmed
 

@@ -8,10 +8,11 @@ from rerun.chunk import RrdReader
 
 from acquisition.robot import robot_from_files
 from identification.data import Signals
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.model import InverseModel, base_parameters
 from identification.regression import Motion, Overrides, differentiate, predicted_torque
 from identification.report import Parameter, ParameterSet
+from identification.results import identify_iv, identify_ls
 from identification.study import Noise, closed_loop, random_reference
 
 FS = 1000.0

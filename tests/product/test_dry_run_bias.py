@@ -26,9 +26,9 @@ from acquisition.simulated import (
 )
 from acquisition.simulated.mechanism import JointwisePlant
 from identification.data import load_signals
-from identification.methods import fit_document, identify_ls
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides, make_settings
+from identification.results import fit_document, identify_ls
 from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
 from identification.study import demo, record_simulated_session, study_truth
 

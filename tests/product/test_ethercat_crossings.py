@@ -14,8 +14,8 @@ from acquisition.importing import import_log
 from acquisition.robot import Payload
 from identification import load_signals
 from identification.data import Recordings
-from identification.methods import identify
 from identification.regression import Overrides
+from identification.results import identify
 
 INPUTS = "0x6041:16,0x6061:8,0:8,0x6064:32,0x606C:32,0x6077:16,0x603F:16"
 HEADER, PACKET = 24, 16  # bytes

@@ -6,8 +6,8 @@ import pytest
 from fits_of_records import ls_of, signals_of
 from published import EARLIER, PAGE, error, page, without_seconds
 
-from identification.methods import identify_ls
 from identification.regression import Overrides
+from identification.results import identify_ls
 
 
 def test_tx40_agrees_with_the_earlier_identification(tx40):

@@ -250,7 +250,7 @@ class Page(html.parser.HTMLParser):
 
 
 def test_a_notebook_shows_the_report_of_a_fit(signals):
-    from identification.methods import fit_document
+    from identification.results import fit_document
 
     robot = replace(signals.robot, name="<b>SCARA & Co")
     fit = identification.identify_ls(replace(signals, robot=robot), identification.Overrides())

@@ -22,8 +22,8 @@ from acquisition.robot import (
     robot_from_files,
 )
 from identification.data import Signals, load_signals
-from identification.methods import identify
 from identification.regression import Overrides, make_problem, make_settings
+from identification.results import identify
 
 T = np.arange(4000) / 1000
 TX40 = robot_named("tx40")

@@ -14,8 +14,9 @@ from acquisition.errors import BadInputError
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import robot_from_files
 from identification.data import load_signals
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.results import identify_iv, identify_ls
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

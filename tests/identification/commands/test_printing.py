@@ -10,9 +10,9 @@ from conftest import REPLAY, ROOT
 from fits_of_records import signals_of
 
 from identification.commands import main
-from identification.methods import fit_document, identify
 from identification.regression import Overrides
 from identification.report import Document, Section, Table, columns, print_whole
+from identification.results import fit_document, identify
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

@@ -12,8 +12,8 @@ from hunt_kinds import KINDS, sound
 from independent_simulator import with_lost_rows
 
 from identification.data import load_signals, position_steps, signals_from_arrays
-from identification.methods import identify_ls
 from identification.regression import Overrides
+from identification.results import identify_ls
 
 
 def shares(q):

@@ -18,7 +18,6 @@ from identification.data import Recordings
 from identification.design import select_friction, with_terms
 from identification.design.selection import Trial, smallest_near_best
 from identification.errors import RobotIdimError
-from identification.methods import identify_ls
 from identification.regression import (
     equation_alone,
     make_problem,
@@ -27,6 +26,7 @@ from identification.regression import (
     weights_at,
     with_common_band,
 )
+from identification.results import identify_ls
 from identification.study import write_signals
 from identification.view import charts
 
@@ -288,7 +288,7 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
     for fitted, label in zip(fit.recordings, ("r1", "r2", "r3"), strict=True):
         dots = rows_of(fit.on(fitted), [label])
         *_, speed, _, _ = torque_of_recording(*equation_alone(fitted.problem.for_errors))
-        v, rho = speed[:, 0], (fit.tau - fit.tau_predicted)[fitted.rows, 0]
+        v, rho = speed[:, 0], (fitted.tau - fitted.tau_predicted)[:, 0]
         rows = np.abs(v) > 0.02 * np.abs(v).max()
         if own:
             expected = np.stack([v, columns(v, 0.0, [label]) @ fit.estimate.beta + rho])[:, rows]

@@ -32,7 +32,6 @@ from identification.export import (
 )
 from identification.export.exporting import replace_parameters
 from identification.export.formats import quaternion, roll_pitch_yaw
-from identification.methods import fit_file, stored_robot, with_consistent
 from identification.model import (
     InverseModel,
     JointTerm,
@@ -41,6 +40,7 @@ from identification.model import (
     physical_parameters,
 )
 from identification.report import Covariance, LeftOut, read_fit, write_json
+from identification.results import fit_file, stored_robot, with_consistent
 from identification.simulation import Reference, recorded_loop
 
 SCARA = REPLAY / "scara" / "session.mcap"

@@ -13,8 +13,8 @@ from gain_cases import with_gains as described_with
 
 from acquisition.robot import Payload, Robot
 from identification.data import RecordingFile, Recordings, Signals, Work
-from identification.methods import Fit, identify
 from identification.regression import Overrides
+from identification.results import Fit, identify
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
 RATE_HZ = 500.0

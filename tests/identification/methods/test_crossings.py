@@ -20,7 +20,7 @@ from identification.data import Work
 from identification.estimation import system
 from identification.regression import problem
 
-TRACKED = "identification.methods.assess.MAX_TRACKING_PERCENT"
+TRACKED = "identification.methods.solution.MAX_TRACKING_PERCENT"
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from acquisition.robot import Payload
 from identification.commands import main
 from identification.data import Recordings, load_signals, signals_from_arrays
 from identification.errors import NoFitError
-from identification.methods import identify, identify_ls
 from identification.regression import Overrides
+from identification.results import identify, identify_ls
 
 COLUMNS = ("t_s", "q", "effort", "q_ref")
 

@@ -34,10 +34,11 @@ from identification.data import RecordingFile, Recordings, Work
 from identification.design import select_friction, with_terms
 from identification.estimation import one_thread
 from identification.export import replace_in_tables
-from identification.methods import identify, identify_ls, least_squares, with_consistent
+from identification.methods import least_squares
 from identification.model import JointTerm
 from identification.regression import Overrides, recorded_power
 from identification.regression.filtering import lowpass
+from identification.results import identify, identify_ls, with_consistent
 from identification.simulation import Reference
 from identification.study import write_signals
 

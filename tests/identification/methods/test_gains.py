@@ -17,7 +17,7 @@ import identification.methods.idim as idim
 from acquisition.robot import Payload, load_robot
 from identification.commands import main
 from identification.data import Recordings, load_signals
-from identification.methods import fit_document, identify, identify_ls, read_model
+from identification.methods import read_model
 from identification.methods.model import model_of
 from identification.model import (
     LINK,
@@ -34,6 +34,7 @@ from identification.regression import (
     make_unknowns,
     predicted_torque,
 )
+from identification.results import fit_document, identify, identify_ls
 from identification.simulation import SimulatedRecording
 from identification.study import write_signals
 

@@ -16,9 +16,9 @@ from acquisition.errors import BadInputError
 from acquisition.robot import Controller, load_robot
 from identification.data import Signals
 from identification.export import read_chain, robot_of_chain
-from identification.methods import identify
 from identification.model import InverseModel, direct_model, known_parameters
 from identification.regression import Overrides
+from identification.results import identify
 from identification.simulation import Control, Reference, recorded_loop
 
 UR5 = packaged_urdf("ur5_robot.urdf")

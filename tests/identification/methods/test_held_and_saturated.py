@@ -23,8 +23,9 @@ from independent_simulator import (
 from acquisition.robot import Joint, Robot
 from identification.data import Signals
 from identification.errors import RobotIdimError
-from identification.methods import Iteration, identify_iv
+from identification.methods import Iteration
 from identification.regression import Overrides, largest_of_type
+from identification.results import identify_iv
 
 CELL = Imperfections(encoder_noise=2e-5, encoder_step=1e-5, torque_noise_percent=1.0)
 

@@ -20,12 +20,13 @@ from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import system
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Iteration
 from identification.model import (
     direct_model,
     why_not_positive,
 )
 from identification.regression import Overrides
+from identification.results import identify_iv, identify_ls
 from identification.simulation import recorded_loop
 from identification.study import Noise, closed_loop, random_reference
 
@@ -59,7 +60,7 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     fit, ls = iv_of(tx40), ls_of(tx40)
     assert (fit.status, len(fit.beta)) == ("converged", 60)
     assert len(fit.passes) <= 4
-    assert (fit.reference, fit.controller, fit.start) == (
+    assert (fit.reference, fit.controller, fit.solution.start) == (
         "surrogate",
         "surrogate",
         "ls",
@@ -165,7 +166,7 @@ def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_
         Iteration(start="regular"),
     )
     assert fit.status == "not_confirmed"
-    assert "inertia matrix is not positive" in fit.reason
+    assert "inertia matrix is not positive" in fit.solution.reason
     assert all(p.kind != "simulated" or p.reason is None for p in fit.passes)
     # Least squares has no positive inertias either: Kp = J w² then gives those of the gains.
     robot, c = signals.robot, signals.robot.controller
@@ -186,9 +187,9 @@ def test_too_few_passes_are_called_what_they_are(most, tolerance, settled):
     fit = identify_iv(
         signals_of(SCARA), Overrides(), Iteration(max_iterations=most, tolerance_percent=tolerance)
     )
-    assert (fit.reason is None) == (settled is True)
+    assert (fit.solution.reason is None) == (settled is True)
     if settled is None:
-        assert (fit.status, fit.reason) == (
+        assert (fit.status, fit.solution.reason) == (
             "max_iterations",
             "after 1 passes only the start is known",
         )

@@ -29,8 +29,9 @@ from independent_simulator import (
 
 from acquisition.robot import Robot
 from identification.data import Signals
-from identification.methods import Fit, Iteration, identify_iv
+from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.results import Fit, identify_iv
 
 SETTLED = ("converged", "not_confirmed")
 POSITIONS = 20

@@ -22,13 +22,13 @@ from acquisition.errors import BadInputError
 from acquisition.robot import check_recorded_velocities, load_robot
 from identification.commands import main as identify
 from identification.data import Recordings, Signals, load_signals
-from identification.methods import Fit, fit_file, identify_ls, validate_all
-from identification.methods import identify as identify_signals
 from identification.model import InverseModel, described_parameters
 from identification.regression import (
     Overrides,
     make_problem,
 )
+from identification.results import Fit, fit_file, identify_ls, validate_all
+from identification.results import identify as identify_signals
 from identification.study import write_signals
 from identification.trust.candidates import Candidates, MissingTerm
 from identification.trust.kinds import SPRING

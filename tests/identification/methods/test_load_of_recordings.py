@@ -10,13 +10,13 @@ from described_truth import off
 from friction_models import axis, described, moved, simulated
 
 from identification.data import Recordings
-from identification.methods import identify, identify_ls, with_consistent
 from identification.regression import (
     Overrides,
     equation_alone,
     make_problem,
     torque_of_recording,
 )
+from identification.results import identify, identify_ls, with_consistent
 from identification.study import Noise
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]

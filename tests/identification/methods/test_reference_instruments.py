@@ -25,14 +25,14 @@ from independent_simulator import (
 )
 
 from identification.data import Signals
-from identification.methods import Fit, fit_document, fit_file, identify
 from identification.regression import FilteredMotion, Overrides, make_problem
+from identification.results import Fit, fit_document, fit_file, identify
 from identification.simulation.simulated_recording import predicted_motion
 
 HELD = Overrides(torque_lag_s=-0.0005)  # the command of a tick, held until the next
 
 
-NO_TRACKING = "identification.methods.assess.MAX_TRACKING_PERCENT", 0.0
+NO_TRACKING = "identification.methods.solution.MAX_TRACKING_PERCENT", 0.0
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def axis_signals(*, law: bool = False) -> list[Signals]:
 
 
 def stands_alone(fit: Fit) -> bool:
-    return fit.passes[fit.returned - 1].by_reference is not None
+    return fit.passes[fit.solution.returned - 1].by_reference is not None
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(fits):
 
 def test_the_reason_is_told_and_no_law_is_assumed(fits):
     fit, alone = fits[0], "instruments: reference"
-    assert fit.reason.startswith(alone)
+    assert fit.solution.reason.startswith(alone)
     assert alone in fit_document(fit).title
     line = fit.trust.line("fixed point")
     assert (line.level, alone in line.text) == ("ok", True)
@@ -93,7 +93,7 @@ def test_the_reason_is_told_and_no_law_is_assumed(fits):
     file = fit_file(fit)
     assert (file.status, file.reason, file.iterations[-1].instruments) == (
         "converged",
-        fit.reason,
+        fit.solution.reason,
         "reference",
     )
     assert file.pass_returned == len(file.iterations)

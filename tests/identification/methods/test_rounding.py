@@ -9,8 +9,8 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import signals_of
 
-from identification.methods import identify
 from identification.regression import Overrides
+from identification.results import identify
 
 
 @pytest.mark.parametrize(("name", "method"), [("emps", "iv"), ("scara", "iv"), ("tx40", "wls")])

@@ -18,15 +18,7 @@ from identification.commands import main
 from identification.data import Recordings, Signals, Work, check_one_robot, signals_from_arrays
 from identification.errors import BadInputError, NoFitError
 from identification.export import model_of_fit
-from identification.methods import (
-    Iteration,
-    fit_file,
-    fitted_parameters,
-    identify,
-    identify_iv,
-    identify_ls,
-    with_consistent,
-)
+from identification.methods import Iteration
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import (
     Overrides,
@@ -38,6 +30,14 @@ from identification.regression import (
     with_common_band,
 )
 from identification.report import ParameterSet, differences, read_fit, write_json
+from identification.results import (
+    fit_file,
+    fitted_parameters,
+    identify,
+    identify_iv,
+    identify_ls,
+    with_consistent,
+)
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
 USUAL = ("viscous", "coulomb")

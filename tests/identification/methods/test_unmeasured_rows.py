@@ -14,9 +14,10 @@ from acquisition.errors import NoFitError
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import Controller
 from identification.data import Recordings, load_signals, signals_from_arrays
-from identification.methods import Iteration, identify, identify_iv, identify_ls, validate_all
+from identification.methods import Iteration
 from identification.options import Overrides
 from identification.regression import ROWS, make_problem, sample_weights
+from identification.results import identify, identify_iv, identify_ls, validate_all
 
 JOINTS, RATE_HZ, SECONDS = ("pan", "lift", "elbow"), 500.0, 16.0
 N = round(RATE_HZ * SECONDS)

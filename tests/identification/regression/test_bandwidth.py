@@ -15,9 +15,9 @@ from acquisition.robot import Controller
 from identification.data import Signals
 from identification.errors import NoFitError
 from identification.export import read_chain, robot_of_chain
-from identification.methods import identify
 from identification.model import InverseModel, base_parameters, known_parameters
 from identification.regression import Overrides, make_problem, sample_weights
+from identification.results import identify
 from identification.view import draw_recording
 
 ROTOR, VISCOUS, COULOMB = (

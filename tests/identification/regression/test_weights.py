@@ -14,7 +14,6 @@ from described_truth import off
 from acquisition.robot import LowSpeed
 from identification.data import Recordings, load_signals
 from identification.errors import NoFitError
-from identification.methods import identify_ls
 from identification.regression import (
     ROWS,
     FilteredMotion,
@@ -27,6 +26,7 @@ from identification.regression import (
     weights_at,
 )
 from identification.regression.weights import SampleWeights
+from identification.results import identify_ls
 from identification.study import Noise, closed_loop
 
 SCARA = load_signals(REPLAY / "scara" / "session.mcap")

@@ -9,8 +9,8 @@ from conftest import REPLAY
 from fits_of_records import iv_of, ls_of
 
 from identification.commands import main
-from identification.methods import fit_file
 from identification.report import FitFile, ValidationFile, read_fit, write_json
+from identification.results import fit_file
 
 SCARA = REPLAY / "scara" / "session.mcap"
 

@@ -11,7 +11,7 @@ from conftest import described_chi, robot_named
 from loops import free, simulate
 
 from acquisition.robot import robot_from_files
-from identification.methods import Iteration, identify_iv, regular_start
+from identification.methods import Iteration, regular_start
 from identification.model import (
     DirectModel,
     InverseModel,
@@ -21,6 +21,7 @@ from identification.model import (
     why_not_positive,
 )
 from identification.regression import Overrides
+from identification.results import identify_iv
 from identification.simulation import (
     ClosedLoop,
     Control,

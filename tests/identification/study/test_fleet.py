@@ -15,9 +15,9 @@ from acquisition.robot import robot_from_files
 from identification import study
 from identification.commands import main
 from identification.data import Work, load_signals
-from identification.methods import identify
 from identification.regression import Overrides
 from identification.report import Parameter
+from identification.results import identify
 
 BEGAN = datetime(2026, 3, 2, 6, 0, tzinfo=UTC)
 COUNT = 4  # recordings of an axis; the last has half as much viscous friction again

@@ -20,8 +20,9 @@ from independent_simulator import (
 from acquisition.commands import from_options
 from acquisition.recording import read_recording
 from identification.commands import main
-from identification.methods import Iteration, identify_iv
+from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.results import identify_iv
 from identification.study import Noise, closed_loop, study_truth
 
 NAMES = ("emps", "scara")

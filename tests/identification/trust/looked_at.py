@@ -3,8 +3,8 @@
 import pytest
 
 from identification.data import Signals
-from identification.methods import Fit, identify
 from identification.regression import Overrides
+from identification.results import Fit, identify
 from identification.trust import FitData
 
 LIMITS = {

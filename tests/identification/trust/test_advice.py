@@ -12,7 +12,7 @@ from hunt import HALF_WIDTHS, fit_by_default, is_harmed, true_values
 from hunt_kinds import KINDS, SetUp, ratio_of_one, sound, times_effort
 
 from acquisition.robot import Robot
-from identification.methods import Fit
+from identification.results import Fit
 
 
 def cell(name: str = "scara") -> SetUp:

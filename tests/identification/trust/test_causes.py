@@ -14,8 +14,8 @@ from independent_simulator import at_rate
 
 from identification.data import Signals
 from identification.errors import BadInputError, RobotIdimError
-from identification.methods import Fit
 from identification.regression import Lag, Overrides, combined_lag, make_problem
+from identification.results import Fit
 from identification.simulation import unstated_limits
 
 

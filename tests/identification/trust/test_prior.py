@@ -17,9 +17,9 @@ from independent_urdf import RATE_HZ, arm_of, robot_of
 from urdfs import SIX, six_joints
 
 from acquisition.robot import Payload
-from identification.methods import fit_document, fit_file
 from identification.model import InverseModel, base_parameters, base_prior
 from identification.report import to_markdown
+from identification.results import fit_document, fit_file
 from identification.study import write_signals
 from identification.trust import predictions
 

@@ -15,8 +15,8 @@ from independent_robots import plant
 from independent_simulator import Imperfections, description, designed_pd, without_settings
 
 from identification.data import Recordings
-from identification.methods import Fit, identify_ls
 from identification.regression import Overrides
+from identification.results import Fit, identify_ls
 from identification.trust import columns
 from identification.trust.candidates import MissingTerm
 from identification.trust.columns import missing_terms

@@ -16,18 +16,11 @@ from fits_of_records import iv_of, ls_of, signals_of
 from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import LowSpeed, Robot, robot_from_files
 from identification.data import Signals, load_signals
-from identification.methods import (
-    Fit,
-    Iteration,
-    fit_file,
-    identify,
-    identify_iv,
-    identify_ls,
-    iteration,
-)
+from identification.methods import Iteration, iteration
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 from identification.report import write_json
+from identification.results import Fit, fit_file, identify, identify_iv, identify_ls
 from identification.study import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -183,7 +176,7 @@ def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch
 
     monkeypatch.setattr(iteration, "instrumental_variables", spoilt)
     fit = identify_iv(signals_of(SCARA), Overrides(), Iteration(max_iterations=3))
-    assert (fit.status, fit.returned, len(fit.passes)) == ("max_iterations", 1, 3)
+    assert (fit.status, fit.solution.returned, len(fit.passes)) == ("max_iterations", 1, 3)
     assert "pass 1 is returned" in fit.reason
     assert fit.beta[0] == pytest.approx(3.45, rel=0.01)
 

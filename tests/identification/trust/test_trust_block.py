@@ -27,7 +27,7 @@ from scipy.signal import lfilter
 from identification.data import Signals
 from identification.estimation import FINE_SPANS, SPANS, instrumental_variables, intervals_of
 from identification.estimation.diagnostics import autoregression
-from identification.methods import Fit, identify, identify_ls
+from identification.methods import essential_names
 from identification.regression import (
     Overrides,
     equation_alone,
@@ -35,6 +35,7 @@ from identification.regression import (
     torque_of_recording,
     weights_at,
 )
+from identification.results import Fit, identify, identify_ls
 from identification.trust import LEVELS, FitData, Trust, TrustLine, candidates, kinds, trust_in
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
@@ -207,7 +208,7 @@ def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
         low=fit.intervals.low - np.abs(fit.beta),
         high=fit.intervals.high + np.abs(fit.beta),
     )
-    assert replace(fit, intervals=wide).essential_names == ()
+    assert essential_names(fit.essential, fit.estimate, wide) == ()
 
 
 def test_the_error_is_that_behind_the_rules_filter():

@@ -9,10 +9,11 @@ import msgspec
 from conftest import REPLAY
 
 from identification.data import load_signals
-from identification.methods import Iteration, Pass, identify_iv
-from identification.methods.assess import status_of
+from identification.methods import Iteration, Pass
+from identification.methods.solution import status_of
 from identification.regression import Overrides
 from identification.report import DirectModelResidual
+from identification.results import identify_iv
 
 
 def verdict(tracking, errors, first_stage_F=500.0):

@@ -19,10 +19,10 @@ from acquisition.session import Recorder
 from identification.commands import main
 from identification.data import load_signals
 from identification.errors import BadInputError
-from identification.methods import fit_file, identify_ls, stored_beta
 from identification.model import InverseModel, base_parameters
 from identification.regression import Decimation, Overrides, make_problem, predicted_torque
 from identification.report import read_fit, write_json
+from identification.results import fit_file, identify_ls, stored_beta
 from identification.view import follow_recording, live
 
 SCARA = REPLAY / "scara" / "session.mcap"

@@ -11,21 +11,25 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
-from identification.methods import (
+from identification.methods import essential_names
+from identification.report import Section
+from identification.results import (
     Validated,
     fit_document,
     fit_file,
     recording_document,
     validation_document,
 )
-from identification.report import Section
 
 SCARA = REPLAY / "scara" / "session.mcap"
 
 
 def with_essential(fit, names, **figures):
     essential = msgspec.structs.replace(fit.essential, names=names, **figures)
-    return replace(fit, essential=essential, warnings=("a wrong gain",))
+    solution = replace(fit.solution, essential=essential)
+    narrow = essential_names(essential, fit.estimate, fit.intervals)
+    data = replace(fit.data, essential=narrow)
+    return replace(fit, solution=solution, data=data, warnings=("a wrong gain",))
 
 
 def test_the_verdict_comes_first_with_one_error():
@@ -66,7 +70,8 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
     kept, wide = names if kept is None else kept, names if wide is None else wide
     by = np.where(np.isin(names, wide), 1.5 * np.abs(fit.beta), fit.intervals.half)
     intervals = replace(fit.intervals, low=fit.beta - by, high=fit.beta + by)
-    fit = replace(with_essential(fit, kept, F=1.0), intervals=intervals)
+    fit = replace(fit, data=replace(fit.data, intervals=intervals))
+    fit = with_essential(fit, kept, F=1.0)
     expected = {name for name in kept if name not in wide}
     document, file = fit_document(fit), fit_file(fit)
     assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected

@@ -14,10 +14,10 @@ from independent_simulator import Imperfections, references, simulate, with_cont
 from identification.commands import main
 from identification.data import Recordings
 from identification.design import select_friction
-from identification.methods import fit_document, fit_file, identify_ls, validate_all
-from identification.methods.horizon import HORIZONS_S, errors_ahead
-from identification.methods.recording_report import validated
 from identification.regression import Overrides, make_problem
+from identification.results import fit_document, fit_file, identify_ls, validate_all
+from identification.results.horizon import HORIZONS_S, errors_ahead
+from identification.results.recording_report import validated
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

@@ -7,22 +7,11 @@ count. Results of gains and payloads stand apart from the base parameters.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
-import msgspec
 import numpy as np
 
-from ..estimation import (
-    Estimate,
-    Intervals,
-    intervals_from,
-    intervals_of,
-    moves_of,
-    not_below_white,
-)
+from ..methods import Model
 from ..model import LINK
-from ..regression import Lag, Rows, base_places
 from ..report import (
     DriveGain,
     Number,
@@ -36,28 +25,9 @@ from ..report import (
 from ..trust import FitData
 from .consistent import standard_parameters
 from .fit import Fit
-from .model import Model
 
 UNITS = (*["kg m²"] * 6, *["kg m"] * 3, "kg")  # of LINK
 MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
-
-
-def held_and_counted(
-    model: Model, estimate: Estimate, rows: Rows, lags: Sequence[Lag]
-) -> Intervals:
-    """Intervals that include how well lags, stated drive gains, masses, and centres of mass
-    that are not estimated are known, which the estimate holds.
-    """
-    of, found = model.unknowns, intervals_of(rows.system, estimate)
-    moved = [lag.moved for lag in lags]
-    if of.held:
-        places = [of.names.index(name) for name in estimate.names]
-        half = np.array([[one.half] for one in of.held])
-        moves = moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
-        stated = np.array([one.stated[places] for one in of.held])
-        moved += list(half * np.abs(stated - moves) / found.reach)
-    sigma = not_below_white(estimate, found)
-    return intervals_from(estimate, np.hypot.reduce([sigma, *moved]), found.freedom)
 
 
 def smallest_cragg_donald(evidence: FitData) -> float:
@@ -81,36 +51,14 @@ def smallest_cragg_donald(evidence: FitData) -> float:
     return float(np.linalg.eigvalsh(half @ half.T)[0] / m)
 
 
-def with_gains_and_payloads(model: Model, fit: Fit) -> Fit:
-    """The fit with the results of gains and payloads, apart from its base parameters."""
-    of, evidence, ls = model.unknowns, fit.data, fit.least_squares
-    estimate, found, robot = evidence.estimate, evidence.intervals, model.problem.signals.robot
-    base, of_ls, kept = map(base_places, (estimate.names, ls.estimate.names, fit.essential.names))
-    payloads, far, gains = list[PayloadOfFit](), list[str](), list[DriveGain]()
-    for one in of.payloads:
-        own = [estimate.names.index(name) for name in one.names if name in estimate.names]
-        covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
-        values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
-        pairs = zip(model.problems, of.arms, strict=True)
-        name = next(problem.signals.recording for problem, arm in pairs if arm.payload is one)
-        if one.names and not sigma.any():
-            far.append(name)
-        share = one.values(estimate).tolist()
-        payloads.append(
-            PayloadOfFit(
-                recording=name,
-                stated=one.payload.text,
-                parameters=list(
-                    standard_parameters(LINK, UNITS, values, found.reach * sigma, prior)
-                ),
-                base_parameters=dict(zip(fit.base.names, share, strict=True)),
-            )
-        )
+def gains_of(model: Model, data: FitData) -> tuple[DriveGain, ...]:
+    """The drive gains that were identified, in the order of their motors."""
+    of, robot, found = model.unknowns, model.problem.signals.robot, list[DriveGain]()
     for m, name in zip(of.motors, of.names[of.gains], strict=True):
-        motor, at = robot.motors[m], estimate.names.index(name)
-        value = float(robot.gain[m] * estimate.beta[at])
-        width = float(np.abs(robot.gain[m]) * found.half[at])
-        gains.append(
+        motor, at = robot.motors[m], data.estimate.names.index(name)
+        value = float(robot.gain[m] * data.estimate.beta[at])
+        width = float(np.abs(robot.gain[m]) * data.intervals.half[at])
+        found.append(
             DriveGain(
                 motor=motor.name,
                 unit=f"{robot.effort_units[m]}/{motor.recorded_unit}",
@@ -120,21 +68,34 @@ def with_gains_and_payloads(model: Model, fit: Fit) -> Fit:
                 determined=width < MAX_GAIN_SHARE * abs(value),
             )
         )
-    text = "no body of positive density is near: its values are stated or a ball's"
-    return replace(
-        fit,
-        estimate=estimate.part(base),
-        intervals=found.part(base),
-        least_squares=replace(
-            ls, estimate=ls.estimate.part(of_ls), intervals=ls.intervals.part(of_ls)
-        ),
-        essential=msgspec.structs.replace(
-            fit.essential, names=tuple(fit.essential.names[k] for k in kept)
-        ),
-        gains=tuple(gains),
-        payloads=tuple(payloads),
-        warnings=(*fit.warnings, *(f"payload of {name}: {text}" for name in far)),
-    )
+    return tuple(found)
+
+
+def payloads_of(model: Model, data: FitData) -> tuple[tuple[PayloadOfFit, ...], list[str]]:
+    """The payloads as the nearest bodies of positive density, and warnings of those that are near
+    none.
+    """
+    estimate, found, base = data.estimate, data.intervals, model.problem.base
+    payloads, far = list[PayloadOfFit](), list[str]()
+    for one in model.unknowns.payloads:
+        own = [estimate.names.index(name) for name in one.names if name in estimate.names]
+        covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
+        values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
+        pairs = zip(model.problems, model.unknowns.arms, strict=True)
+        name = next(problem.signals.recording for problem, arm in pairs if arm.payload is one)
+        if one.names and not sigma.any():
+            text = "no body of positive density is near: its values are stated or a ball's"
+            far.append(f"payload of {name}: {text}")
+        half = found.reach * sigma
+        payloads.append(
+            PayloadOfFit(
+                recording=name,
+                stated=one.payload.text,
+                parameters=list(standard_parameters(LINK, UNITS, values, half, prior)),
+                base_parameters=dict(zip(base.names, one.values(estimate).tolist(), strict=True)),
+            )
+        )
+    return tuple(payloads), far
 
 
 def gain_sections(fit: Fit) -> list[Section]:

@@ -35,7 +35,7 @@ def fit_file(fit: Fit) -> report.FitFile:
             if line.test == "physical" and line.level != "ok"
         ],
         verdict=fit.trust.verdict,
-        method_reason=fit.method_reason,
+        method_reason=fit.solution.method_reason,
         assumed=list(fit.trust.assumed),
         # that of the first recording; others of several may have their own
         lag=next(
@@ -197,9 +197,9 @@ def _recording(
 def _iv_keys(fit: Fit) -> dict[str, Any]:
     """The keys of the instrumental variable method."""
     return {
-        "reason": fit.reason,
-        "pass_returned": fit.returned,
-        "start": fit.start,
+        "reason": fit.solution.reason,
+        "pass_returned": fit.solution.returned,
+        "start": fit.solution.start,
         "reference": fit.reference,
         "controller": fit.controller,
         "iterations": [
@@ -217,7 +217,10 @@ def _iv_keys(fit: Fit) -> dict[str, Any]:
             )
             for p in fit.passes
         ],
-        "instrument_tests": {"strength": fit.strength, "first_stage_F": fit.data.first_stage_F},
+        "instrument_tests": {
+            "strength": fit.solution.strength,
+            "first_stage_F": fit.data.first_stage_F,
+        },
         "contrast_half_widths": fit.contrast[0],
         "rows_used_percent": fit.rows_used_percent,
         "saturated_percent": fit.saturated_percent,

@@ -18,6 +18,7 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import BadInputError
 from ..estimation import one_thread
+from ..methods import essential_names
 from ..model import (
     BaseParameters,
     InverseModel,
@@ -29,7 +30,7 @@ from ..model import (
 from ..regression import Overrides, Problem, base_name, make_problem, with_common_band
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
-from .fit import Fit, essential_names
+from .fit import Fit
 from .horizon import errors_ahead
 from .recording_report import Validated, errors_on, validated
 
@@ -40,7 +41,7 @@ def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
     """
     of = fit.least_squares if by_ls else fit
     e, intervals = of.estimate, of.intervals
-    essential = essential_names(fit.essential, e, intervals)
+    essential = essential_names(fit.essential, e, intervals) if by_ls else fit.essential_names
     known = true_parameters(fit.base, np.zeros(len(fit.base.names))).parameters
     prior, columns = fit.data.prior, (e.beta, intervals.low, intervals.high, e.sigma)
     found = zip(e.names, *(x.tolist() for x in (*columns, e.sigma_percent)), strict=True)

@@ -23,10 +23,10 @@ from identification.estimation import (
     parameter_certainty,
     pseudo_inertia,
 )
-from identification.methods import fit_document, fit_file, identify_ls, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import Overrides
 from identification.report import LeftOut, read_fit
+from identification.results import fit_document, fit_file, identify_ls, urdf_prior, with_consistent
 
 
 @pytest.fixture(scope="module")

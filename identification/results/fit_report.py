@@ -22,7 +22,7 @@ from ..report import (
 from ..trust import LEVELS
 from . import recording_report as shared
 from .fit import Fit
-from .gains import gain_sections, payload_sections
+from .gain_results import gain_sections, payload_sections
 from .parameters import fitted_parameters
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
@@ -77,11 +77,11 @@ def first_line(fit: Fit, held: float | None, percents: Mapping[str, float]) -> s
     figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     alone = (
         " with instruments: reference"
-        if fit.passes and fit.passes[fit.returned - 1].by_reference is not None
+        if fit.passes and fit.passes[fit.solution.returned - 1].by_reference is not None
         else ""
     )
     return (
-        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}{alone}, "
+        f"{fit.method.upper()} ({fit.solution.method_reason}), {fit.status}{alone}, "
         f"{verdict}; {figures}; {_determined(percents, len(fit.full.names))}"
     )
 
@@ -101,7 +101,7 @@ def _determined(percents: Mapping[str, float], of: int) -> str:
 
 
 def _verdict_section(fit: Fit, notes: Sequence[str]) -> Section:
-    reason = f": {fit.reason}" if fit.reason else ""
+    reason = f": {why}" if (why := fit.solution.reason) else ""
     lines = (
         [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"]
         if fit.trust.assumed
@@ -299,7 +299,8 @@ def _iv_sections(fit: Fit) -> list[Section]:
             for number, p in enumerate(fit.passes, 1)
         ),
     )
-    sections = [Section(title=f"passes from start: {fit.start}", table=passes, short=HIDDEN)]
+    title = f"passes from start: {fit.solution.start}"
+    sections = [Section(title=title, table=passes, short=HIDDEN)]
     if fit.direct:
         direct = Table(
             columns=columns("joint", numbers=("position", "torque")),
@@ -327,7 +328,7 @@ def _iv_lines(fit: Fit) -> tuple[str, ...]:
             for k, p in enumerate(fit.passes, 1)
             if p.reason
         ),
-        f"instruments: smallest correlation with W {fit.strength:.3f}, first-stage F "
+        f"instruments: smallest correlation with W {fit.solution.strength:.3f}, first-stage F "
         f"{fit.data.first_stage_F:.3g}",
         f"least squares differs by {off:.2g} half-widths, at {at}",
         f"{used:.1f} % of the rows used; reference {fit.reference}, controller {fit.controller}",

@@ -1,0 +1,108 @@
+"""One pass of the instrumental variable method, or least squares."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import get_args
+
+import numpy as np
+
+from ..arrays import Array
+from ..estimation import Estimate, Intervals
+from ..regression import Lag, Rows
+from ..simulation import InstrumentKind, Simulated
+
+
+def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
+    """Return the reasons of recordings in one line, led by their names if there are several."""
+    if len(reasons) == 1:
+        return reasons[0][1]
+    return "; ".join(f"{name}: {why}" for name, why in reasons if why is not None) or None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pass:
+    """One pass of the instrumental variable method, or least squares, from which passes start; only
+    the last one keeps arrays as large as W.
+
+    Attributes:
+        x: (p,) values before it, with the lags found.
+        rows: about x, with the instruments; `z`: by recording, the robot simulated for them.
+        estimate: of the free unknowns, and its `intervals`.
+        lags: found, with what is known.
+        asked: values (p,) simulated, and their covariance (f, f), None for a regular start; None
+            along the reference.
+        about: whether the rows are about these lags, and the values simulated.
+        change_sigma, change_percent, changed: largest change of a parameter in its deviations; in
+            percent of those larger than two deviations; the parameter of the former.
+        residual_percent: change of the residual norm by the pass, over the same rows.
+        residual_settled, parameters_settled: whether the residual, and every parameter, changed
+            less than the tolerance.
+        number: counted from 1; least squares is 0.
+        by_reference: why no simulated robot confirms others, so that its instruments, of kind
+            `reference`, stand alone: one solution; None where they do not.
+        failure: why the next pass gave no estimate; None if it did, or there was none.
+        confirmed_by: by recording, the robot simulated with the estimate, or with the values that
+            it settled at; only of the pass that is returned.
+        tau_predicted: (rows, n) decimated torque of the estimate; of least squares alone.
+    """
+
+    x: Array
+    rows: Rows | None
+    estimate: Estimate
+    intervals: Intervals
+    parameters_settled: bool
+    lags: tuple[Lag, ...]
+    z: tuple[Simulated, ...] = ()
+    asked: tuple[Array, Array | None] | None = None
+    about: bool = False
+    change_sigma: float = 0.0
+    change_percent: float = 0.0
+    changed: str = ""
+    residual_percent: float = 0.0
+    residual_settled: bool = False
+    number: int = 0
+    by_reference: str | None = None
+    failure: str | None = None
+    confirmed_by: tuple[Simulated, ...] = ()
+    tau_predicted: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def without_rows(self) -> "Pass":
+        """The same without arrays as large as W."""
+        if self.rows is None:
+            return self
+        z = tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z)
+        estimate = self.estimate.without_rows()
+        return replace(self, z=z, rows=None, estimate=estimate, confirmed_by=())
+
+    @property
+    def kind(self) -> InstrumentKind:
+        """The kind of its instruments, as of `Simulated`: of several recordings the worst, which
+        is the last.
+        """
+        return max((one.kind for one in self.z), key=get_args(InstrumentKind).index)
+
+    @property
+    def reason(self) -> str | None:
+        """Why its instruments are not those of the robot asked; None if they are."""
+        return self.by_reference or join_reasons([(one.recording, one.reason) for one in self.z])
+
+    @property
+    def gains(self) -> Array:
+        """Factors on the controllers' gains, n for each recording."""
+        return np.concatenate([one.gains for one in self.z])
+
+    @property
+    def tracking_percent(self) -> float | None:
+        """The largest error of the simulated position; None if a robot was not simulated."""
+        percents = [x for one in self.z if (x := one.percent) is not None]
+        return max(percents) if len(percents) == len(self.z) else None
+
+    @property
+    def settled(self) -> bool:
+        """Whether both tests hold."""
+        return self.residual_settled and self.parameters_settled
+
+    @property
+    def is_last(self) -> bool:
+        """Whether it and its lags settled, at the robot that was simulated."""
+        return self.settled and self.about

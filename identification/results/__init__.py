@@ -1,0 +1,40 @@
+"""Results: a fit with its tests, its JSON file and its documents; parameters of stored fits.
+
+It owns `Fit`, made of the solution of `methods`, and all that is said of it: `report.FitFile`, the
+report, the torque errors on other recordings, the nearest physically consistent parameters. It may
+use `methods` and the rooms below; `study` and all above use it.
+"""
+
+from .consistent import (
+    Known,
+    consistent_set,
+    read_prior,
+    refuse_unknown_gain,
+    urdf_prior,
+    with_consistent,
+)
+from .fit import Fit, FittedRecording
+from .fit_files import fit_file, validation_file
+from .fit_report import PARAMETERS, fit_document
+from .make_fit import identify, identify_iv, identify_ls
+from .parameters import (
+    consistent_fit,
+    fitted_parameters,
+    prior_file,
+    signals_as_fitted,
+    stored_beta,
+    stored_robot,
+    stored_settings,
+    stored_torque,
+    terms_without_fit,
+    true_parameters,
+    validate_all,
+    with_stored_gains,
+)
+from .recording_report import (
+    Validated,
+    half_width_percents,
+    main_figures,
+    recording_document,
+    validation_document,
+)

@@ -1,0 +1,248 @@
+"""Results of an identification: the estimate, its settings, and its tests."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, get_args
+
+import msgspec
+import numpy as np
+
+from acquisition.robot import ripple_notes
+
+from ..arrays import Array, Bools
+from ..estimation import Estimate, Intervals
+from ..methods import Pass, Solution, direct_errors, largest
+from ..model import BaseParameters
+from ..regression import Arm, Problem, Settings, base_places
+from ..report import (
+    ConsistentFile,
+    DirectModelResidual,
+    DriveGain,
+    FTest,
+    Method,
+    PayloadOfFit,
+    StandardParameter,
+    Status,
+    TorqueResidual,
+)
+from ..simulation import ControllerKind, Simulated
+from ..trust import FitData, HeldOut, Trust
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FittedRecording:
+    """One of the recordings of a fit.
+
+    Attributes:
+        problem: recording, settings and model; without samples if the recordings
+            are too long to be held.
+        arm: its base parameters in those of the fit.
+        t_s: (rows,) instants of decimated rows, s, behind filters that depend on the motion only;
+            those of the fit are in its `data`.
+        tau, tau_predicted: (rows, n) torques there; `counts`: whether the joint moves, as in rows
+            of a fit.
+        errors: its torque errors, one entry per joint and, last, all joints together.
+        held_out: its torque predicted by the fit of the other recordings; None if there are none.
+        simulated: the robot simulated in it with the estimate; None after least squares.
+    """
+
+    problem: Problem
+    arm: Arm
+    t_s: Array
+    tau: Array
+    tau_predicted: Array
+    counts: Bools
+    errors: tuple[TorqueResidual, ...]
+    held_out: HeldOut | None
+    simulated: Simulated | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Fit:
+    """Base parameters of a robot from one recording or several, with their tests.
+
+    Attributes:
+        solution: what the method found, with its passes and their status.
+        data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
+        recordings: in the order given.
+        errors: of the rows that count, one entry per joint and, last, all joints together.
+        own: the test of parameters of single recordings; None if all are shared.
+        gains: of the drives, if identified; `payloads`: the nearest bodies of positive density, in
+            the frame of the last joint; without one near what is stated, or a ball.
+        consistent_set, standard_parameters: the nearest physically consistent parameters, if
+            requested.
+    """
+
+    solution: Solution
+    data: FitData
+    recordings: tuple[FittedRecording, ...]
+    errors: tuple[TorqueResidual, ...]
+    warnings: tuple[str, ...]
+    trust: Trust
+    own: FTest | None = None
+    gains: tuple[DriveGain, ...] = ()
+    payloads: tuple[PayloadOfFit, ...] = ()
+    consistent_set: ConsistentFile | None = None
+    standard_parameters: tuple[StandardParameter, ...] = ()
+
+    def on(self, one: FittedRecording) -> "Fit":
+        """The fit restricted to one of its recordings: rows, errors and simulated robot."""
+        return replace(self, recordings=(one,), errors=one.errors)
+
+    @property
+    def method(self) -> Method:
+        """That of the solution."""
+        return self.data.method
+
+    @property
+    def status(self) -> Status:
+        """Of the solution; `reason` says why it is not `converged`."""
+        return self.solution.status
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """Of the instrumental variable method, in order; none after least squares."""
+        return self.solution.passes
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """Of the base parameters, fewer than `base` has if only the essential ones were asked for;
+        without those of gains and payloads.
+        """
+        return self.data.estimate.part(base_places(self.data.estimate.names))
+
+    @cached_property
+    def intervals(self) -> Intervals:
+        """Of the estimate."""
+        return self.data.intervals.part(base_places(self.data.estimate.names))
+
+    @cached_property
+    def least_squares(self) -> Pass:
+        """The fit itself or, of `iv`, weighted least squares of the same recordings and settings:
+        its base parameters.
+        """
+        found = self.solution.least_squares
+        at = base_places(found.estimate.names)
+        return replace(found, estimate=found.estimate.part(at), intervals=found.intervals.part(at))
+
+    @cached_property
+    def essential(self) -> FTest:
+        """The essential base parameters by least squares, and the test of leaving out others."""
+        found = self.solution.essential
+        names = tuple(found.names[k] for k in base_places(found.names))
+        return msgspec.structs.replace(found, names=names)
+
+    @cached_property
+    def direct(self) -> tuple[DirectModelResidual, ...]:
+        """Errors of the direct model by joint; empty without a robot simulated with the final
+        estimate.
+        """
+        return direct_errors([one.simulated for one in self.recordings if one.simulated])
+
+    @property
+    def controller(self) -> ControllerKind | None:
+        """Of several recordings the last of these kinds that one of them has; None after least
+        squares.
+        """
+        kinds = [one.simulated.controller for one in self.recordings if one.simulated]
+        return max(kinds, key=get_args(ControllerKind).index, default=None)
+
+    @property
+    def saturated_percent(self) -> float | None:
+        """Share of recorded samples at a drive's limit; None if no limit is stated."""
+        z = self.solution.simulated
+        return largest([max(one.saturated.values(), default=None) for one in z])
+
+    @property
+    def t_s(self) -> Array:
+        """(rows,) instants of the rows of all recordings, in their order, s."""
+        return np.concatenate([one.t_s for one in self.recordings])
+
+    @property
+    def tau(self) -> Array:
+        """(rows, n) torques there, as measured."""
+        return np.concatenate([one.tau for one in self.recordings])
+
+    @property
+    def tau_predicted(self) -> Array:
+        """(rows, n) torques there, as the fit predicts them."""
+        return np.concatenate([one.tau_predicted for one in self.recordings])
+
+    @property
+    def counts(self) -> Bools:
+        """(rows, n) whether the joint moves there, as in rows of a fit."""
+        return np.concatenate([one.counts for one in self.recordings])
+
+    @property
+    def problem(self) -> Problem:
+        """That of the first recording; all have the same robot, model and base parameters."""
+        return self.recordings[0].problem
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of the first recording; all have the same cut-off and rate of rows."""
+        return self.problem.settings
+
+    @property
+    def base(self) -> BaseParameters:
+        """All base parameters of the robot."""
+        return self.problem.base
+
+    @property
+    def essential_names(self) -> tuple[str, ...]:
+        """The essential parameters whose 95 % interval is narrower than their value."""
+        return self.data.essential
+
+    @cached_property
+    def full(self) -> Estimate:
+        """Least squares of all base parameters."""
+        full = self.data.least_squares
+        return full.part(base_places(full.names))
+
+    @property
+    def beta(self) -> Array:
+        """(b,) values of all base parameters, of the first recording; zero if left out."""
+        return self.estimate.values_of(self.recordings[0].arm.names)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is no fault: torque demands sampled at one phase of the control, an error of
+        inertias that is no lag.
+        """
+        each = [one.problem.signals for one in self.recordings]
+        robots = [s.robot for s in each if s.of_drives and s.motion_hz is None]
+        return tuple(
+            dict.fromkeys(
+                text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)
+            )
+        )
+
+    @property
+    def reference(self) -> Literal["recorded", "surrogate"]:
+        """`surrogate`: the measured position, with which instruments are not strictly exogenous."""
+        given = all(one.problem.signals.q_ref is not None for one in self.recordings)
+        return "recorded" if given else "surrogate"
+
+    @property
+    def rows_used_percent(self) -> float:
+        """Share of the rows that count."""
+        return float(100 * self.data.observed.counts.mean())
+
+    @property
+    def contrast(self) -> tuple[float, str]:
+        """Largest difference of least squares from the estimate, in half-widths; its parameter."""
+        estimate, full = self.data.estimate, self.data.least_squares
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.abs(full.values_of(estimate.names) - estimate.beta) / self.data.intervals.half
+        off = np.nan_to_num(np.where(np.isin(estimate.names, full.names), off, 0.0))
+        return float(off.max()), estimate.names[int(off.argmax())]
+
+    @property
+    def held_out_error_percent(self) -> float | None:
+        """Torque error of blocks of time predicted by the others."""
+        return self.trust.line("held-out blocks").value
+
+    @property
+    def distrust(self) -> tuple[str, ...]:
+        """The tests whose level is `do not use`; empty if the result may be used."""
+        return tuple(line.text for line in self.trust.lines if line.level == "do not use")
