@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> None:
         write_json(out / "truth.json", base_file(base, robot, true))
         progress.say("least squares")
         ls = identify_ls(signals, Overrides())
-        law = Overrides(law=ls.problem.law)
+        law = Overrides(law=ls.law)
         fits = {"ls": ls, "iv": identify_iv(signals, law, Iteration(), say=progress.say)}
         reports = [fit_document(fit) for fit in fits.values()]
         for name, fit in fits.items():

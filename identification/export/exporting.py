@@ -65,7 +65,7 @@ def export_model(
         notes = (SOFT_FRICTION,) if m.frictionloss.any() else ()
         if (loop := servo_loop(represented)) is not None:
             integral = ", integral" if loop.Ki.any() else ""
-            gravity = ", gravity feed-forward" if loop.gravity_at_q else ""
+            gravity = ", gravity feed-forward" if loop.gravity == "measured" else ""
             two = (
                 "; forcerange limits each of a motor's two, not their sum"
                 if loop.feedforward and any(np.isfinite(loop.saturation))

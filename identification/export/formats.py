@@ -20,9 +20,9 @@ from acquisition.files import format_numbers
 from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
+from ..control import ControlLaw, described_law
 from ..estimation import link_parameters, pseudo_inertia
 from ..model import InverseModel, is_a_body
-from ..simulation import ControlLaw, recorded_loop
 from .chain import INERTIA
 from .exported_model import MIN_EIGENVALUE, ExportedModel, about_com
 
@@ -118,7 +118,7 @@ def servo_loop(m: ExportedModel) -> ControlLaw | None:
     }
     if robot.controller.structure in (None, "computed_torque") or several - {*m.names[robot.n :]}:
         return None
-    return recorded_loop(robot)
+    return described_law(robot)
 
 
 def _servos(actuators: ET.Element, m: ExportedModel, loop: ControlLaw) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
+from ..control import FoundLaw, lag_without_fit, law_of
 from ..data import HERE, RecordingFile, Recordings, Signals, Work, check_one_robot
 from ..estimation import Estimate, System, combined, one_thread
 from ..regression import (
@@ -23,8 +24,6 @@ from ..regression import (
     Rows,
     Unknowns,
     equation_of,
-    lag_without_fit,
-    law_of,
     make_problem,
     make_unknowns,
     rows_of_recording,
@@ -51,7 +50,8 @@ class Model:
     order given; read-only.
 
     Attributes:
-        problems: the recordings with their settings, from `overrides`.
+        problems: the recordings with their settings, from `overrides`; `laws`: the control law
+            that each shows.
         work: where their tasks run.
         order: places of the recordings in the order given.
         unknowns: x; `lags`: of each group of recordings as known without a fit.
@@ -59,6 +59,7 @@ class Model:
     """
 
     problems: tuple[Problem, ...]
+    laws: tuple[FoundLaw | None, ...]
     overrides: Overrides
     work: Work
     order: tuple[int, ...]
@@ -207,10 +208,11 @@ class Model:
             partial(
                 SimulatedRecording,
                 replace(one.problem, gains=one.drives.factors(x)),
+                law,
                 one.arm.beta(x),
                 gain_update=gain_update,
             )
-            for one in self.equations
+            for one, law in zip(self.equations, self.laws, strict=True)
         ]
         # Once in this process, if samples are held; else each task prepares its own.
         here = 1 in (self.work.workers, len(self.problems))
@@ -249,7 +251,7 @@ class Model:
         if not left_out:
             return self
         problems = [problem.without_terms(left_out) for problem in self.problems]
-        found = model_of(problems, self.overrides, self.work, self.order)
+        found = model_of(problems, self.laws, self.overrides, self.work, self.order)
         return replace(found, left_out=self.left_out | left_out)
 
     def with_ramps(self, ramp_rows: float) -> "Model":
@@ -272,6 +274,7 @@ def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) 
 
 def model_of(
     problems: Sequence[Problem],
+    laws: Sequence[FoundLaw | None],
     overrides: Overrides,
     work: Work,
     order: tuple[int, ...],
@@ -283,28 +286,37 @@ def model_of(
     unknowns = make_unknowns(problems, motors, of_gains)
     return Model(
         problems=tuple(problems),
+        laws=tuple(laws),
         overrides=overrides,
         work=work,
         order=order,
         unknowns=unknowns,
-        lags=tuple(lag_without_fit([problems[k] for k in group]) for group in unknowns.groups),
+        lags=tuple(
+            lag_without_fit([(problems[k], laws[k]) for k in group]) for group in unknowns.groups
+        ),
     )
 
 
 @one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Problem:
-    """Read a recording with its control law; without samples if there are more than `most`
-    numbers.
+def observe(
+    source: Signals | RecordingFile, overrides: Overrides, most: float
+) -> tuple[Problem, FoundLaw | None]:
+    """Read a recording, and the control law that it shows; without samples if there are more than
+    `most` numbers.
     """
     problem = make_problem(source.load(), overrides)
-    law = problem.law if problem.law is not None else law_of(problem)
-    problem = replace(problem, law=law, source=source)
-    return problem.without_samples if problem.signals.q.size > most else problem
+    law = law_of(problem) if overrides.law is None else overrides.law
+    problem = replace(problem, source=source)
+    return problem.without_samples if problem.signals.q.size > most else problem, law
 
 
 def with_common_rate(
-    given: Recordings, found: list[Problem], overrides: Overrides, most: float
-) -> list[Problem]:
+    given: Recordings,
+    found: list[Problem],
+    laws: list[FoundLaw | None],
+    overrides: Overrides,
+    most: float,
+) -> tuple[list[Problem], list[FoundLaw | None]]:
     """The same with common cut-off, rate of rows and filters of the errors; only those whose
     cut-off or rate changes are read again.
     """
@@ -318,8 +330,10 @@ def with_common_rate(
     ]
     of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
     tasks = [(given.sources[k], one, most) for k, one in zip(again, of, strict=True)]
-    changed = dict(zip(again, _run(given.work, observe, tasks), strict=True))
-    return with_common_band([changed.get(k, one) for k, one in enumerate(found)])
+    found, laws = list(found), list(laws)
+    for k, (problem, law) in zip(again, _run(given.work, observe, tasks), strict=True):
+        found[k], laws[k] = problem, law
+    return with_common_band(found), laws
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> Model:
@@ -333,13 +347,15 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> M
     if count > 1:
         most = MAX_HELD / count
         say(f"reading {count} recordings")
-    found = _run(work, observe, [(source, overrides, most) for source in given.sources])
+    each = _run(work, observe, [(source, overrides, most) for source in given.sources])
+    found, laws = map(list, zip(*each, strict=True))
     check_one_robot([problem.signals for problem in found])
-    found = with_common_rate(given, found, overrides, most)
-    each = [problem.signals for problem in found]
-    by_digest = sorted(range(count), key=lambda k: (each[k].sha256, each[k].recording))
+    found, laws = with_common_rate(given, found, laws, overrides, most)
+    signals = [problem.signals for problem in found]
+    by_digest = sorted(range(count), key=lambda k: (signals[k].sha256, signals[k].recording))
     return model_of(
         [found[k] for k in by_digest],
+        [laws[k] for k in by_digest],
         overrides,
         work,
         tuple(by_digest.index(k) for k in range(count)),

@@ -87,6 +87,7 @@ def evidence_of(
     within = held_and_counted(model, estimate, rows, lags)
     return FitData(
         problems=model.concluded(x),
+        laws=model.laws,
         arms=unknowns.arms,
         observed=rows,
         method=method,

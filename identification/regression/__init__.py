@@ -1,9 +1,12 @@
-"""From signals to W and Y: settings, filters, motions, terms, weights of samples, rows."""
+"""From signals to the rows [C Z J r]: settings, filters, motions, terms, weights of samples, rows.
+
+It owns `Problem`, a recording with its settings and its model, and the terms whose columns make
+the rows. It may use `model` and the rooms below.
+"""
 
 from .blocks import MotionBlock, motion_blocks, predicted_torque
-from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass_reach
-from .lag import MAX_LAW_PERCENT, combined_lag, lag_without_fit, lags_in
-from .law import SPEED_DELAYS, Law, described_gains, law_of
+from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass, lowpass_reach
+from .lag import combined_lag, lags_in
 from .motion import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
@@ -12,11 +15,12 @@ from .motion import (
     differentiate,
     largest_of_type,
     motion_between,
+    on_spline,
     sampled_at,
     smooth,
+    spline_coefficients,
     standing_joints,
 )
-from .motor_paths import SATURATED
 from .problem import Problem, make_problem, row_blocks, with_common_band
 from .rows import (
     Candidate,
@@ -29,6 +33,7 @@ from .rows import (
     torque_of_recording,
 )
 from .settings import (
+    NOTHING,
     RAMPS,
     ROWS,
     Lag,

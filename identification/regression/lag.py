@@ -1,5 +1,5 @@
 """The lag of the recorded torque, equation (G): by rows of its own, fast ones, whitened, combined
-by variances with what is known (effort timing of the recording, replay of the described law).
+by variances with what is known (effort timing of the recording, the described control law).
 
 To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It
 is that of the simulated torque, as column and as instrument, so that position noise does not bias
@@ -32,49 +32,11 @@ from ..estimation import (
 )
 from .blocks import MotionBlock
 from .problem import Problem
-from .settings import NOTHING, Lag
+from .settings import Lag
 from .states import LAG_ORDERS, fast_for_lag, fast_for_lag_by
 
-MAX_LAW_PERCENT = 5.0  # of the effort's variation that a law does not give
-DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
 MIN_ROWS = 20  # of a joint that moves, behind the filter; with fewer the next order is taken
 CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
-
-
-def _lag_by_law(problem: Problem) -> Lag | None:
-    """Return the lag of the torque without an estimate, where the described control law gives the
-    effort; drives have loops that a description does not.
-
-    A command acts from its tick to the next one, on average half a period later; the drive's own
-    delay is not included.
-    """
-    law = problem.law
-    if law is None or law.described is None or problem.signals.of_drives:
-        return None
-    similar = law.residual_percent <= MAX_LAW_PERCENT
-    if not similar.any():
-        return None
-    value_s = float(law.lag_s[similar].mean()) - 0.5 * law.period_s
-    sd_s = float(np.hypot(law.lag_sd_s[similar].max(), DRIVE_DELAY_S))
-    return replace(
-        problem.settings.known_lag, value_s=value_s, sd_s=sd_s, source="the described control law"
-    )
-
-
-def lag_without_fit(group: Sequence[Problem]) -> Lag:
-    """Return the lag of a group of recordings as known without an estimate, by user, recording and
-    law: the mean of theirs, with the smallest deviation.
-    """
-    each, by_law_s = list[Lag](), None
-    for problem in group:
-        known, by_law = problem.settings.known_lag, _lag_by_law(problem)
-        if by_law is not None:
-            by_law_s = by_law.value_s if by_law_s is None else by_law_s
-            if not known.stated:
-                known = by_law if known.source == NOTHING else known.with_other(by_law)
-        each.append(known)
-    mean_s = float(np.mean([known.value_s for known in each]))
-    return replace(min(each, key=lambda known: known.sd_s), value_s=mean_s, by_law_s=by_law_s)
 
 
 def combined_lag(prior: Lag, found: tuple[float, float, int]) -> Lag:

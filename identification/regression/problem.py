@@ -16,7 +16,6 @@ from ..data import RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
 from .filtering import decimation_reach, nearby
-from .law import Law
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
     LAG_REACH,
@@ -41,7 +40,6 @@ class Problem:
         motion: low-passed motion of the recording.
         poses: (P, n) positions in the span used, at which the inertia matrix is checked.
         source: where the recording is read again, if the samples are left out.
-        law: the control law of its drives, once looked for.
         gains: (n,) factors on the described drive gains that a fit found; None before.
     """
 
@@ -53,7 +51,6 @@ class Problem:
     poses: Array
     source: Signals | RecordingFile | None = None
     gains: Array | None = None
-    law: Law | None = None
 
     @property
     def robot(self) -> Robot:
@@ -229,7 +226,6 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         base=base_parameters(model),
         motion=motion,
         poses=poses_of(signals.q[settings.start : settings.stop]),
-        law=overrides.law,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from acquisition.robot import ripple_notes
 
 from ..arrays import Array, Bools
+from ..control import ControllerKind, FoundLaw
 from ..estimation import Estimate, Intervals
 from ..methods import Pass, Solution, direct_errors, largest
 from ..model import BaseParameters
@@ -25,7 +26,7 @@ from ..report import (
     Status,
     TorqueResidual,
 )
-from ..simulation import ControllerKind, Simulated
+from ..simulation import Simulated
 from ..trust import FitData, HeldOut, Trust
 
 
@@ -177,6 +178,11 @@ class Fit:
     def problem(self) -> Problem:
         """That of the first recording; all have the same robot, model and base parameters."""
         return self.recordings[0].problem
+
+    @property
+    def law(self) -> FoundLaw | None:
+        """The control law that the first recording shows."""
+        return self.solution.model.laws[self.solution.model.order[0]]
 
     @property
     def settings(self) -> Settings:

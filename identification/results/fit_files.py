@@ -7,10 +7,11 @@ from typing import Any
 import msgspec
 from msgspec import UNSET
 
-from acquisition.robot import Controller, Robot
+from acquisition.robot import Robot
 
 from .. import report
-from ..regression import Law, Problem, forward_backward_3db_hz
+from ..control import FoundLaw
+from ..regression import Problem, forward_backward_3db_hz
 from ..trust import HeldOut
 from .fit import Fit
 from .horizon import HORIZONS_S
@@ -69,7 +70,7 @@ def fit_file(fit: Fit) -> report.FitFile:
         parameters=list(fitted_parameters(fit).parameters.values()),
         gains=list(fit.gains) or UNSET,
         payloads=list(fit.payloads) or UNSET,
-        law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,
+        law=_law(law, signals.robot) if (law := fit.law) else UNSET,
         covariance=report.Covariance(names=list(e.names), values=fit.intervals.covariance.tolist()),
         left_out=[
             report.LeftOut(name=name, sigma=float(sigma))
@@ -88,17 +89,15 @@ def fit_file(fit: Fit) -> report.FitFile:
     )
 
 
-def _law(law: Law, robot: Robot) -> report.LawFile:
-    stated = msgspec.structs.asdict(law.controller(Controller())) if law.reason is None else {}
+def _law(law: FoundLaw, robot: Robot) -> report.LawFile:
     gains = [
         list(zip(*pair, strict=True))
         for pair in zip(law.gains.tolist(), law.gains_half.tolist(), strict=True)
     ]
     return report.LawFile(
-        structure=law.structure,
+        structure=law.law.structure,
         reason=law.reason,
-        controller={k: list(x) if isinstance(x, tuple) else x for k, x in stated.items() if x}
-        or None,
+        controller=law.law.keys if law.reason is None else None,
         motors=[
             report.MotorLaw(
                 motor=motor.name,

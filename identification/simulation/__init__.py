@@ -1,9 +1,10 @@
-"""Closed-loop simulation: control laws, friction, the robot simulated in a recording, instruments,
-the plant of dry runs.
+"""Closed-loop simulation: the robot simulated in a recording, instruments, the plant of dry runs.
+
+It owns the steps of the simulated robot, with its friction. It may use `control`, `regression` and
+the rooms below.
 """
 
 from .closed_loop import ClosedLoop, RigidBodyPlant, described_robot, drive_loops, open_loop
-from .control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 from .instruments import InstrumentKind, Simulated, simulate
 from .recording_checks import unstated_limits
-from .simulated_recording import ControllerKind, SimulatedRecording
+from .simulated_recording import SimulatedRecording

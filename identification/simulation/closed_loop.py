@@ -15,6 +15,7 @@ import numpy as np
 from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Bools
+from ..control import ARRAYS, FLOATS, Control, ControlLaw, Numbers, Reference, described_law
 from ..errors import BadInputError
 from ..model import (
     DirectModel,
@@ -27,7 +28,6 @@ from ..model import (
     inertias,
     why_not_positive,
 )
-from .control_law import ARRAYS, FLOATS, Control, ControlLaw, Numbers, Reference, recorded_loop
 
 if TYPE_CHECKING:
     from acquisition.simulated import LoopGains
@@ -334,7 +334,7 @@ def drive_loops(robot: Robot, J: Array) -> "LoopGains":
     """
     from acquisition.simulated import LoopGains, cascaded_loops
 
-    law = recorded_loop(robot)
+    law = described_law(robot)
     # Computed torque needs a model, which drives do not have.
     if law is None or law.computed_torque:
         return cascaded_loops(robot, J)

@@ -10,8 +10,9 @@ from acquisition.files import release_pages
 from acquisition.robot import Joint
 
 from ..arrays import Array, Bools
+from ..control import SATURATED
 from ..errors import BadInputError
-from ..regression import BLOCK_SAMPLES, SATURATED, Problem, largest_of_type
+from ..regression import BLOCK_SAMPLES, Problem, largest_of_type
 
 MAX_DEVIATION = 0.5  # of a joint's travel, of a simulation or a reference from the recording
 MIN_TRAVEL = 0.01  # of the largest travel of a joint of the same type: a joint with less is held

@@ -18,13 +18,13 @@ they are less efficient.
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from acquisition.files import allocate, release_pages
 
 from ..arrays import Array, Ints
+from ..control import ControlLaw, ControllerKind, FoundLaw, Reference, default_law, law_of_recording
 from ..data import Signals
 from ..estimation import r_factor
 from ..model import DirectModel, direct_model, inertias, why_not_positive
@@ -41,7 +41,6 @@ from ..regression import (
     sampled_at,
 )
 from .closed_loop import ClosedLoop
-from .control_law import ControlLaw, Reference, recorded_loop, surrogate_loop
 from .recording_checks import (
     MAX_DEVIATION,
     position_scales,
@@ -52,7 +51,6 @@ from .recording_checks import (
 
 FINE = 100.0  # samples and steps per period of the bandwidth, at least
 COARSE = 25.0  # the same where only the motion that the reference predicts is asked for
-ControllerKind = Literal["described", "found", "surrogate"]
 CHUNK = 50_000  # instants of the controller that are simulated at a time
 # of the motion that the reference predicts
 DELAYS_S = (0.0, 0.02, 0.05, 0.1)
@@ -63,20 +61,14 @@ DESIGN_SAMPLES = 10_000  # whose columns are in memory
 EDGE = 2  # samples to each side of an acceleration
 
 
-def _controller_of(problem: Problem) -> tuple[ControlLaw | None, ControllerKind]:
-    """Return the control loop, and whether it is described or found in the recording; None for
-    neither: a PD of the stated bandwidth is used instead.
-
-    Raises `BadInputError` for an incomplete controller.
+def _loop_of(problem: Problem, found: FoundLaw | None) -> ControlLaw | None:
+    """Return the loop of the recording's control law; along a measured position with the model's
+    gravity, as the position has the sag.
     """
-    robot, law = problem.robot, problem.law
-    loop = described = recorded_loop(robot)
-    if loop is None and law is not None and law.reason is None:
-        loop = recorded_loop(replace(robot, controller=law.controller(robot.controller)))
-    if loop is None:
-        return None, "surrogate"
-    gravity = problem.signals.q_ref is None and not loop.gravity_at_q
-    return replace(loop, gravity=gravity), "found" if described is None else "described"
+    loop = law_of_recording(problem.robot, found)
+    if loop is None or problem.signals.q_ref is not None or loop.gravity == "measured":
+        return loop
+    return replace(loop, gravity="reference")
 
 
 class SimulatedRecording:
@@ -104,12 +96,15 @@ class SimulatedRecording:
     def __init__(
         self,
         problem: Problem,
+        law: FoundLaw | None,
         prior: Array,
         rate_per_bandwidth: float = FINE,
         *,
         gain_update: bool = True,
     ) -> None:
-        """The recorded gains are assumed to suit the inertias of the base parameters `prior` (b,);
+        """`law`: what the recording shows of its control law.
+
+        The recorded gains are assumed to suit the inertias of the base parameters `prior` (b,);
         with `gain_update`, equation (E), they follow each estimate's.
 
         A period of the bandwidth has at least `rate_per_bandwidth` samples and simulated steps.
@@ -118,6 +113,7 @@ class SimulatedRecording:
         """
         self.problem = problem = problem.with_samples()
         self._gain_update, self.saturated = gain_update, saturated_percents(problem)
+        self._late_s = 0.0 if law is None else law.common_delay_s
         refuse_foreign_reference(problem, self.saturated)
         signals, settings, robot = problem.signals, problem.settings, problem.robot
         fs, n_d, hz = signals.sample_rate_hz, settings.decimation, robot.bandwidth_hz
@@ -130,7 +126,8 @@ class SimulatedRecording:
         self.N = -(-(settings.stop - settings.start) // self.stride)
         self.first = settings.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop, self.controller = _controller_of(problem)
+        loop = _loop_of(problem, law)
+        self.controller: ControllerKind = "surrogate" if loop is None else loop.kind
         M = self.model(prior).inertia(self.problem.poses)
         self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())
@@ -138,7 +135,7 @@ class SimulatedRecording:
             self.prior = loop.inertias(hz) if loop is not None else np.ones(robot.n)
         if loop is None:  # a continuous law: it acts at every step
             rate_hz = fs / self.stride
-            loop = surrogate_loop(hz, self.prior, rate_hz * math.ceil(step_hz / rate_hz - 1e-9))
+            loop = default_law(hz, self.prior, rate_hz * math.ceil(step_hz / rate_hz - 1e-9))
         self.substeps = max(1, math.ceil(loop.period_s * step_hz - 1e-9))
         duration_s = (self.N - 1) * self.stride / fs
         refuse_instants(problem, loop.period_s, duration_s, self.substeps)
@@ -220,7 +217,7 @@ class SimulatedRecording:
         """Return the loop's inputs from its instant `first` to before `last`: the recorded
         reference, or the measured motion.
         """
-        signals, settings, law = self.problem.signals, self.problem.settings, self.problem.law
+        signals, settings = self.problem.signals, self.problem.settings
         fs, m, feedforward = signals.sample_rate_hz, self.loop.periods, None
         # places of the controller's instants in recorded samples; of those in a step the middle
         each = self.first + self.loop.period_s / m * fs * np.arange(first * m, last * m)
@@ -238,7 +235,7 @@ class SimulatedRecording:
             dq, feedforward = differentiate(q, fs), signals.feedforward
             paths = q, dq, differentiate(dq, fs)
             # before the span the reference stands
-            at = at - (law.common_delay_s * fs if law is not None else 0.0)
+            at = at - self._late_s * fs
             if self.instants > CHUNK:
                 release_pages(signals.q_ref)
         if feedforward is not None:  # held between samples: a cubic would overshoot

@@ -17,11 +17,12 @@ from acquisition.robot import FourierReference, Payload, Robot, fourier_referenc
 
 from .. import model as dynamics
 from ..arrays import Array
+from ..control import Reference, default_law, described_law
 from ..data import Signals
 from ..errors import BadInputError, NoFitError
 from ..options import CellOptions
 from ..regression import differentiate
-from ..simulation import ClosedLoop, Reference, recorded_loop, surrogate_loop
+from ..simulation import ClosedLoop
 
 PERIOD_S = 10.0  # of the reference, about; a very long period would be slow and excite little
 # of a simulated recording; a day at 1 kHz has fewer, and takes an hour: more are a mistake
@@ -147,9 +148,9 @@ def closed_loop(
     encoder. Raises `BadInputError` if the description has no values or another rate, or the
     robot does not follow.
     """
-    model, loop = true_model(robot, payload), recorded_loop(robot)
+    model, loop = true_model(robot, payload), described_law(robot)
     if loop is None:
-        loop = surrogate_loop(
+        loop = default_law(
             robot.bandwidth_hz,
             dynamics.inertias(model.inertia(dynamics.poses_of(q_ref))),
             sample_rate_hz,

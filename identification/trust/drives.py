@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array
+from ..control import MAX_LAW_PERCENT, FoundLaw
 from ..estimation import by_rows_alone, differs, intervals_of
-from ..regression import LAG_ORDERS, MAX_LAW_PERCENT, Lag, Law, Problem
+from ..regression import LAG_ORDERS, Lag, Problem
 from ..report import Assumed
 from .evidence import LEVELS, FitData, TrustLine, figures_of, first_case, worst_of
 from .words import WORDS
@@ -114,7 +115,7 @@ def control_law_test(evidence: FitData) -> TrustLine:
     of the worst recording.
     """
     worst, name = min(
-        zip(map(law_line, evidence.problems), evidence.names, strict=True),
+        zip(map(law_line, evidence.problems, evidence.laws), evidence.names, strict=True),
         key=lambda one: (
             LEVELS.index(one[0].level),
             -abs((1.0 if (x := one[0].value) is None else x) - 1.0),
@@ -126,9 +127,9 @@ def control_law_test(evidence: FitData) -> TrustLine:
     return replace(worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}")
 
 
-def law_line(problem: Problem) -> TrustLine:
+def law_line(problem: Problem, law: FoundLaw | None) -> TrustLine:
     """Return the line of a recording."""
-    law, signals, controller = problem.law, problem.signals, problem.signals.robot.controller
+    signals, controller = problem.signals, problem.signals.robot.controller
     if signals.q_ref is None:
         reason = "the recording has no reference"
     elif controller.structure == "computed_torque":
@@ -145,18 +146,19 @@ def law_line(problem: Problem) -> TrustLine:
     return TrustLine(LAW, "not made", f"not made: {reason}")
 
 
-def _line_of_law(law: Law, motors: list[str]) -> TrustLine | None:
-    used, error = law.used, law.residual_percent
-    delays = f"reference {1e3 * float(np.median(law.delay_s)):.3g} ms late"
-    if law.described is None:
-        alone = ", ".join(np.array(motors)[~law.clear])
+def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
+    used, error = found.used, found.residual_percent
+    delays = f"reference {1e3 * float(np.median(found.delay_s)):.3g} ms late"
+    if found.described is None:
+        alone = ", ".join(np.array(motors)[~found.clear])
+        unclear = f"; {alone} alone do not show it" if alone else ""
         return TrustLine(
             LAW,
             "ok",
-            f"{law.structure} found, {_gains(law, 0)} of motor {motors[0]}, {error.max():.2g} % "
-            f"left; {delays}{f'; {alone} alone do not show it' if alone else ''}",
+            f"{found.law.structure} found, {_gains(found, 0)} of motor {motors[0]}, "
+            f"{error.max():.2g} % left; {delays}{unclear}",
         )
-    gains, described, half = law.gains[used], law.described[used], law.gains_half[used]
+    gains, described, half = found.gains[used], found.described[used], found.gains_half[used]
     factor, within = gains / described, half / described
     names = [f"{letter} {motor}" for letter in np.array(LETTERS)[used] for motor in motors]
     figures = figures_of(names, factor.flat, within.flat, np.ones(factor.size))
@@ -165,19 +167,19 @@ def _line_of_law(law: Law, motors: list[str]) -> TrustLine | None:
     beyond = np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_LAW_PERCENT)
     j = int(np.argmax(np.maximum(beyond, 1e9 * mirrored)))
     value = float(factor[int(np.argmax(off[:, j])), j])
-    text = f"motor {motors[j]}: {_gains(law, j)}; {error[j]:.2g} % left; {delays}"
-    if law.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():
+    text = f"motor {motors[j]}: {_gains(found, j)}; {error[j]:.2g} % left; {delays}"
+    if found.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():
         another = "a feed-forward that is not recorded, or another law?"
-        return TrustLine(LAW, "caution", f"{law.reason}, {error[j]:.2g} % left: {another}")
+        return TrustLine(LAW, "caution", f"{found.reason}, {error[j]:.2g} % left: {another}")
     return first_case(
         LAW,
         (mirrored.any(), "do not use", f"{text}: check the sign of its effort"),
         (
-            law.rival,
+            found.rival,
             "caution",
-            f"{text}: {law.rival} fits better than {law.structure}: check structure and gains of "
-            "[controller]",
-            f"{law.rival} for {law.structure}",
+            f"{text}: {found.rival} fits better than {found.law.structure}: check structure and "
+            "gains of [controller]",
+            f"{found.rival} for {found.law.structure}",
         ),
         (
             beyond[j] > 1 and np.ptp(factor[:, j]) < COMMON,
@@ -197,12 +199,12 @@ def _line_of_law(law: Law, motors: list[str]) -> TrustLine | None:
     )
 
 
-def _gains(law: Law, j: int) -> str:
+def _gains(found: FoundLaw, j: int) -> str:
     """The gains of a motor with their half-widths, and those described."""
     return ", ".join(
-        f"{LETTERS[i]} {law.gains[i, j]:.5g} ± {law.gains_half[i, j]:.2g}"
-        + ("" if law.described is None else f" of {law.described[i, j]:.5g}")
-        for i in np.flatnonzero(law.used)
+        f"{LETTERS[i]} {found.gains[i, j]:.5g} ± {found.gains_half[i, j]:.2g}"
+        + ("" if found.described is None else f" of {found.described[i, j]:.5g}")
+        for i in np.flatnonzero(found.used)
     )
 
 

@@ -173,7 +173,8 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
     robot are not confirmed.
     """
     confirmed = evidence.fixed_point and evidence.unconfirmed is None
-    if confirmed and all(law_line(one).level not in LEVELS[:2] for one in evidence.problems):
+    laws = map(law_line, evidence.problems, evidence.laws)
+    if confirmed and all(line.level not in LEVELS[:2] for line in laws):
         return None
     limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
     found, level = list(dict.fromkeys(limits)), LEVELS[1 if evidence.fixed_point else 0]

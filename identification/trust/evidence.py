@@ -11,6 +11,7 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array, Bools, Ints
+from ..control import FoundLaw
 from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
 from ..report import Assumed, Level, Method, Verdict
@@ -133,7 +134,7 @@ class FitData:
 
     Attributes:
         problems: the recordings, in the order of the rows, without samples where several are long;
-            `arms`: their parameters.
+            `laws`: the control law that each shows; `arms`: their parameters.
         observed: the rows of W and Y of all recordings about the estimate.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
@@ -156,6 +157,7 @@ class FitData:
     """
 
     problems: tuple[Problem, ...]
+    laws: tuple[FoundLaw | None, ...]
     arms: tuple[Arm, ...]
     observed: Rows
     method: Method

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.robot import Robot
+from identification.control import ControlLaw, Reference, default_law
 from identification.model import (
     BaseParameters,
     DirectModel,
@@ -14,7 +15,7 @@ from identification.model import (
     described_parameters,
     direct_model,
 )
-from identification.simulation import ClosedLoop, ControlLaw, Reference, surrogate_loop
+from identification.simulation import ClosedLoop
 
 
 class Simulated(NamedTuple):
@@ -41,7 +42,7 @@ def modelled(robot: Robot) -> tuple[InverseModel, BaseParameters, DirectModel]:
 def free(n: int, rate_hz: float) -> ControlLaw:
     """No control at all."""
     return replace(
-        surrogate_loop(1.0, np.ones(n), rate_hz), Kp=np.zeros(n), Kd=np.zeros(n), gravity=False
+        default_law(1.0, np.ones(n), rate_hz), Kp=np.zeros(n), Kd=np.zeros(n), gravity="none"
     )
 
 

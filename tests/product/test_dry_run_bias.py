@@ -25,11 +25,12 @@ from acquisition.simulated import (
     describe_loops,
 )
 from acquisition.simulated.mechanism import JointwisePlant
+from identification.control import Reference, described_law
 from identification.data import load_signals
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides, make_settings
 from identification.results import fit_document, identify_ls
-from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
+from identification.simulation import described_robot, drive_loops
 from identification.study import demo, record_simulated_session, study_truth
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
@@ -172,7 +173,7 @@ def test_only_a_recording_of_simulated_drives_states_their_law():
     robot = load_robot(REPLAY / "tx40" / "robot.toml")
     loops = cascaded_loops(robot, np.ones(6))
     described = describe_loops(robot, loops)
-    law = recorded_loop(described)
+    law = described_law(described)
     assert robot.controller.structure is None
     assert (law.feedforward, 1 / law.period_s, law.velocity_estimate) == (
         1.0,
@@ -258,7 +259,7 @@ def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(tmp_path, 
     robot, out = robot_named("tx40"), tmp_path / "a.mcap"
     record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)
     recording = read_recording(out)
-    samples, loop = recording.samples, recorded_loop(recording.robot)
+    samples, loop = recording.samples, described_law(recording.robot)
     stamps = {e.text: e.stamp_ns for e in recording.events}
     start = int(np.searchsorted(samples["stamp_ns"], stamps["track"]))
     q_ref, q = (samples[name][start : start + 1000] for name in ("reference", "position"))

@@ -21,6 +21,7 @@ from random_arms import set_own
 from scipy.interpolate import CubicSpline
 
 from acquisition.robot import load_robot, robot_from_files
+from identification.control import Reference, described_law
 from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import consistent_parameters
 from identification.export import (
@@ -41,7 +42,6 @@ from identification.model import (
 )
 from identification.report import Covariance, LeftOut, read_fit, write_json
 from identification.results import fit_file, stored_robot, with_consistent
-from identification.simulation import Reference, recorded_loop
 
 SCARA = REPLAY / "scara" / "session.mcap"
 RNG = np.random.default_rng(5)
@@ -629,7 +629,7 @@ def test_actuators_move_mujocos_robot_as_the_law_moves_the_simulated_one(name, s
         mujoco.mj_step(loaded, data)
     simulated = simulate(
         direct_model(model, chi),
-        recorded_loop(model.robot),
+        described_law(model.robot),
         Reference(q_ref, path(t, 1), path(t, 2)),
     )
     assert simulated.reason is None

@@ -7,4 +7,6 @@ from identification.regression import Overrides, Problem
 
 
 def system_of(*problems: Problem) -> Model:
-    return model_of(problems, Overrides(), Work(), tuple(range(len(problems))))
+    return model_of(
+        problems, [None] * len(problems), Overrides(), Work(), tuple(range(len(problems)))
+    )

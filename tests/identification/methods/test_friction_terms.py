@@ -30,6 +30,7 @@ from stacked_recordings import system_of
 
 from acquisition.errors import BadInputError
 from acquisition.robot import FRICTION, FrictionTerm, fourier_reference, robot_from_files
+from identification.control import Reference
 from identification.data import RecordingFile, Recordings, Work
 from identification.design import select_friction, with_terms
 from identification.estimation import one_thread
@@ -39,7 +40,6 @@ from identification.model import JointTerm
 from identification.regression import Overrides, recorded_power
 from identification.regression.filtering import lowpass
 from identification.results import identify, identify_ls, with_consistent
-from identification.simulation import Reference
 from identification.study import write_signals
 
 

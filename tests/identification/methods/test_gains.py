@@ -62,7 +62,7 @@ def exact(observed, case):
         effort = (np.linalg.solve(robot.R.T, torque.T).T * robot.gain / case.gains) @ robot.R
         signals = replace(signals, effort=effort)
         found.append(replace(problem, signals=signals, motion=FilteredMotion(signals)))
-    return model_of(found, observed.overrides, observed.work, observed.order)
+    return model_of(found, observed.laws, observed.overrides, observed.work, observed.order)
 
 
 @pytest.mark.parametrize(("robot", "catalogue"), [("scara", True), ("axis", False), ("tx40", True)])

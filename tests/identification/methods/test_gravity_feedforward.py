@@ -14,12 +14,12 @@ from urdfs import packaged_urdf
 
 from acquisition.errors import BadInputError
 from acquisition.robot import Controller, load_robot
+from identification.control import Control, Reference, described_law
 from identification.data import Signals
 from identification.export import read_chain, robot_of_chain
 from identification.model import InverseModel, direct_model, known_parameters
 from identification.regression import Overrides
 from identification.results import identify
-from identification.simulation import Control, Reference, recorded_loop
 
 UR5 = packaged_urdf("ur5_robot.urdf")
 RATE_HZ, DURATION_S, BANDWIDTH_HZ = 500.0, 8.0, 6.0
@@ -101,7 +101,7 @@ def test_the_law_adds_gravity_at_the_measured_position():
     torques = []
     for gravity in (False, True):
         law = msgspec.structs.replace(robot.controller, gravity_feedforward=gravity)
-        loop = recorded_loop(replace(robot, controller=law))
+        loop = described_law(replace(robot, controller=law))
         control = Control(model, loop, q, still)
         control.take(Reference(q[None] + 0.01, still[None], still[None]))
         torques.append(control.torque(0, q, still))

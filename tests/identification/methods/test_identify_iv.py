@@ -17,6 +17,7 @@ from fits_of_records import iv_of, ls_of, signals_of
 
 from acquisition.robot import robot_from_files
 from identification.commands import main
+from identification.control import described_law
 from identification.data import Signals, load_signals
 from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import system
@@ -27,7 +28,6 @@ from identification.model import (
 )
 from identification.regression import Overrides
 from identification.results import identify_iv, identify_ls
-from identification.simulation import recorded_loop
 from identification.study import Noise, closed_loop, random_reference
 
 RAW = Overrides(cutoff_hz=0)
@@ -172,7 +172,7 @@ def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_
     robot, c = signals.robot, signals.robot.controller
     assert any("those that suit the described gains at 5 Hz" in text for text in fit.warnings)
     J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
-    np.testing.assert_allclose(recorded_loop(robot).inertias(c.bandwidth_hz), J)
+    np.testing.assert_allclose(described_law(robot).inertias(c.bandwidth_hz), J)
     # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
     assert (fit.passes[0].gains >= 1 / J - 1e-9).all()
 

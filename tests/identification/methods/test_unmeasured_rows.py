@@ -156,10 +156,10 @@ def test_the_law_is_found_beside_lost_efforts(robot, driven):
     laws = [
         identify_iv(
             signals_from_arrays(q, x, RATE_HZ, robot, reference), Overrides(), Iteration()
-        ).data.problem
+        ).law
         for x in (u, change(q, u)[1])
     ]
-    whole, lossy = (problem.law for problem in laws)
+    whole, lossy = laws
     np.testing.assert_allclose(lossy.gains[:2], whole.gains[:2], rtol=0.02)
 
 

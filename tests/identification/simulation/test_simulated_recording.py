@@ -35,7 +35,7 @@ from identification.simulation import SimulatedRecording
 
 
 def simulated(problem, prior, x, covariance, **options):
-    prepared = partial(SimulatedRecording, problem, prior, **options)
+    prepared = partial(SimulatedRecording, problem, None, prior, **options)
     equation, start = equation_alone(problem)
     about = np.r_[x, start[len(x) :]]
     return simulation.simulate(equation, prepared, (about, (x, covariance, np.zeros(len(x)))))
@@ -49,7 +49,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     runs = simulate(body, described_controller(body), reference, Imperfections(), substeps=1)
     problem = make_problem(runs.signals(description(toml), 0), Overrides())
     true = described_parameters(problem.model, problem.base)
-    recording = SimulatedRecording(problem, true)
+    recording = SimulatedRecording(problem, None, true)
     followed = recording.reference(0, recording.instants)
     # Of two instants in a step of the SCARA, their middle.
     m, inner = {"scara": 2, "emps": 1}[name], slice(9, -9)
@@ -63,7 +63,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     # What is fed forward is held from sample to sample: its mean in a step.
     counted = np.arange(len(problem.signals.q))[:, None] * np.ones(problem.signals.robot.n)
     fed = replace(problem, signals=replace(problem.signals, feedforward=counted))
-    mean = SimulatedRecording(fed, true).reference(0, recording.instants).feedforward
+    mean = SimulatedRecording(fed, None, true).reference(0, recording.instants).feedforward
     np.testing.assert_allclose(mean[inner, 0], places[inner], atol=1e-6)
     found, rows = simulated(problem, true, true, None)
     grid = np.rint(found.motion.t_s * 1000).astype(int)
@@ -120,7 +120,7 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     right, _ = simulated(problem, true, true, spread)
     assert (right.kind, right.reason) == ("simulated", None)
     # What cannot be simulated has the motion that the reference predicts: that of nothing asked.
-    recording = SimulatedRecording(problem, true)  # at a rate that does not depend on it
+    recording = SimulatedRecording(problem, None, true)  # at a rate that does not depend on it
     _, nothing = simulation.simulate(
         equation_alone(problem)[0], lambda _: recording, (without.x, None)
     )

@@ -11,6 +11,7 @@ from conftest import described_chi, robot_named
 from loops import free, simulate
 
 from acquisition.robot import robot_from_files
+from identification.control import Control, ControlLaw, Reference, default_law
 from identification.methods import Iteration, regular_start
 from identification.model import (
     DirectModel,
@@ -22,13 +23,7 @@ from identification.model import (
 )
 from identification.regression import Overrides
 from identification.results import identify_iv
-from identification.simulation import (
-    ClosedLoop,
-    Control,
-    ControlLaw,
-    Reference,
-    surrogate_loop,
-)
+from identification.simulation import ClosedLoop
 from identification.study import Noise, closed_loop, random_reference
 
 RATE = 1000.0
@@ -53,7 +48,7 @@ def test_a_light_wrist_does_not_chatter():
     """
     _, model = model_of("tx40")
     q_ref = still(6, 1.0) + np.array([0.1, -0.3, 0.4, 0.2, 0.5, 0.0])
-    loop = surrogate_loop(10.0, inertias(model.inertia(q_ref[:1])), RATE)
+    loop = default_law(10.0, inertias(model.inertia(q_ref[:1])), RATE)
     done = simulate(model, loop, q_ref)
     assert np.abs(done.ddq[500:]).max() < 0.05
 
@@ -67,7 +62,7 @@ def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
     q_ref = random_reference(dynamics.robot, duration_s=5.0, sample_rate_hz=RATE, seed=2)
     dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
     ddq_ref = np.gradient(dq_ref, 1 / RATE, axis=0)
-    loop = surrogate_loop(10.0, inertias(model.inertia(q_ref[::50])), RATE)
+    loop = default_law(10.0, inertias(model.inertia(q_ref[::50])), RATE)
     done = simulate(model, loop, Reference(q_ref, dq_ref, ddq_ref), bound=9.0)
     tau = dynamics.regressor(done.q, done.dq, done.ddq) @ described_chi(dynamics)
     along = np.abs(done.dq @ model.directions.T)
@@ -88,7 +83,7 @@ def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
     """The SCARA under a PID, motor 1 limited to `saturation`."""
     _, model = model_of("scara")
     J = inertias(model.inertia(still(2, 0.01)))
-    loop = dataclasses.replace(surrogate_loop(5.0, J, RATE), gravity=False)
+    loop = dataclasses.replace(default_law(5.0, J, RATE), gravity="none")
     limits = np.array([saturation, np.inf])
     return model, dataclasses.replace(
         loop, Ki=loop.Kp * 10, position_share=np.ones(2), saturation=limits
@@ -105,13 +100,13 @@ def test_a_saturated_motor_holds_its_own_integral_only():
     np.testing.assert_allclose(np.diff(tau[:, 1]), loop.Ki[1] * 0.3 / RATE, rtol=1e-9)
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0], ids=["cascade", "pid"])
+@pytest.mark.parametrize("structure", ["cascade_p_pi", "pid"])
 @pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
-def test_steps_of_several_instants_move_as_those_of_one(estimate, share):
+def test_steps_of_several_instants_move_as_those_of_one(estimate, structure):
     model, loop = scara_pid(saturation=np.inf)
     (w, size), moved = np.array([[9.0, 13.0], [0.6, 0.4]]), []
     for m in (1, 3):
-        own = {"velocity_estimate": estimate, "feedforward": share, "periods": m}
+        own = {"velocity_estimate": estimate, "structure": structure, "periods": m}
         t_s = (np.arange(0, 1800, m) + 0.5 * (m - 1))[:, None] / RATE
         path = 1 - np.cos(w * t_s), w * np.sin(w * t_s), w**2 * np.cos(w * t_s)
         slower = dataclasses.replace(loop, period_s=m / RATE, **own)
@@ -122,7 +117,7 @@ def test_steps_of_several_instants_move_as_those_of_one(estimate, share):
     error = moved[0] - size * (1 - np.cos(w * (t_s[100:] - 1 / RATE)))
     off = np.sqrt(np.mean((moved[1] - moved[0]) ** 2, axis=0) / np.mean(error**2, axis=0))
     # Without the middle of position, speed or integral: from 4e-4 and 9e-3 on.
-    assert (off < (5e-3 if share else 1e-4)).all(), off
+    assert (off < (5e-3 if structure == "pid" else 1e-4)).all(), off
 
 
 @pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
@@ -190,7 +185,7 @@ def test_a_surrogate_holds_a_vertical_axis_up():
 def test_a_simulation_that_cannot_go_on_says_why_and_is_not_clipped():
     _, model = model_of("emps")
     loop = dataclasses.replace(
-        surrogate_loop(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6])
+        default_law(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6])
     )
     done = simulate(model, loop, still(1, 0.06), start=(np.array([1e-3]), np.zeros(1)), bound=0.1)
     assert "leaves its reference at joint 1" in done.reason
@@ -221,7 +216,7 @@ def test_noise_at_the_first_instant_does_not_go_into_the_integral():
     control.take(Reference(q_ref, q_ref + 1.0, q_ref + 50.0))
     np.testing.assert_allclose(control._integral, [2.0, -0.3])
     # Where the loop adds gravity along the reference itself, the integral holds none of it.
-    control = Control(held, dataclasses.replace(loop, gravity=True), off, off)
+    control = Control(held, dataclasses.replace(loop, gravity="reference"), off, off)
     control.take(Reference(q_ref, q_ref, q_ref))
     np.testing.assert_allclose(control._integral, 0.0, atol=1e-12)
 
@@ -297,13 +292,13 @@ LAWS_OF_A_LONE_JOINT = {
     "integral": {
         "Ki": np.array([900.0]),
         "velocity_estimate": "backward_difference",
-        "gravity_at_q": True,
+        "gravity": "measured",
     },
     "saturated": {"saturation": np.array([1.5]), "velocity_estimate": "two_sample_mean"},
     "cascade": {
         "Ki": np.array([90.0]),
         "saturation": np.array([1.5]),
-        "feedforward": 0.0,
+        "structure": "cascade_p_pi",
         "position_share": np.array([30.0]),
     },
 }
@@ -328,8 +323,8 @@ def test_a_lone_joint_moves_as_one_of_several(kind, unit, friction, law):
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
     model = dataclasses.replace(model, offset=np.ones(1))
     size_0 = {"stribeck": (np.zeros(len(model.directions)), np.ones(len(model.directions)))}
-    loop = surrogate_loop(5.0, np.full(1, 0.03), RATE)
-    own = {"gravity": law != "integral", **LAWS_OF_A_LONE_JOINT[law]}
+    loop = default_law(5.0, np.full(1, 0.03), RATE)
+    own = LAWS_OF_A_LONE_JOINT[law]
     loop = dataclasses.replace(loop, R=np.full((1, 1), 2.0), G=np.full(1, 10.0), **own)
     t_s = np.arange(300)[:, None] / RATE
     q_ref = 0.2 * (1 - np.cos(36 * t_s)) * (t_s < 0.17)

@@ -14,7 +14,8 @@ from acquisition.errors import BadInputError
 from acquisition.files import on_disk
 from acquisition.recording import RecordingWriter, read_recording, sample_dtype, writer
 from identification.commands import main
-from identification.simulation import ClosedLoop, Reference, recorded_loop
+from identification.control import Reference, described_law
+from identification.simulation import ClosedLoop
 from identification.study import Noise, closed_loop, random_reference, simulated_cell
 
 RATE_HZ, SEED = 1000.0, 5
@@ -34,7 +35,7 @@ def in_one_pass(robot, q_ref):
     model, rng = simulated_cell.true_model(robot), np.random.default_rng([SEED, 0])
     dq = np.gradient(q_ref, 1 / RATE_HZ, axis=0)
     ddq = np.gradient(dq, 1 / RATE_HZ, axis=0)
-    fastest, loop = np.abs(dq @ model.directions.T).max(axis=0), recorded_loop(robot)
+    fastest, loop = np.abs(dq @ model.directions.T).max(axis=0), described_law(robot)
     assert loop is not None
     of_encoder = 1e-4 * rng.standard_normal(q_ref.shape)
 

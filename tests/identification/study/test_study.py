@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
-from identification.regression import law_of
+from identification.control import law_of
 from identification.study import (
     FALSE_TRUST,
     Noise,

@@ -16,12 +16,12 @@ from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, references, simulate
 from looked_at import looked_at
 
+from identification.control import law_of
 from identification.data import Recordings, Signals, load_signals
 from identification.estimation import SpanRows
 from identification.methods.iteration import with_lags_found
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
 from identification.regression.lag import LagFilters
-from identification.regression.law import law_of
 from identification.regression.states import LAG_ORDERS
 from identification.results import Fit, identify, identify_ls
 from identification.trust import TrustLine, trust_in

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
-import identification.regression.law as law_module
+import identification.control.found_law as law_module
 from acquisition.robot import Controller
+from identification.control import FoundLaw, law_of
 from identification.data import Signals, load_signals
 from identification.regression import Overrides, make_problem
-from identification.regression.law import Law, law_of
 
 RATE_HZ = 1000.0
 STRUCTURES = ("pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid")
@@ -67,7 +67,7 @@ def recorded(structure: str, seed: int = 0, *, delay: float = 0.0, noise: float 
     )  # fmt: skip
 
 
-def told(signals: Signals) -> Law:
+def told(signals: Signals) -> FoundLaw:
     law = law_of(make_problem(signals, Overrides(span="all")))
     assert law is not None
     return law
@@ -86,7 +86,7 @@ def test_structure_gains_and_delay_are_told(structure, delay):
     law = told(recorded(structure, delay=delay))
     assert law.reason is None
     assert (
-        law.structure == structure.replace("cascade_p_p", "pd")
+        law.law.structure == structure.replace("cascade_p_p", "pd")
         if structure != "cascade_p_pi"
         else structure
     )
@@ -137,7 +137,7 @@ def test_saturated_samples_are_left_out():
 def test_the_law_of_the_real_axis_is_the_published_one(emps):
     law = law_of(make_problem(load_signals(emps), Overrides()))
     off = np.abs(law.gains - law.described)[:2]
-    assert (law.structure, law.reason, law.rival) == ("pd", None, None)
+    assert (law.law.structure, law.reason, law.rival) == ("pd", None, None)
     assert (off < 1e-3 * law.described[:2]).all()
     assert (off < law.gains_half[:2]).all()
     assert (law.gains_half[:2] < 2e-3 * law.described[:2]).all()

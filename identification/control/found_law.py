@@ -16,20 +16,23 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec.structs import replace as replace_keys
 
-from acquisition.robot import Controller, Robot
+from acquisition.robot import Robot
 
 from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..estimation import System, intervals_of, ordinary_least_squares
-from .motor_paths import MAX_RESIDUAL_PERCENT, Found, MotorPaths, motor_paths, scaled_solution
-
-if TYPE_CHECKING:
-    from .problem import Problem
+from ..regression import Problem
+from .control_law import SPEED_DELAYS, ControlLaw, described_gains, described_law
+from .motor_paths import (
+    MAX_RESIDUAL_PERCENT,
+    Found,
+    MotorPaths,
+    motor_paths,
+    scaled_solution,
+)
 
 # Columns of u: the error e, its rate f = w - v, speeds v measured and w of the reference, the
 # error's integral i, position q.
@@ -37,8 +40,6 @@ STRUCTURES = {"pd": "ev", "pd_velocity_feedforward": "ef", "pid": "efi", "cascad
 # of no structure
 RIVALS = {"speed fed forward in part": "evw", "an integral without it": "evi", "both": "evwi"}
 LAWS = STRUCTURES | RIVALS
-# Of estimates, in controller's periods.
-SPEED_DELAYS = {"exact": 0.0, "backward_difference": 0.5, "two_sample_mean": 1.0}
 LEAST_RESIDUAL_PERCENT = 0.1  # of the effort's variation; below, all are equal
 MIN_RATIO = 1.5  # of residuals, for one structure to be better than another
 MIN_ROWS = 60
@@ -47,18 +48,15 @@ LEAST_LAG_SD = 4e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Law:
-    """The control law of each motor by one structure; gains in recorded
-    effort per motor rad (or m).
+class FoundLaw:
+    """What a recording shows of the control law of each motor, by one structure.
 
     Attributes:
-        structure: as of `[controller]`, the described one if there is one; `pd`
+        law: that of its gains, whatever they are; `described` structure if there is one, and `pd`
             also for `cascade_p_p`.
-        reason: why no law is found; None if one is.
+        reason: why it is not to be used; None if it is.
         rival: the structure that fits better than the described one; None for none.
-        velocity_estimate, period_s: of the controller; `used`: (3,) the gains that it has.
-        gains, gains_half: (3, n) Kp, Kd, Ki of the law above, and half-widths
-            of their 95 % intervals.
+        gains_half: (3, n) half-widths of the 95 % intervals of Kp, Kd, Ki.
         delay_s, delay_half_s: (n,) of the reference. `lag_s`, `lag_sd_s`: (n,) of the effort
             behind the law's instant.
         residual_percent: (n,) of the effort's variation.
@@ -67,13 +65,9 @@ class Law:
             those with these gains.
     """
 
-    structure: str
+    law: ControlLaw
     reason: str | None
     rival: str | None
-    velocity_estimate: str
-    period_s: float
-    used: Bools
-    gains: Array
     gains_half: Array
     delay_s: Array
     delay_half_s: Array
@@ -83,19 +77,15 @@ class Law:
     clear: Bools
     described: Array | None
 
-    def controller(self, described: Controller) -> Controller:
-        """`[controller]` with this law, which is found."""
-        Kp, Kd, Ki = self.gains
-        kp, ki = (Kp / Kd, Ki / Kd) if self.structure.startswith("cascade") else (Kp, Ki)
-        return replace_keys(
-            described,
-            structure=self.structure,
-            sample_rate_hz=1 / self.period_s,
-            position_gain=tuple(kp.tolist()),
-            velocity_gain=tuple(Kd.tolist()),
-            integral_gain=tuple(ki.tolist()) if self.used[2] else None,
-            velocity_estimate=self.velocity_estimate,
-        )
+    @property
+    def gains(self) -> Array:
+        """(3, n) Kp, Kd, Ki."""
+        return np.array([self.law.Kp, self.law.Kd, self.law.Ki])
+
+    @property
+    def used(self) -> Bools:
+        """(3,) which of the gains the structure has."""
+        return np.array([True, True, self.law.integrates])
 
     @property
     def common_delay_s(self) -> float:
@@ -107,7 +97,18 @@ class Law:
         return delay_s if fits and abs(delay_s) > half_s else 0.0
 
 
-def law_of(problem: "Problem") -> Law | None:
+def law_of_recording(robot: Robot, found: FoundLaw | None) -> ControlLaw | None:
+    """The law that the description has or, without one, that was found; None for neither.
+
+    Raises `BadInputError` for an incomplete description.
+    """
+    described = described_law(robot)
+    if described is None and found is not None and found.reason is None:
+        return replace(found.law, G=robot.gain)  # those that a fit identified
+    return described
+
+
+def law_of(problem: Problem) -> FoundLaw | None:
     """The control law found in the recording, by the described structure if there is one.
 
     None without a reference, or where the described law is not linear. A law is found if every
@@ -125,72 +126,114 @@ def law_of(problem: "Problem") -> Law | None:
     with suppress(NoFitError):  # too few samples to filter
         motors = motor_paths(problem, known, period_s - 2 * unknown_s)
         if min(len(motor.u) for motor in motors) >= MIN_ROWS:
-            return _told(signals.robot, motors, period_s, unknown_s)
+            return _select_law(signals.robot, motors, period_s, unknown_s)
     return None
 
 
-def _told(robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: float) -> Law:
-    controller, stated = robot.controller, described_gains(robot.controller)
+class _Fits:
+    """Least squares of all motors by any structure, each done once."""
 
-    @cache
-    def solved(letters: str, estimate: str) -> list[Found]:
-        late_s, k = SPEED_DELAYS[estimate] * period_s, list(SPEED_DELAYS).index(estimate)
-        near = solved(letters, list(SPEED_DELAYS)[k - 1]) if k else [None] * len(motors)
-        return [one.solve(letters, late_s, found) for one, found in zip(motors, near, strict=True)]
+    def __init__(self, motors: list[MotorPaths], period_s: float) -> None:
+        self._motors, self._period_s = motors, period_s
+        self.solved = cache(self._solved)
 
-    percent = dict[str, Array]()
-    for name, letters in LAWS.items():
-        # without the reference's speed a delay of the measured one is one of it and a lag
-        estimates = SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",)
-        percent[name] = np.min([_percents(solved(letters, one)) for one in estimates], axis=0)
+    def _solved(self, letters: str, estimate: str) -> list[Found]:
+        """By motor with the columns `letters`, by the controller's estimate of the speed."""
+        late_s, k = SPEED_DELAYS[estimate] * self._period_s, list(SPEED_DELAYS).index(estimate)
+        none: list[Found | None] = [None] * len(self._motors)
+        near = self.solved(letters, list(SPEED_DELAYS)[k - 1]) if k else none
+        pairs = zip(self._motors, near, strict=True)
+        return [one.solve(letters, late_s, found) for one, found in pairs]
+
+    def percents(self) -> dict[str, Array]:
+        """By structure what is left of the efforts (n,), by the best estimate of the speed."""
+        percent = dict[str, Array]()
+        for name, letters in LAWS.items():
+            # without the reference's speed a delay of the measured one is one of it and a lag
+            estimates = SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",)
+            each = [_percents(self.solved(letters, one)) for one in estimates]
+            percent[name] = np.min(each, axis=0)
+        return percent
+
+
+def _select_law(
+    robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: float
+) -> FoundLaw:
+    """The law by the described structure or, without one, the structure that fits best."""
+    controller, fits = robot.controller, _Fits(motors, period_s)
+    percent = fits.percents()
     valid = {name: percent[name] <= MAX_RESIDUAL_PERCENT for name in LAWS}
     for name, letters in STRUCTURES.items():
-        valid[name] &= [(x[: len(letters)] > 0).all() for _, x in solved(letters, "exact")]
+        valid[name] &= [(x[: len(letters)] > 0).all() for _, x in fits.solved(letters, "exact")]
     clear = {name: valid[name] & _is_clear(name, percent) for name in LAWS}
     best = max(
         LAWS, key=lambda name: (clear[name].sum(), valid[name].sum(), -float(percent[name].max()))
     )
     name = controller.structure or (best if best in STRUCTURES else "pd")
     name = "pd" if name == "cascade_p_p" else name
-    ways = {one: solved(STRUCTURES[name], one) for one in SPEED_DELAYS}
-    estimate = _estimate(ways, motors[0], controller.velocity_estimate)
-    late_s = SPEED_DELAYS[estimate] * period_s
-    known = [None] * len(motors) if stated is None else stated.T
-    # a step further: the search ends once steps are small
-    near = zip(motors, ways[estimate], strict=True)
-    found = [motor.solve(STRUCTURES[name], late_s, one) for motor, one in near]
-    each = [
-        _values(motor, x, gains, name, late_s)
-        for motor, (_, x), gains in zip(motors, found, known, strict=True)
-    ]
-    gains, half, times = np.split(np.array(each).T, [3, 6])
-    half[0] = np.hypot(half[0], unknown_s * gains[2])
-    reason, used = None, np.array([True, True, "i" in STRUCTURES[name]])
+    found = _with_values(robot, motors, fits, name, (period_s, unknown_s))
+    reason = None
     if not valid[name].all():
         reason = f"no linear law fits motor {robot.motors[int(valid[name].argmin())].name}"
     elif best != name:
         reason = f"{best} fits better"
     elif not clear[name].any():
         reason = "several laws fit alike"
-    elif not (gains[used] > 0).all():
+    elif not (found.gains[found.used] > 0).all():
         # by the speed that is taken, and determined at all
         reason = f"gains of {name} are undetermined, or not positive"
-    return Law(
-        structure=name,
-        reason=reason,
-        rival=best if best != name and clear[best].any() else None,
-        velocity_estimate=estimate,
-        period_s=period_s,
-        used=used,
-        gains=gains,
+    rival = best if best != name and clear[best].any() else None
+    return replace(found, reason=reason, rival=rival, clear=clear[name])
+
+
+def _with_values(
+    robot: Robot, motors: list[MotorPaths], fits: _Fits, name: str, period_s: tuple[float, float]
+) -> FoundLaw:
+    """The law of a structure, with its estimate of the speed; `period_s`: of the controller, and
+    how much of it is unknown.
+    """
+    letters, described = STRUCTURES[name], described_gains(robot.controller)
+    ways = {one: fits.solved(letters, one) for one in SPEED_DELAYS}
+    estimate = _estimate(ways, motors[0], robot.controller.velocity_estimate)
+    late_s = SPEED_DELAYS[estimate] * period_s[0]
+    known = [None] * len(motors) if described is None else described.T
+    # a step further: the search ends once steps are small
+    found = [
+        motor.solve(letters, late_s, one) for motor, one in zip(motors, ways[estimate], strict=True)
+    ]
+    each = [
+        _values(motor, x, gains, name, late_s)
+        for motor, (_, x), gains in zip(motors, found, known, strict=True)
+    ]
+    gains, half, times = np.split(np.array(each).T, [3, 6])
+    half[0] = np.hypot(half[0], period_s[1] * gains[2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        law = ControlLaw(
+            kind="found",
+            structure=name,
+            period_s=period_s[0],
+            R=robot.R,
+            G=robot.gain,
+            Kp=gains[0],
+            Kd=gains[1],
+            Ki=gains[2],
+            position_share=gains[0] / gains[1] if "q" in letters else np.ones(robot.n),
+            saturation=robot.saturation,
+            velocity_estimate=estimate,
+            gravity="measured" if robot.controller.gravity_feedforward else "none",
+        )
+    return FoundLaw(
+        law=law,
+        reason=None,
+        rival=None,
         gains_half=half,
         delay_s=times[0],
         delay_half_s=times[1],
         lag_s=times[2],
         lag_sd_s=times[3],
         residual_percent=_percents(found),
-        clear=clear[name],
-        described=stated,
+        clear=np.ones(len(motors), dtype=bool),
+        described=described,
     )
 
 
@@ -216,20 +259,6 @@ def _estimate(tried: dict[str, list[Found]], motor: MotorPaths, described: str |
 
 def _percents(found: list[Found]) -> Array:
     return np.array([percent for percent, _ in found])
-
-
-def described_gains(controller: Controller) -> Array | None:
-    """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
-    is not described whole.
-    """
-    integrates = controller.structure in ("cascade_p_pi", "pid")
-    keys = ["position_gain", "velocity_gain", *["integral_gain"] * integrates]
-    given = [getattr(controller, key) for key in keys]
-    if controller.structure is None or None in given:
-        return None
-    kp, kd, *ki = map(np.array, given)
-    cascade = kd if controller.structure.startswith("cascade") else 1.0
-    return np.array([kp * cascade, kd, ki[0] * cascade if ki else 0.0 * kp])
 
 
 def _is_clear(name: str, percent: dict[str, Array]) -> Bools:

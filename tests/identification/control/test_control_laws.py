@@ -12,9 +12,9 @@ from loops import free, modelled, simulate
 from scipy.linalg import expm
 
 from acquisition.robot import load_robot, robot_from_files
+from identification.control import Control, ControlLaw, Reference, described_law
 from identification.errors import BadInputError
 from identification.model import InverseModel, described_parameters, direct_model, inertias
-from identification.simulation import Control, ControlLaw, Reference, recorded_loop
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
 TICKS = 400
@@ -119,7 +119,7 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     robot = axis(structure, estimate, saturation)
     (*_, model), path = modelled(robot), path_of(kind)
     done = simulate(
-        model, recorded_loop(robot), Reference(*path[..., None]), start=REST, substeps=4
+        model, described_law(robot), Reference(*path[..., None]), start=REST, substeps=4
     )
     q, effort = by_hand(structure, estimate, path, saturation)
     assert (np.abs(effort) > 0.999 * saturation).any() == (saturation == 3.0)
@@ -139,7 +139,7 @@ def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturat
     ahead, force = 1.5 + 2.0 * ((k > 100) & (k < 160)), 8.0 - 20.0 * (k > 250)
     known = {"feedforward": ahead[:, None], "known_torque": force[:, None]}
     done = simulate(
-        model, recorded_loop(robot), Reference(*path[..., None], **known), start=REST, substeps=4
+        model, described_law(robot), Reference(*path[..., None], **known), start=REST, substeps=4
     )
     q, effort = by_hand(structure, "exact", path, saturation, ahead, force)
     np.testing.assert_allclose(done.q[::4, 0], q, atol=5e-7)
@@ -160,7 +160,7 @@ def test_the_gain_update_leaves_the_motion_as_it_was(structure):
         model = direct_model(
             dynamics, base.standard_parameters(factor * described_parameters(dynamics, base))
         )
-        loop = recorded_loop(robot).scaled(np.array([factor]))
+        loop = described_law(robot).scaled(np.array([factor]))
         moved.append(simulate(model, loop, path_of("step")[0][:, None].copy()))
     assert np.abs(moved[0].tau).max() == pytest.approx(3.0 * GAIN * RATIO)
     np.testing.assert_allclose(moved[1].q, moved[0].q, atol=1e-12)
@@ -196,11 +196,11 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
         np.array([{"ZZ1": 3.0, "ZZ2": 0.1}.get(name, 0.0) for name in dynamics.names]),
     )
     loop = ControlLaw(
-        period_s=T, R=R, G=np.array([10.0, 5.0]), Kp=np.array([7.0, 11.0]), Kd=np.zeros(2),
+        kind="described", structure="pd", period_s=T, R=R,
+        G=np.array([10.0, 5.0]), Kp=np.array([7.0, 11.0]), Kd=np.zeros(2),
         Ki=np.zeros(2),
-        position_share=np.ones(2), feedforward=0.0, saturation=np.full(2, np.inf),
+        position_share=np.ones(2), saturation=np.full(2, np.inf),
         velocity_estimate="exact",
-        computed_torque=False,
     )  # fmt: skip
     m1, m2 = 10.0 * 7.0 * 2.0 * 0.01, 5.0 * 11.0 * (3.0 * 0.01 - 4.0 * 0.02)
     for estimate in ("exact", "backward_difference"):  # the two ways through the law
@@ -211,7 +211,7 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
     # Kp R on the diagonal.
     w2 = (2 * np.pi * 5.0) ** 2
     np.testing.assert_allclose(loop.inertias(5.0), np.array([4 * 70.0 + 9 * 55.0, 16 * 55.0]) / w2)
-    np.testing.assert_array_equal(replace(loop, computed_torque=True).inertias(5.0), 1.0)
+    np.testing.assert_array_equal(replace(loop, structure="computed_torque").inertias(5.0), 1.0)
 
 
 @pytest.mark.parametrize("estimate", ESTIMATES)
@@ -222,7 +222,7 @@ def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
         dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names])
     )
     path, speed = 0.1 + 0.2 * T * np.arange(20)[:, None], np.full((20, 1), 0.2)
-    done = simulate(model, recorded_loop(robot), Reference(path, speed, 0 * speed))
+    done = simulate(model, described_law(robot), Reference(path, speed, 0 * speed))
     np.testing.assert_allclose(done.tau, 0.0, atol=1e-9)
     np.testing.assert_allclose(done.q, path, atol=1e-12)
 
@@ -233,7 +233,7 @@ def test_an_integral_starts_within_the_limit(limit, effort):
     that is in the integral.
     """
     robot = axis("pid", "exact", limit)
-    (*_, model), loop, zero = modelled(robot), recorded_loop(robot), np.zeros((2, 1))
+    (*_, model), loop, zero = modelled(robot), described_law(robot), np.zeros((2, 1))
     control = Control(replace(model, offset=np.array([8.0])), loop, zero[0], zero[0])
     control.take(Reference(zero, zero, zero))
     assert control._integral == pytest.approx(effort)
@@ -284,26 +284,22 @@ def test_a_controller_described_in_part_names_what_is_missing():
     with pytest.raises(
         BadInputError, match="velocity_gain, integral_gain is missing: expected all of structure"
     ):
-        recorded_loop(robot)
+        described_law(robot)
 
 
 @pytest.mark.parametrize(
-    ("Kd", "computed_torque", "periods"),
+    ("Kd", "structure", "periods"),
     [
-        ((1.0, 1.0), False, 4),  # as many as leave 1 kHz
+        ((1.0, 1.0), "pd", 4),  # as many as leave 1 kHz
         # speed loops of 1200/s, and of 300/s and 1200/s (eigenvalues by hand): 0.6 of a step
-        ((2400.0, 1.0), False, 2),
-        ((600.0, 600.0), False, 2),
-        ((9e3, 1.0), False, 1),
-        ((1.0, 1.0), True, 1),
+        ((2400.0, 1.0), "pd", 2),
+        ((600.0, 600.0), "pd", 2),
+        ((9e3, 1.0), "pd", 1),
+        ((1.0, 1.0), "computed_torque", 1),
     ],
 )
-def test_a_step_has_several_instants_while_the_fastest_speed_loop_allows(
-    Kd, computed_torque, periods
-):
+def test_a_step_has_several_instants_while_the_fastest_speed_loop_allows(Kd, structure, periods):
     R = np.array([[1.0, 0.0], [0.0, -1.0]])
-    loop = replace(
-        free(2, 4000.0), R=R, Kd=np.array(Kd), G=np.ones(2), computed_torque=computed_torque
-    )
+    loop = replace(free(2, 4000.0), R=R, Kd=np.array(Kd), G=np.ones(2), structure=structure)
     slower = loop.slower(np.stack([np.diag([2.0, 2.0]), np.diag([3.0, 0.5])]), 1000.0)
     assert (slower.periods, slower.period_s) == (periods, pytest.approx(periods / 4000))

@@ -5,17 +5,11 @@ and its least squares.
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..arrays import Array, Ints
-from .filtering import lowpass
-from .motion import differentiate, on_spline, spline_coefficients
-from .settings import Lag
-
-if TYPE_CHECKING:
-    from .problem import Problem
+from ..regression import Lag, Problem, differentiate, lowpass, on_spline, spline_coefficients
 
 FIRST_STEPS, STEPS, MAX_STEP, MIN_STEP = 3, 12, 2.0, 1e-2  # Gauss-Newton steps; samples of one
 PRIOR_WEIGHT = 5.0  # deviations of the residual, more than one: it is not white
@@ -141,7 +135,7 @@ def scaled_solution(A: Array, y: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A / scale, y)[0] / scale)
 
 
-def motor_paths(problem: "Problem", known: Lag, period_s: float) -> list[MotorPaths]:
+def motor_paths(problem: Problem, known: Lag, period_s: float) -> list[MotorPaths]:
     """The motors of a recording, with the lag as known, and the period of the controller's sum."""
     s, settings, R = problem.signals, problem.settings, problem.signals.robot.R
     fs, n_d = s.sample_rate_hz, settings.decimation
@@ -162,11 +156,7 @@ def motor_paths(problem: "Problem", known: Lag, period_s: float) -> list[MotorPa
     at = np.arange(edge - edge % step, len(u) - edge, max(step, apart - apart % step))
     far = SATURATED_ROWS * n_d
     free = saturated[at + far] - saturated[at - far] <= MAX_SATURATED * 2 * far
-    paths, held = [_paths(x, fs, step) for x in (r, q)], np.zeros((0, *u[at].shape))
-    if s.robot.controller.gravity_feedforward:
-        inverse = np.linalg.inv(R)
-        still = problem.model.regressor((q[at] + first) @ inverse.T, 0 * q[at], 0 * q[at])
-        held = np.einsum("jm,ajp->pam", inverse, still[..., problem.base.columns])
+    paths, held = [_paths(x, fs, step) for x in (r, q)], _gravity(problem, q[at] + first)
     found = []
     for own, *of_motor, gravity, effort in zip(
         free.T, *paths, held.transpose(2, 0, 1), u[at].T, strict=True
@@ -176,6 +166,18 @@ def motor_paths(problem: "Problem", known: Lag, period_s: float) -> list[MotorPa
         by_delay = [_path(c, at[own] // step, fs / step) for c in of_motor]
         found.append(MotorPaths(by_delay, beside, fs / step, known, period_s))
     return found
+
+
+def _gravity(problem: Problem, q: Array) -> Array:
+    """(b, rows, n) efforts of the motors, at their positions q, that gravity fed forward may have;
+    no columns where it is not.
+    """
+    robot = problem.signals.robot
+    if not robot.controller.gravity_feedforward:
+        return np.zeros((0, *q.shape))
+    inverse = np.linalg.inv(robot.R)
+    still = problem.model.regressor(q @ inverse.T, 0 * q, 0 * q)
+    return np.asarray(np.einsum("jm,ajp->pam", inverse, still[..., problem.base.columns]))
 
 
 def _paths(x: Array, fs: float, step: int) -> list[Array]:

@@ -1,5 +1,4 @@
-"""The control law of the simulated robot: the described controller, the one found in the
-recording, or a surrogate.
+"""The control law: the described controller, the one found in the recording, or the default PD.
 
 Control acts on motor positions q_m = R q once per period of the loop, and is held in between
 (sample and hold):
@@ -38,17 +37,20 @@ efforts in every structure.
 import operator
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from acquisition.robot import Robot
+from acquisition.robot import Controller, Robot
 
 from ..arrays import Array
 from ..errors import BadInputError
 from ..model import DirectModel
-from ..regression import SPEED_DELAYS, described_gains
 
+ControllerKind = Literal["described", "found", "surrogate"]
+INTEGRATING = ("cascade_p_pi", "pid")  # structures
+# Of estimates of the speed, in controller's periods.
+SPEED_DELAYS = {"exact": 0.0, "backward_difference": 0.5, "two_sample_mean": 1.0}
 SURROGATE_DAMPING = 0.8
 MAX_DECAY = 0.6  # of a speed in a step, by the fastest speed loop; from 1 on it would overshoot
 
@@ -103,24 +105,66 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlLaw:
-    """A position loop in discrete time; gains (n,) per motor in recorded
-    effort per motor rad (or m).
+    """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad
+    (or m).
+
+    Attributes:
+        kind: whether it is described, found in a recording, or a PD of the stated bandwidth.
+        structure: as of `[controller]`.
+        R, G: of the robot, q_m = R q and tau = Rᵀ G u.
+        Kp, Kd, Ki: of the law above; `position_share`: alpha, how the position error enters the
+            integral.
+        gravity: the model's, added along the reference, at the measured position, or not at all.
+        periods: of the controller in `period_s`.
     """
 
+    kind: ControllerKind
+    structure: str
     period_s: float
     R: Array
     G: Array
     Kp: Array
     Kd: Array
     Ki: Array
-    position_share: Array  # alpha: how the position error enters the integral
-    feedforward: float  # phi
+    position_share: Array
     saturation: Array
     velocity_estimate: str
-    computed_torque: bool
-    gravity: bool = False  # adds the model's gravity along the reference
-    gravity_at_q: bool = False  # the same at the measured position
-    periods: int = 1  # of the controller in `period_s`
+    gravity: Literal["none", "reference", "measured"] = "none"
+    periods: int = 1
+
+    @property
+    def feedforward(self) -> float:
+        """phi, the share of the reference's speed."""
+        return 0.0 if self.structure == "pd" or self.is_cascade else 1.0
+
+    @property
+    def is_cascade(self) -> bool:
+        """Whether the position gain acts on a speed loop."""
+        return self.structure.startswith("cascade")
+
+    @property
+    def computed_torque(self) -> bool:
+        """Whether the loop has a model, and gains that act on accelerations."""
+        return self.structure == "computed_torque"
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The keys of `[controller]` that describe it, as `described_law` reads them."""
+        by = self.Kd if self.is_cascade else np.ones(len(self.Kd))
+        found = {
+            "structure": self.structure,
+            "sample_rate_hz": 1 / self.period_s,
+            "position_gain": (self.Kp / by).tolist(),
+            "velocity_gain": self.Kd.tolist(),
+            "integral_gain": (self.Ki / by).tolist(),
+            "velocity_estimate": self.velocity_estimate,
+        }
+        return {key: x for key, x in found.items() if key != "integral_gain" or self.integrates}
+
+    @property
+    def integrates(self) -> bool:
+        """Whether its structure has an integral."""
+        return self.structure in INTEGRATING
 
     @property
     def middle(self) -> float:
@@ -172,17 +216,35 @@ class ControlLaw:
         )
 
 
-def recorded_loop(robot: Robot) -> ControlLaw | None:
+def described_gains(controller: Controller) -> Array | None:
+    """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
+    is not described whole.
+    """
+    integrates, cascades = controller.structure in INTEGRATING, _cascades(controller)
+    keys = ["position_gain", "velocity_gain", *["integral_gain"] * integrates]
+    given = [getattr(controller, key) for key in keys]
+    if controller.structure is None or None in given:
+        return None
+    kp, kd, *ki = map(np.array, given)
+    cascade = kd if cascades else 1.0
+    return np.array([kp * cascade, kd, ki[0] * cascade if ki else 0.0 * kp])
+
+
+def _cascades(controller: Controller) -> bool:
+    return str(controller.structure).startswith("cascade")
+
+
+def described_law(robot: Robot) -> ControlLaw | None:
     """The loop of the description's `[controller]`, None if it states none.
 
     Raises `BadInputError` naming missing keys.
     """
     c, needed = robot.controller, ["structure", "sample_rate_hz", "position_gain", "velocity_gain"]
-    gains, cascade = described_gains(c), str(c.structure).startswith("cascade")
+    gains = described_gains(c)
     if gains is None or c.sample_rate_hz is None:
         if all(getattr(c, key) is None for key in (*needed, "integral_gain")):
             return None
-        needed += ["integral_gain"] * (c.structure in ("cascade_p_pi", "pid"))
+        needed += ["integral_gain"] * (c.structure in INTEGRATING)
         missing = [key for key in needed if getattr(c, key) is None]
         raise BadInputError(
             place=f"robot {robot.name}",
@@ -192,27 +254,29 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
             "is simulated)",
         )
     return ControlLaw(
+        kind="described",
+        structure=str(c.structure),
         period_s=1.0 / c.sample_rate_hz,
         R=robot.R,
         G=robot.gain,
         Kp=gains[0],
         Kd=gains[1],
         Ki=gains[2],
-        position_share=np.array(c.position_gain) if cascade else np.ones(robot.n),
-        feedforward=0.0 if cascade or c.structure == "pd" else 1.0,
+        position_share=np.array(c.position_gain) if _cascades(c) else np.ones(robot.n),
         saturation=robot.saturation,
         velocity_estimate=c.velocity_estimate or "backward_difference",
-        computed_torque=c.structure == "computed_torque",
-        gravity_at_q=c.gravity_feedforward,
+        gravity="measured" if c.gravity_feedforward else "none",
     )
 
 
-def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
+def default_law(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
     """A PD at the joints with velocity feed-forward and gravity: w_n = 2 pi bandwidth,
     zeta 0.8, inertias J (n,).
     """
     w, n = 2 * np.pi * bandwidth_hz, len(J)
     return ControlLaw(
+        kind="surrogate",
+        structure="pd_velocity_feedforward",
         period_s=1.0 / rate_hz,
         R=np.eye(n),
         G=np.ones(n),
@@ -220,11 +284,9 @@ def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
         Kd=2 * SURROGATE_DAMPING * w * J,
         Ki=np.zeros(n),
         position_share=np.ones(n),
-        feedforward=1.0,
         saturation=np.full(n, np.inf),
         velocity_estimate="exact",
-        computed_torque=False,
-        gravity=True,
+        gravity="reference",
     )
 
 
@@ -243,9 +305,11 @@ class Control:
             bool((loop.saturation < np.inf).any()),
             bool(loop.Ki.any()),
         )
+        self._computed, by_speed = loop.computed_torque, loop.feedforward == 0.0
+        self._of_speed, self._at_q = by_speed, loop.gravity == "measured"
         # of u, and of what its integral gains in a period, the factors of position and speed; that
         # of a cascade is of the speed error
-        summed, by_speed = self._T * loop.Ki, loop.feedforward == 0.0
+        summed = self._T * loop.Ki
         gains = loop.Kp, loop.Kd, summed * loop.position_share, summed * by_speed
         self._P, self._D, self._I, self._J = (own(gain[:, None] * loop.R) for gain in gains)
         self._integral: Any = None
@@ -259,19 +323,15 @@ class Control:
         """Set the reference, or its next span; instants are counted from its start."""
         loop, self._reference, each = self._loop, reference, self._numbers.each
         fed = 0.0 * reference.q if reference.feedforward is None else reference.feedforward
-        held = self._held(reference.q) if loop.gravity else 0.0 * fed
+        held = self._held(reference.q) if loop.gravity == "reference" else 0.0 * fed
         r, speed = (x @ loop.R.T for x in (reference.q, loop.feedforward * reference.dq))
         u, x = loop.Kp * r + loop.Kd * speed, self._T * loop.Ki * loop.position_share * r
-        self._u = each(u if loop.computed_torque else u + held + fed)
+        self._u = each(u if self._computed else u + held + fed)
         self._x, self._fed = each(x), fed
         if self._integral is None:
             # It balances gravity at rest: speeds and accelerations of a single instant would add
             # their noise.
-            known = (
-                self._model.gravity(self._start) @ self._to_motors.T
-                if loop.gravity_at_q
-                else held[0]
-            )
+            known = self._model.gravity(self._start) @ self._to_motors.T if self._at_q else held[0]
             need = np.clip(
                 self._held(self._start) - known - fed[0], -loop.saturation, loop.saturation
             )
@@ -290,15 +350,15 @@ class Control:
             dq = (q - before.pop()) / self._late_s
             before.insert(0, q)
         u = self._u[k] - dot(self._P, q) - dot(self._D, dq)
-        if loop.gravity_at_q:
+        if self._at_q:
             gravity = self._model.gravity(np.reshape(q, (1, -1)))[0]
             u = u + self._numbers.own(self._to_motors.dot(gravity))
         if self._integrates:
             x = self._x[k] - dot(self._I, q)
-            if loop.feedforward == 0.0:
+            if self._of_speed:
                 x = x - dot(self._J, dq)
             u = u + (self._integral + self._summed * x)
-        if loop.computed_torque:
+        if self._computed:
             ddq = self._reference.ddq[k] + self._R_inverse.dot(u)
             tau = self._model.torque(q[None], v[None], ddq[None], self._reference.dq[k : k + 1])[0]
             u = self._to_motors.dot(tau) + self._fed[k]

@@ -1,0 +1,20 @@
+"""Control: the law that moves the robot, described, found in a recording, or the default PD.
+
+It owns `ControlLaw`, the state that a simulation needs of it, the search for the law of a
+recording, and what a described law says of the lag. It may use `regression` and the rooms below.
+"""
+
+from .control_law import (
+    ARRAYS,
+    FLOATS,
+    Control,
+    ControlLaw,
+    ControllerKind,
+    Numbers,
+    Reference,
+    default_law,
+    described_law,
+)
+from .found_law import FoundLaw, law_of, law_of_recording
+from .lag_by_law import MAX_LAW_PERCENT, lag_without_fit
+from .motor_paths import SATURATED
