@@ -58,7 +58,7 @@ class Fit(AnyFit, results.Fit):
         """Write the whole report: .md the tables, .html also the pictures."""
         path = Path(path)
         if path.suffix == ".md":
-            write_text(path, report.to_markdown(results.fit_document(self)))
+            write_text(path, report.to_markdown(results.fit_document(self.file)))
         elif path.suffix == ".html":
             from .view import draw_fit, join_pictures, write_html
 
@@ -99,7 +99,7 @@ class Fit(AnyFit, results.Fit):
     def _repr_html_(self) -> str:
         from .view import draw_fit, notebook_figure
 
-        document = results.fit_document(self).short
+        document = results.fit_document(self.file).short
         torque = draw_fit(self.on(self.recordings[0])).first
         return report.to_html(document, figures=notebook_figure(torque) if torque else "")
 

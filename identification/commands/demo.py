@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> None:
         ls = identify_ls(signals, Overrides())
         law = Overrides(law=ls.law)
         fits = {"ls": ls, "iv": identify_iv(signals, law, Iteration(), say=progress.say)}
-        reports = [fit_document(fit) for fit in fits.values()]
+        reports = [fit_document(fit_file(fit)) for fit in fits.values()]
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(fit))
         progress.say("writing the Rerun file")

@@ -94,10 +94,11 @@ def run(options: argparse.Namespace) -> int:
             from ..results import with_consistent
 
             fit = with_consistent(fit, prior)
-    document = fit_document(fit)
+    file = fit_file(fit)
+    document = fit_document(file)
     try:
         if options.json:
-            write_json(options.json, fit_file(fit))
+            write_json(options.json, file)
         shared.write_pictures(
             options,
             document,

@@ -4,7 +4,7 @@ The distributions are written here because importing a library for them takes lo
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -18,17 +18,17 @@ _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of fre
 
 
 def torque_errors(
-    tau: Array, predicted: Array, counts: Bools, names: tuple[str, ...]
+    tau: Array, predicted: Array, counts: Bools, joints: Sequence[tuple[str, str]]
 ) -> tuple[TorqueResidual, ...]:
-    """Torque errors of each of the joints `names` and, last and under the name `all`,
+    """Torque errors of each of the `joints`, by name and unit, and, last and under the name `all`,
     of all joints together.
 
     Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not
     known), in the rows (rows, n) that count in a fit.
     """
     rho, found = tau - predicted, list[TorqueResidual]()
-    each = [(name, tau[:, j], rho[:, j], counts[:, j]) for j, name in enumerate(names)]
-    for name, t, r, of in [*each, ("all", tau, rho, counts)]:
+    each = [(*of, tau[:, j], rho[:, j], counts[:, j]) for j, of in enumerate(joints)]
+    for name, unit, t, r, of in [*each, ("all", "", tau, rho, counts)]:
         error = relative_error_percent(t[of], r[of])
         found.append(
             TorqueResidual(
@@ -40,6 +40,7 @@ def torque_errors(
                 standing_rows=int((~of).sum()),
                 autocorrelation=autocorrelation(np.where(of, r, 0.0)),
                 residual_rms=float(np.linalg.norm(r[of]) / np.sqrt(max(1, of.sum()))),
+                unit=unit,
             )
         )
     return tuple(found)

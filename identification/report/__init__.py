@@ -31,6 +31,7 @@ from .fit_file import (
     LagFile,
     Level,
     Method,
+    OnRecording,
     PassFile,
     Provenance,
     RecordingOfFit,
@@ -39,6 +40,7 @@ from .fit_file import (
     TrustLineFile,
     ValidationFile,
     Verdict,
+    known,
     read_fit,
     versions,
 )

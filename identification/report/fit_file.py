@@ -6,7 +6,7 @@ Independent of the methods, so that reading a file does not load them.
 import math
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -34,6 +34,14 @@ Verdict = Literal["trust", "caution", "do not use"]
 Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
 
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
+
+
+T = TypeVar("T")
+
+
+def known(value: T | UnsetType | None) -> T | None:
+    """The value of a key; None where the file has none."""
+    return None if isinstance(value, UnsetType) else value
 
 
 class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
@@ -93,12 +101,19 @@ class LagFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A test of the fit."""
+    """A test of the fit; `finding` and `figures`, for a plot, are missing in a file of an earlier
+    version. Figures are name, value, half-width of the 95 % interval, expected value, in `unit`.
+    """
 
     test: str
     level: Level
     value: float | None
     text: str
+    finding: str = ""
+    figures: list[tuple[str, float | None, float | None, float | None]] = msgspec.field(
+        default_factory=list
+    )
+    unit: str = ""
 
 
 class Assumed(msgspec.Struct, frozen=True):
@@ -166,11 +181,13 @@ class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
     moving_relative_error_percent: float | None
     held_out_error_percent: float | None = None
     undetermined: list[str] = msgspec.field(default_factory=list)
+    remarks: list[str] = msgspec.field(default_factory=list)  # recorder, payload
 
 
 class OnRecording(ResultFile, frozen=True, kw_only=True):
     """The keys common to a fit and a validation: torque errors of all and of each joint, the
-    filters that they are told behind, settings, warnings.
+    filters that they are told behind, settings, warnings. A file of an earlier version has no
+    `all_joints`, and none of the last four keys.
     """
 
     warnings: list[str] = msgspec.field(default_factory=list)
@@ -178,6 +195,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     moving_relative_error_percent: float | None = None
     standing_relative_error_percent: float | None = None
     joints: list[TorqueResidual] = msgspec.field(default_factory=list)
+    all_joints: TorqueResidual | None = None
     sample_rate_hz: AboveZero | None = None
     off_grid_periods: float = 0.0
     cutoff_hz: AboveZero | None = None
@@ -194,6 +212,21 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     samples: tuple[int, int] | None = None
     provenance: Provenance | None = None
     recordings: list[RecordingOfFit] | UnsetType = UNSET
+    recorded_samples: int | None = None
+    inputs: list[str] = msgspec.field(default_factory=list)  # known torque, feed-forward
+    remarks: list[str] = msgspec.field(default_factory=list)  # recorder, payload
+
+    @property
+    def errors(self) -> tuple[TorqueResidual, ...]:
+        """Torque errors of the joints and, last, of all together."""
+        each = self.joints
+        whole = self.all_joints or TorqueResidual(
+            name="all",
+            relative_error_percent=self.moving_relative_error_percent,
+            moving_rows=sum(joint.moving_rows for joint in each),
+            standing_rows=sum(joint.standing_rows for joint in each),
+        )
+        return *each, whole
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
@@ -202,7 +235,10 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
 
     `left_out` are the base parameters that `--essential` leaves out; `consistent` and
     `standard_parameters` are those of `--consistent`. The keys from `reason` on are those of
-    instrumental variables.
+    instrumental variables, up to those from `least_squares` on, which an earlier file has not:
+    least squares of a fit by instrumental variables, and its error where the passes have no fixed
+    point; the smallest eigenvalue of the statistic of Cragg and Donald with drive gains; rows
+    before those without weight; parameters whose interval is wider than the value.
     """
 
     parameters: list[Parameter]
@@ -238,19 +274,33 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     iterations: list[PassFile] | UnsetType = UNSET
     instrument_tests: dict[str, float | None] | UnsetType = UNSET
     contrast_half_widths: float | UnsetType | None = UNSET
+    contrast_parameter: str = ""
     rows_used_percent: float | UnsetType = UNSET
     saturated_percent: float | UnsetType | None = UNSET
     direct_model: list[DirectModelResidual] | UnsetType = UNSET
+    least_squares: list[Parameter] | UnsetType = UNSET
+    least_squares_error_percent: float | UnsetType | None = UNSET
+    cragg_donald: float | UnsetType = UNSET
+    recorded_rows: int | None = None
+    unclear: list[str] = msgspec.field(default_factory=list)
+    notes: list[str] = msgspec.field(default_factory=list)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters, those left out too."""
+        return len(self.parameters) + len(self.left_out or ())
+
+    @property
+    def line_of(self) -> dict[str, TrustLineFile]:
+        """The tests by name, worst first."""
+        return {line.test: line for line in self.trust or ()}
 
     @property
     def summary(self) -> str:
         """What it is, in a line."""
-        error, total = (
-            self.moving_relative_error_percent,  # in files of earlier versions too
-            len(self.parameters) + len(self.left_out or ()),
-        )
+        error = self.moving_relative_error_percent  # in files of earlier versions too
         if not self.verdict or self.provenance is None:
-            return f"{total} parameters"
+            return f"{self.size} parameters"
         names = ", ".join(one.recording for one in self.recordings or (self.provenance,))
         told = "nothing moves" if error is None else f"torque error {error:.3g} %"
         made = (
@@ -258,7 +308,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
             f"{self.verdict}"
         )
         return (
-            f"{made}: {total} parameters, {sum(p.essential for p in self.parameters)} "
+            f"{made}: {self.size} parameters, {sum(p.essential for p in self.parameters)} "
             f"essential, {told}"
         )
 

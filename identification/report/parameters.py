@@ -28,6 +28,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     sigma_percent: float | UnsetType | None = UNSET
     essential: bool = False
     prior: float | UnsetType = UNSET
+    column_norm: float | UnsetType = UNSET  # of its weighted column: torque per unit
 
     @property
     def half(self) -> float:
@@ -35,6 +36,11 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
         if self.low is None or self.high is None:
             return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
         return 0.5 * (self.high - self.low)
+
+    @property
+    def torque(self) -> float:
+        """The torque that it moves, in the weighted rows of the fit, as far as that is known."""
+        return abs(self.value) * (self.column_norm or 0.0)
 
     @property
     def spread(self) -> float:
@@ -136,11 +142,15 @@ class LawFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PayloadOfFit(msgspec.Struct, frozen=True, kw_only=True):
-    """A payload as `stated`, its nearest body, and its share of the base parameters;
-    `recording`: the first with it.
+    """A payload as `stated`, also in words, its nearest body, and its share of the base parameters;
+    `recording`: the first with it. `given`: what of it is known, `mass` and `center`; a mass with
+    its half-width, null for an exact one.
     """
 
     recording: str
     stated: str
     parameters: list[StandardParameter]
     base_parameters: dict[str, float] | UnsetType = UNSET
+    described: str = ""
+    given: list[str] = msgspec.field(default_factory=list)
+    mass_half_width_kg: float | None = None

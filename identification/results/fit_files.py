@@ -1,6 +1,5 @@
 """The JSON files of a fit and of a validation."""
 
-import platform
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,12 +10,14 @@ from acquisition.robot import Robot
 
 from .. import report
 from ..control import FoundLaw
-from ..regression import Problem, forward_backward_3db_hz
+from ..regression import Problem
 from ..trust import HeldOut
 from .fit import Fit
+from .gain_results import smallest_cragg_donald
 from .horizon import HORIZONS_S
 from .parameters import fitted_parameters
-from .recording_report import Validated, errors_on, first_ahead
+from .recorded import on_recording, remarks
+from .recording_report import Validated, errors_on, first_ahead, validated
 
 
 def fit_file(fit: Fit) -> report.FitFile:
@@ -25,7 +26,7 @@ def fit_file(fit: Fit) -> report.FitFile:
     full = fit.full
     each = [_recording(one.problem, one.errors[-1], one.held_out) for one in fit.recordings]
     return report.FitFile(
-        **_on_recording(fit.problem, fit.errors, fit.warnings),
+        **on_recording(fit.problem, fit.errors, fit.warnings),
         own_parameters=fit.own or UNSET,
         recordings=each if len(each) > 1 else UNSET,
         method=fit.method,
@@ -61,7 +62,15 @@ def fit_file(fit: Fit) -> report.FitFile:
         prior_source=fit.data.prior_source or UNSET,
         prior_held_out_error_percent=fit.data.prior_error_percent if fit.data.prior else UNSET,
         trust=[
-            report.TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text)
+            report.TrustLineFile(
+                test=one.test,
+                level=one.level,
+                value=one.value,
+                text=one.text,
+                finding=one.finding,
+                figures=list(one.figures),
+                unit=one.unit,
+            )
             for one in lines
         ],
         condition_number=e.condition_number,
@@ -80,6 +89,13 @@ def fit_file(fit: Fit) -> report.FitFile:
         consistent=fit.consistent_set or UNSET,
         standard_parameters=list(fit.standard_parameters) or UNSET,
         essential=msgspec.structs.replace(fit.essential, names=fit.essential_names),
+        unclear=[name for name in fit.essential.names if name not in fit.essential_names],
+        recorded_rows=fit.data.observed.share.size,
+        notes=list(fit.notes),
+        least_squares_error_percent=_error_by_ls(fit)
+        if fit.status in report.NO_FIXED_POINT
+        else UNSET,
+        cragg_donald=smallest_cragg_donald(fit.data) if fit.gains else UNSET,
         description={
             name: signals.robot.files[name].decode("utf-8", errors="replace")
             for name in ("robot.toml", "robot.urdf")
@@ -125,7 +141,7 @@ def validation_file(
     each = [_recording(one.problem, errors_on([one])[-1]) for one in recordings]
     ahead = first_ahead(recordings)
     return report.ValidationFile(
-        **_on_recording(recordings[0].problem, errors, warnings),
+        **on_recording(recordings[0].problem, errors, warnings),
         fit=fit,
         recordings=each if len(each) > 1 else UNSET,
         ahead={
@@ -136,44 +152,6 @@ def validation_file(
         else {},
         consistent_errors=list(consistent) or UNSET,
     )
-
-
-def _on_recording(
-    problem: Problem, errors: tuple[report.TorqueResidual, ...], warnings: tuple[str, ...]
-) -> dict[str, Any]:
-    signals, settings, whole = problem.signals, problem.settings, errors[-1]
-    units, fs, cutoff_hz = signals.robot.effort_units, signals.sample_rate_hz, settings.cutoff_hz
-    return {
-        "warnings": list(warnings),
-        "relative_error_percent": whole.relative_error_percent,
-        "moving_relative_error_percent": whole.moving_relative_error_percent,
-        "standing_relative_error_percent": whole.standing_relative_error_percent,
-        "joints": [
-            msgspec.structs.replace(e, unit=u) for e, u in zip(errors[:-1], units, strict=True)
-        ],
-        "sample_rate_hz": fs,
-        "off_grid_periods": signals.off_grid,
-        "cutoff_hz": cutoff_hz,
-        "cutoff_forward_backward_3db_hz": forward_backward_3db_hz(cutoff_hz, fs)
-        if cutoff_hz
-        else None,
-        "decimation": settings.decimation,
-        "error_cutoff_hz": problem.for_errors.settings.cutoff_hz,
-        "error_decimation": problem.for_errors.settings.decimation,
-        "edges": settings.edges,
-        "low_speed_percent": msgspec.structs.asdict(settings.low_speed),
-        "ramp_rows": settings.ramp_rows,
-        "torque_lag_s": settings.torque_lag_s,
-        "span": settings.span,
-        "span_rule": settings.span_rule,
-        "samples": (settings.start, settings.stop),
-        "provenance": report.Provenance(
-            recording=signals.recording,
-            sha256=signals.sha256,
-            robot=signals.robot.name,
-            versions={"python": platform.python_version(), **report.versions()},
-        ),
-    }
 
 
 def _recording(
@@ -190,7 +168,16 @@ def _recording(
         moving_relative_error_percent=whole.moving_relative_error_percent,
         held_out_error_percent=held_out.error_percent if held_out else None,
         undetermined=list(held_out.undetermined) if held_out else [],
+        remarks=remarks(signals),
     )
+
+
+def _error_by_ls(fit: Fit) -> float | None:
+    """The torque error of least squares, percent."""
+    each = [
+        validated(one.problem, one.arm.values(fit.least_squares.estimate)) for one in fit.recordings
+    ]
+    return errors_on(each)[-1].relative_error_percent
 
 
 def _iv_keys(fit: Fit) -> dict[str, Any]:
@@ -221,6 +208,8 @@ def _iv_keys(fit: Fit) -> dict[str, Any]:
             "first_stage_F": fit.data.first_stage_F,
         },
         "contrast_half_widths": fit.contrast[0],
+        "contrast_parameter": fit.contrast[1],
+        "least_squares": list(fitted_parameters(fit, by_ls=True).parameters.values()),
         "rows_used_percent": fit.rows_used_percent,
         "saturated_percent": fit.saturated_percent,
         "direct_model": list(fit.direct),

@@ -1,88 +1,82 @@
 """The report of a fit: verdict, parameters, errors, settings and tests."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
-from ..regression import ROWS
+from ..regression import ROWS, base_name
 from ..report import (
     NO_FIXED_POINT,
     Cell,
     Document,
+    FitFile,
     Number,
-    Parameter,
     Row,
     Section,
     Table,
     columns,
+    known,
     value_form,
 )
 from ..trust import LEVELS
 from . import recording_report as shared
-from .fit import Fit
 from .gain_results import gain_sections, payload_sections
-from .parameters import fitted_parameters
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
 HIDDEN = Section()  # the `short` of what only `--all` prints
 PARAMETERS = "parameters"  # title of the section of all values
 
 
-def fit_document(fit: Fit) -> Document:
-    """A fit as a report, the verdict first."""
-    held, notes, several = fit.held_out_error_percent, fit.notes, len(fit.recordings) > 1
-    signals, parameters = fit.problem.signals, tuple(fitted_parameters(fit).parameters.values())
+def fit_document(fit: FitFile) -> Document:
+    """The file of a fit as a report, the verdict first."""
+    held, several = known(fit.held_out_error_percent), fit.recordings or ()
+    percents = shared.half_width_percents(fit.parameters)
     settings = Section(
         title="settings and tests",
         lines=(
-            *(() if several else shared.settings_lines(signals, fit.settings, used="fitted")),
-            f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
-            f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
-            *(_iv_lines(fit) if fit.passes else ()),
-            *(() if several else shared.recording_lines(signals)),
+            *(() if several else shared.settings_lines(fit, used="fitted")),
+            f"cond(W) {_number(fit.condition_number, '.4f')}, with columns of norm one "
+            f"{_number(fit.condition_number_scaled, '.4f')}; {_rows_line(fit)}",
+            *(_iv_lines(fit) if fit.iterations else ()),
+            *(() if several else shared.recording_lines(fit)),
         ),
         short=HIDDEN,
     )
-    percents = shared.half_width_percents(parameters)
+    assert fit.provenance is not None
+    prior = {f"held out, links of the {fit.prior_source}": known(fit.prior_held_out_error_percent)}
     return Document(
-        title=f"{signals.robot.name}: {first_line(fit, held, percents)}",
-        badge=fit.trust.verdict,
-        figures=shared.main_figures(
-            fit.errors[-1].relative_error_percent,
-            held,
-            {f"held out, links of the {fit.data.prior_source}": fit.data.prior_error_percent},
-            percents,
-        ),
+        title=f"{fit.provenance.robot}: {first_line(fit, held, percents)}",
+        badge=fit.verdict or "",
+        figures=shared.main_figures(fit.moving_relative_error_percent, held, prior, percents),
         sections=(
-            _verdict_section(fit, notes),
+            _verdict_section(fit),
             _trust_section(fit),
             *gain_sections(fit),
             *payload_sections(fit),
-            _parameters(fit, parameters),
+            _parameters(fit),
             *_consistent(fit),
-            *(_iv_sections(fit) if fit.passes else ()),
-            shared.errors_section(fit.errors, signals.robot.effort_units),
-            *([shared.recordings_section(fit.recordings, fit.own)] if several else []),
+            *(_iv_sections(fit) if fit.iterations else ()),
+            shared.errors_section(fit.errors),
+            *([shared.recordings_section(fit)] if several else []),
             settings,
             *_expressions(fit),
         ),
     )
 
 
-def first_line(fit: Fit, held: float | None, percents: Mapping[str, float]) -> str:
+def first_line(fit: FitFile, held: float | None, percents: Mapping[str, float]) -> str:
     """Method and its reason, status, verdict with its worst finding, and the main figures."""
-    verdict = ": ".join(text for text in (fit.trust.verdict, fit.trust.finding) if text)
+    worst = next(iter(fit.trust or ()), None)
+    finding = "" if worst is None or fit.verdict == "trust" else worst.finding or worst.test
+    verdict = ": ".join(text for text in (fit.verdict, finding) if text)
     figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
-    alone = (
-        " with instruments: reference"
-        if fit.passes and fit.passes[fit.solution.returned - 1].by_reference is not None
-        else ""
-    )
+    # the status alone has no reason where instruments are those of a simulated robot
+    alone = " with instruments: reference" if fit.status == "converged" and fit.reason else ""
     return (
-        f"{fit.method.upper()} ({fit.solution.method_reason}), {fit.status}{alone}, "
-        f"{verdict}; {figures}; {_determined(percents, len(fit.full.names))}"
+        f"{str(fit.method).upper()} ({fit.method_reason}), {fit.status}{alone}, "
+        f"{verdict}; {figures}; {_determined(percents, fit.size)}"
     )
 
 
@@ -100,77 +94,70 @@ def _determined(percents: Mapping[str, float], of: int) -> str:
     )
 
 
-def _verdict_section(fit: Fit, notes: Sequence[str]) -> Section:
-    reason = f": {why}" if (why := fit.solution.reason) else ""
-    lines = (
-        [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"]
-        if fit.trust.assumed
-        else []
+def _verdict_section(fit: FitFile) -> Section:
+    reason = f": {fit.reason}" if fit.reason else ""
+    assumed = [one.what for one in fit.assumed or ()]
+    lines = [f"assumed: {', '.join(assumed)}"] if assumed else []
+    status, error = (
+        f"status: {fit.status}{reason}",
+        shared.error_line(fit.errors, fit.error_cutoff_hz),
     )
-    status, hz = f"status: {fit.status}{reason}", fit.problem.signals.sample_rate_hz
-    error = shared.error_line(fit.errors, fit.settings.for_errors(hz))
-    lines += [status, error, *(f"note: {text}" for text in notes)]
+    lines += [status, error, *(f"note: {text}" for text in fit.notes)]
     if fit.status in NO_FIXED_POINT:
-        by_ls = [
-            shared.validated(one.problem, one.arm.values(fit.least_squares.estimate))
-            for one in fit.recordings
-        ]
-        percent = _percent(shared.errors_on(by_ls)[-1].relative_error_percent)
+        percent = _percent(known(fit.least_squares_error_percent))
         lines.append(f"least squares has a torque error of {percent}: --method wls")
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
     stated = [line for line in lines if reason or line != status]  # the title has the status
+    shown = tuple(fit.warnings[:MAX_SHORT_WARNINGS])
     return Section(
         lines=(*lines, _essential_line(fit)),
-        warnings=fit.warnings,
-        short=Section(lines=(*stated, *more), warnings=fit.warnings[:MAX_SHORT_WARNINGS]),
+        warnings=tuple(fit.warnings),
+        short=Section(lines=(*stated, *more), warnings=shown),
     )
 
 
-def _trust_section(fit: Fit) -> Section:
+def _trust_section(fit: FitFile) -> Section:
     """Every test of the fit, worst first; in short those that found something."""
+    tests = fit.trust or []
     lines = tuple(
-        f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}"
-        for line in fit.trust.lines
+        f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in tests
     )
-    tests = {
-        level: [line.test for line in fit.trust.lines if line.level == level] for level in LEVELS
-    }
-    found = len(tests["do not use"]) + len(tests["caution"])
-    passed = f"{len(tests['ok'])} of {len(lines)} checks passed"
+    by_level = {level: [line.test for line in tests if line.level == level] for level in LEVELS}
+    found = len(by_level["do not use"]) + len(by_level["caution"])
+    passed = f"{len(by_level['ok'])} of {len(lines)} checks passed"
     for what, names in (
-        ("inconclusive", tests["cannot tell"]),
-        ("not possible", tests["not made"]),
+        ("inconclusive", by_level["cannot tell"]),
+        ("not possible", by_level["not made"]),
     ):
         passed += f"; {len(names)} {what}: {', '.join(names)}" if names else ""
     return Section(
-        title=f"verdict: {fit.trust.verdict}",
+        title=f"verdict: {fit.verdict}",
         lines=lines,
         short=Section(lines=(*lines[:found], f"{passed} (--all)")),
     )
 
 
-def _essential_line(fit: Fit) -> str:
-    reduction, count, of = (
-        fit.essential,
-        len(fit.essential_names),
-        len(fit.full.names),
-    )
-    by, kept = " (by least squares)" if fit.passes else "", len(reduction.names)
-    line = f"{count} of {of} parameters determined{by}"
-    line += f", {kept - count} unclear: an interval wider than the value" if kept > count else ""
-    if reduction.F is None or not math.isfinite(reduction.F):
+def _essential_line(fit: FitFile) -> str:
+    if not fit.essential:  # a file of an earlier version
+        return f"{fit.size} parameters"
+    count, unclear = len(fit.essential.names), len(fit.unclear)
+    by = " (by least squares)" if fit.iterations else ""
+    line = f"{count} of {fit.size} parameters determined{by}"
+    line += f", {unclear} unclear: an interval wider than the value" if unclear else ""
+    if fit.essential.F is None or not math.isfinite(fit.essential.F):
         return line
+    without = fit.size - count - unclear
     return (
-        f"{line}, {of - kept} without effect on the torque: F test p = {reduction.p_value:.2g} "
-        f"(corrected for correlation p = {reduction.p_effective:.2g})"
+        f"{line}, {without} without effect on the torque: F test p = {fit.essential.p_value:.2g} "
+        f"(corrected for correlation p = {fit.essential.p_effective:.2g})"
     )
 
 
-def _parameters(fit: Fit, parameters: Sequence[Parameter]) -> Section:
-    rows: list[Row] = []
-    prior, error = bool(fit.data.prior), fit.data.prior_error_percent
-    for p in parameters:
+def _parameters(fit: FitFile) -> Section:
+    rows, error = list[Row](), known(fit.prior_held_out_error_percent)
+    prior = any(p.prior is not UNSET for p in fit.parameters)
+    for p in fit.parameters:
         form, percent = value_form(p.sigma), 100 * p.half / abs(p.value) if p.value else math.inf
         numbers: list[Cell] = [
             Number(p.value, form),
@@ -183,18 +170,15 @@ def _parameters(fit: Fit, parameters: Sequence[Parameter]) -> Section:
     heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * prior)) + columns(
         "unit"
     )
-    torque = dict(
-        zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True)
-    )
-    essential = [k for k, p in enumerate(parameters) if p.essential]
-    essential.sort(key=lambda k: -abs(parameters[k].value) * torque[parameters[k].name])
+    essential = [k for k, p in enumerate(fit.parameters) if p.essential]
+    essential.sort(key=lambda k: -fit.parameters[k].torque)
     places = sorted(essential[:MAX_SHORT_PARAMETERS])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
     meaning = "±95%: half-width of the 95 % interval"
     if error is not None:
         meaning += (
-            f"; torque error held out: links of the {fit.data.prior_source} {_percent(error)}, "
-            f"fit {_percent(fit.held_out_error_percent)}"
+            f"; torque error held out: links of the {fit.prior_source} {_percent(error)}, "
+            f"fit {_percent(known(fit.held_out_error_percent))}"
         )
     return Section(
         title=PARAMETERS,
@@ -210,12 +194,12 @@ def _parameters(fit: Fit, parameters: Sequence[Parameter]) -> Section:
     )
 
 
-def _consistent(fit: Fit) -> list[Section]:
+def _consistent(fit: FitFile) -> list[Section]:
     """The physically consistent parameters and their moves from the estimate."""
-    c = fit.consistent_set
-    if c is None:
+    if not (c := fit.consistent):
         return []
-    alike = fit.trust.line("consistent").value == c.chi2
+    standard, line = fit.standard_parameters or [], fit.line_of.get("consistent")
+    alike = line is not None and line.value == c.chi2
     own = "" if alike else " (the verdict's line `consistent` has its own)"
     heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
     rows, of_base = (
@@ -230,11 +214,11 @@ def _consistent(fit: Fit) -> list[Section]:
             )
             for p in parameters
         ]
-        for parameters in (fit.standard_parameters, c.base_parameters or ())
+        for parameters in (standard, c.base_parameters or [])
     )
     moves = [(p.name, p.move or 0.0) for p in c.base_parameters or ()]
     left = [f"{name} ({move:+.2g})" for name, move in moves if abs(move) > 1]
-    known = [p for p in fit.standard_parameters if p.from_prior]
+    known = [p for p in standard if p.from_prior]
     lines = (
         "all pseudo-inertias and rotor inertias are positive, friction adds no energy; prior: "
         f"{c.prior}{own}",
@@ -242,7 +226,7 @@ def _consistent(fit: Fit) -> list[Section]:
         f"{c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
-        f"relative torque error {_percent(fit.errors[-1].relative_error_percent)} → "
+        f"relative torque error {_percent(fit.moving_relative_error_percent)} → "
         f"{_percent(c.relative_error_percent)}",
         f"{len(known)} of {len(rows)} values are the prior's: the torques say nothing about them",
     )
@@ -261,85 +245,90 @@ def _percent(error: float | None) -> str:
     return "-" if error is None else f"{error:.2f} %"
 
 
-def _rows_line(fit: Fit) -> str:
+def _number(value: float | UnsetType | None, form: str) -> str:
+    return format(value, form) if isinstance(value, float) else "-"
+
+
+def _rows_line(fit: FitFile) -> str:
     """The number of rows by their weights, and what weighs nothing."""
-    percent = fit.settings.low_speed_percent
+    percent = (fit.low_speed_percent or {}).get("iv" if fit.method == "iv" else "ls")
     slow = "4 % of the peak speed (1 % with root, load or Stribeck terms)"
     slow = (
         f"{slow}, or 4 deviations of its noise"
         if percent is None
         else f"{percent:g} % of the peak speed"
     )
-    line = f"{fit.estimate.rows:.0f} of {fit.data.observed.share.size} rows"
+    line = f"{fit.rows} of {fit.recorded_rows} rows"
     if percent == 0:
         return line
-    if fit.settings.ramp_rows == ROWS:
+    if fit.ramp_rows == ROWS:
         return f"{line}, those below {slow} left out"
-    return f"{line}; samples below {slow} weigh nothing, ramps of {fit.settings.ramp_rows:g} rows"
+    return f"{line}; samples below {slow} weigh nothing, ramps of {fit.ramp_rows:g} rows"
 
 
-def _iv_sections(fit: Fit) -> list[Section]:
+def _iv_sections(fit: FitFile) -> list[Section]:
     """The passes of the instrumental variable method, and the errors of the direct model."""
+    rows = list[Row]()
+    for number, p in enumerate(fit.iterations or (), 1):
+        gains = [math.nan if gain is None else gain for gain in p.gains]
+        rows.append(
+            (
+                Number(number, "d"),
+                p.instruments,
+                Number(p.residual_norm, ".3f"),
+                Number(p.largest_change_sigma, ".2g"),
+                p.changed_most,
+                Number(p.tracking_error_percent, ".2f"),
+                Number(min(gains), ".3g"),
+                Number(max(gains), ".3g"),
+                Number(p.condition_number_ztw, ".1f"),
+            )
+        )
     passes = Table(
         columns=columns(numbers=("pass",))
         + columns("instruments", numbers=("|rho|", "largest change, sigma"))
         + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
+        rows=tuple(rows),
+    )
+    direct = Table(
+        columns=columns("joint", numbers=("position", "torque")),
         rows=tuple(
             (
-                Number(number, "d"),
-                p.kind,
-                Number(p.estimate.residual_norm, ".3f"),
-                Number(p.change_sigma, ".2g"),
-                p.changed,
-                Number(p.tracking_percent, ".2f"),
-                Number(float(p.gains.min()), ".3g"),
-                Number(float(p.gains.max()), ".3g"),
-                Number(p.estimate.condition_number_scaled, ".1f"),
+                d.name,
+                Number(d.position_error_percent, ".2f"),
+                Number(d.torque_error_percent, ".2f"),
             )
-            for number, p in enumerate(fit.passes, 1)
+            for d in fit.direct_model or ()
         ),
     )
-    title = f"passes from start: {fit.solution.start}"
-    sections = [Section(title=title, table=passes, short=HIDDEN)]
-    if fit.direct:
-        direct = Table(
-            columns=columns("joint", numbers=("position", "torque")),
-            rows=tuple(
-                (
-                    d.name,
-                    Number(d.position_error_percent, ".2f"),
-                    Number(d.torque_error_percent, ".2f"),
-                )
-                for d in fit.direct
-            ),
-        )
-        sections.append(
-            Section(title="simulated robot against the recording, %", table=direct, short=HIDDEN)
-        )
-    return sections
+    title = "simulated robot against the recording, %"
+    sections = [Section(title=f"passes from start: {fit.start}", table=passes, short=HIDDEN)]
+    return sections + [Section(title=title, table=direct, short=HIDDEN)] * bool(direct.rows)
 
 
-def _iv_lines(fit: Fit) -> tuple[str, ...]:
+def _iv_lines(fit: FitFile) -> tuple[str, ...]:
     """Tests of the instruments, and why a pass could not be simulated."""
-    used, (off, at) = fit.rows_used_percent, fit.contrast
+    tests = fit.instrument_tests or {}
     return (
         *(
-            f"pass {k}: instruments {p.kind}: {p.reason}"
-            for k, p in enumerate(fit.passes, 1)
+            f"pass {k}: instruments {p.instruments}: {p.reason}"
+            for k, p in enumerate(fit.iterations or (), 1)
             if p.reason
         ),
-        f"instruments: smallest correlation with W {fit.solution.strength:.3f}, first-stage F "
-        f"{fit.data.first_stage_F:.3g}",
-        f"least squares differs by {off:.2g} half-widths, at {at}",
-        f"{used:.1f} % of the rows used; reference {fit.reference}, controller {fit.controller}",
+        f"instruments: smallest correlation with W {_number(tests.get('strength'), '.3f')}, "
+        f"first-stage F {_number(tests.get('first_stage_F'), '.3g')}",
+        f"least squares differs by {_number(fit.contrast_half_widths, '.2g')} half-widths, at "
+        f"{fit.contrast_parameter}",
+        f"{_number(fit.rows_used_percent, '.1f')} % of the rows used; reference {fit.reference}, "
+        f"controller {fit.controller}",
     )
 
 
-def _expressions(fit: Fit) -> list[Section]:
+def _expressions(fit: FitFile) -> list[Section]:
     """The regrouped parameters as sums of standard parameters."""
     lines = tuple(
-        f"{name} = {expression}"
-        for name, expression in zip(fit.base.names, fit.base.expressions, strict=True)
-        if expression != name and name in fit.estimate.names
+        f"{p.name} = {p.expression}"
+        for p in fit.parameters
+        if p.expression not in (None, base_name(p.name)) and base_name(p.name) == p.name
     )
     return [Section(title="regrouped parameters", lines=lines, short=HIDDEN)] if lines else []

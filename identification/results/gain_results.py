@@ -14,6 +14,7 @@ from ..methods import Model
 from ..model import LINK
 from ..report import (
     DriveGain,
+    FitFile,
     Number,
     PayloadOfFit,
     Row,
@@ -21,10 +22,10 @@ from ..report import (
     StandardParameter,
     Table,
     columns,
+    known,
 )
 from ..trust import FitData
 from .consistent import standard_parameters
-from .fit import Fit
 
 UNITS = (*["kg m²"] * 6, *["kg m"] * 3, "kg")  # of LINK
 MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
@@ -86,26 +87,30 @@ def payloads_of(model: Model, data: FitData) -> tuple[tuple[PayloadOfFit, ...], 
         if one.names and not sigma.any():
             text = "no body of positive density is near: its values are stated or a ball's"
             far.append(f"payload of {name}: {text}")
-        half = found.reach * sigma
+        half, stated = found.reach * sigma, one.payload
         payloads.append(
             PayloadOfFit(
                 recording=name,
                 stated=one.payload.text,
                 parameters=list(standard_parameters(LINK, UNITS, values, half, prior)),
                 base_parameters=dict(zip(base.names, one.values(estimate).tolist(), strict=True)),
+                described=stated.describe(model.problem.signals.robot.joints[-1].name),
+                given=["mass"] * (stated.mass_kg is not None)
+                + ["center"] * (stated.center_of_mass_m is not None),
+                mass_half_width_kg=stated.mass_half_width_kg or None,
             )
         )
     return tuple(payloads), far
 
 
-def gain_sections(fit: Fit) -> list[Section]:
+def gain_sections(fit: FitFile) -> list[Section]:
     """Identified drive gains beside those of the description, and how well they are told apart from
     the arm: the smallest eigenvalue of the statistic of Cragg and Donald.
     """
     if not fit.gains:
         return []
     line = (
-        f"smallest Cragg-Donald eigenvalue {smallest_cragg_donald(fit.data):.3g}: how well the "
+        f"smallest Cragg-Donald eigenvalue {known(fit.cragg_donald) or 0.0:.3g}: how well the "
         "payload separates gains and arm"
     )
     table = Table(
@@ -133,30 +138,23 @@ def gain_sections(fit: Fit) -> list[Section]:
     return [Section(title="drive gains", table=table, lines=(line,), short=short)]
 
 
-def payload_sections(fit: Fit) -> list[Section]:
+def payload_sections(fit: FitFile) -> list[Section]:
     """The payloads as the nearest bodies of positive density."""
-    found, joint = list[Section](), fit.problem.signals.robot.joints[-1].name
+    found = list[Section]()
     heads = columns("", numbers=("value", "±95%")) + columns("unit", "mostly from")
-    stated = {of.signals.recording: of.signals.payload for of in fit.data.problems}
-    for one in fit.payloads:
-        payload, (*inertias, x, y, z, mass) = stated[one.recording], one.parameters
-        assert payload is not None
-        m, width, known = mass.value, mass.half_width or 0.0, payload.center_of_mass_m is not None
-        weighed = payload.mass_half_width_kg or math.nan if payload.mass_kg else width
-        rows: list[Row] = [_row("mass", m, weighed, mass, known=payload.mass_kg is not None)]
+    for one in fit.payloads or ():
+        (*inertias, x, y, z, mass), title = one.parameters, f"payload of {one.recording}"
+        m, width, joint = mass.value, mass.half_width or 0.0, fit.joints[-1].name
+        weighed = (one.mass_half_width_kg or math.nan) if "mass" in one.given else width
+        rows: list[Row] = [_row("mass", m, weighed, mass, known="mass" in one.given)]
         for name, of in zip(("centre of mass x", "y", "z"), (x, y, z), strict=True):
             # that of the mass is included
-            half = np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width)
-            rows.append(_row(name, of.value / m, float(half), of, "m", known=known))
+            half = float(np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width))
+            rows.append(_row(name, of.value / m, half, of, "m", known="center" in one.given))
         rows += [_row(of.name, of.value, of.half_width or 0.0, of) for of in inertias]
-        line = (
-            f"stated: {payload.describe(joint)}; values in the frame of {joint}, inertia "
-            "about its origin"
-        )
-        title = f"payload of {one.recording}"
-        told = not (mass.from_prior and payload.mass_kg is None)
+        line = f"stated: {one.described}; values in the frame of {joint}, inertia about its origin"
         table, short = Table(columns=heads, rows=tuple(rows)), f"{title}: mass {m:.4g} kg"
-        if not told:
+        if mass.from_prior and "mass" not in one.given:
             short = (
                 f"{title}: it has no scale, as nothing tells it from the arm: record without it "
                 "too, or state its mass"

@@ -22,7 +22,7 @@ from ..report import FTest, Method
 from ..trust import MIN_FIRST_STAGE_F, trust_in, with_predictions
 from .fit import Fit, FittedRecording
 from .gain_results import gains_of, payloads_of
-from .recording_report import gain_warnings
+from .recording_report import gain_warnings, names_and_units
 
 SURROGATE = (
     "surrogate reference: none recorded, the measured position is used instead; the instruments "
@@ -81,7 +81,7 @@ def identify_iv(
 def fit_of(solution: Solution) -> Fit:
     """The fit of a solution: its torque errors, its tests, its warnings, gains and payloads."""
     model, x, z = solution.model, solution.x, solution.simulated
-    names = tuple(joint.name for joint in model.problem.signals.robot.joints)
+    joints = names_and_units(model.problem.signals)
     data, (tau, predicted, counts, t_s) = with_predictions(
         solution.evidence, partial(model.torques, x, judged=True)
     )
@@ -94,7 +94,7 @@ def fit_of(solution: Solution) -> Fit:
             tau=tau[part],
             tau_predicted=predicted[part],
             counts=counts[part],
-            errors=torque_errors(tau[part], predicted[part], counts[part], names),
+            errors=torque_errors(tau[part], predicted[part], counts[part], joints),
             held_out=data.by_others[k] if data.by_others else None,
             simulated=z[k] if z else None,
         )
@@ -105,7 +105,7 @@ def fit_of(solution: Solution) -> Fit:
         solution=solution,
         data=data,
         recordings=tuple(fitted[k] for k in model.order),
-        errors=torque_errors(tau, predicted, counts, names),
+        errors=torque_errors(tau, predicted, counts, joints),
         trust=trust_in(data),
         own=own_test(model, x, data.least_squares),
         gains=gains_of(model, data),

@@ -44,6 +44,8 @@ def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
     essential = essential_names(fit.essential, e, intervals) if by_ls else fit.essential_names
     known = true_parameters(fit.base, np.zeros(len(fit.base.names))).parameters
     prior, columns = fit.data.prior, (e.beta, intervals.low, intervals.high, e.sigma)
+    norms = np.linalg.norm(fit.data.W, axis=0).tolist()
+    torque = {} if by_ls else dict(zip(fit.data.estimate.names, norms, strict=True))
     found = zip(e.names, *(x.tolist() for x in (*columns, e.sigma_percent)), strict=True)
     return ParameterSet(
         label="LS" if by_ls else {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
@@ -58,6 +60,7 @@ def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
                 sigma_percent=percent,
                 essential=name in essential,
                 prior=prior.get(name, UNSET),
+                column_norm=torque.get(name, UNSET),
             )
             for name, value, low, high, sigma, percent in found
         },

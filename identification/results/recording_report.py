@@ -10,26 +10,22 @@ import numpy as np
 from ..arrays import Array, Bools
 from ..data import ON_GRID, Signals
 from ..estimation import torque_errors
-from ..regression import (
-    Problem,
-    Settings,
-    equation_alone,
-    forward_backward_3db_hz,
-    torque_of_recording,
-)
+from ..regression import Problem, Settings, equation_alone, torque_of_recording
 from ..report import (
     Document,
-    FTest,
+    FitFile,
     Number,
+    OnRecording,
     Parameter,
+    RecordingOfFit,
     Row,
     Section,
     Table,
     TorqueResidual,
     columns,
 )
-from .fit import FittedRecording
 from .horizon import HORIZONS_S
+from .recorded import on_recording, with_settings
 
 
 def recording_document(
@@ -37,12 +33,13 @@ def recording_document(
 ) -> Document:
     """The report of a recording without a fit."""
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
+    told = OnRecording(**with_settings(signals, settings))
     lines = (
         *([f"cannot be fitted: {refusal}"] if refusal else []),
         f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, "
         f"{reference} reference",
-        *(settings_lines(signals, settings, used="a fit would use") if settings else []),
-        *recording_lines(signals),
+        *(settings_lines(told, used="a fit would use") if settings else []),
+        *recording_lines(told),
     )
     ranges = Table(
         columns=columns("joint", "unit", numbers=("position from", "to"))
@@ -95,9 +92,14 @@ def first_ahead(recordings: Sequence[Validated]) -> Array | None:
 def errors_on(recordings: Sequence[Validated]) -> tuple[TorqueResidual, ...]:
     """Torque errors of recordings together: one per joint and, last, that of all joints."""
     rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
-    names = tuple(joint.name for joint in recordings[0].problem.signals.robot.joints)
     tau, predicted, counts = map(np.concatenate, zip(*rows, strict=True))
-    return torque_errors(tau, predicted, counts, names)
+    return torque_errors(tau, predicted, counts, names_and_units(recordings[0].problem.signals))
+
+
+def names_and_units(signals: Signals) -> list[tuple[str, str]]:
+    """Of the joints, as of `torque_errors`."""
+    names = [joint.name for joint in signals.robot.joints]
+    return list(zip(names, signals.robot.effort_units, strict=True))
 
 
 def validation_document(
@@ -109,14 +111,10 @@ def validation_document(
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from."""
     each = [one.problem.signals for one in recordings]
-    units, names = each[0].robot.effort_units, [one.recording for one in each]
-    title = "relative torque error of the consistent set, %"
-    lines = [
-        line
-        for one in recordings
-        for line in settings_lines(one.problem.signals, one.problem.settings, used="evaluated on")
-    ]
-    lines += [line for one in each for line in recording_lines(one)]
+    names, title = [one.recording for one in each], "relative torque error of the consistent set, %"
+    told = [OnRecording(**on_recording(one.problem)) for one in recordings]
+    lines = [line for one in told for line in settings_lines(one, used="evaluated on")]
+    lines += [line for one in told for line in recording_lines(one)]
     rows: list[Row] = [
         (name, Number(errors_on([one])[-1].relative_error_percent, ".4f"))
         for name, one in zip(names, recordings, strict=True)
@@ -127,19 +125,15 @@ def validation_document(
         sections=(
             Section(
                 lines=(
-                    error_line(errors, recordings[0].problem.settings),
+                    error_line(errors, recordings[0].problem.settings.cutoff_hz),
                     *([f"consistent set: {headline(consistent)}"] if consistent else []),
                 ),
                 warnings=warnings,
             ),
             *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             *_ahead_section(recordings),
-            replace(errors_section(errors, units), short=None),
-            *(
-                [replace(errors_section(consistent, units), title=title, short=None)]
-                if consistent
-                else []
-            ),
+            replace(errors_section(errors), short=None),
+            *([replace(errors_section(consistent), title=title, short=None)] if consistent else []),
             Section(title="settings", lines=tuple(lines)),
         ),
     )
@@ -168,38 +162,32 @@ def _ahead_section(recordings: Sequence[Validated]) -> list[Section]:
     ]
 
 
-def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None) -> Section:
+def recordings_section(fit: FitFile) -> Section:
     """Errors of a fit on each of its recordings, held-out errors, and the
     test of own parameters.
     """
-    rows: list[Row] = []
-    lines = []
-    for one in recordings:
-        signals, settings, held = one.problem.signals, one.problem.settings, one.held_out
-        span = (settings.start / signals.sample_rate_hz, settings.stop / signals.sample_rate_hz)
-        error = None if held is None else held.error_percent
-        timing = (Number(signals.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
-        both = (Number(x, ".4f") for x in (one.errors[-1].relative_error_percent, error))
-        rows.append((signals.recording, *timing, *both))
-        if held is not None and error is None:
-            why = (
-                f"{', '.join(held.undetermined)} undetermined"
-                if held.undetermined
-                else "it has no torque"
-            )
-            lines.append(f"{signals.recording} cannot be predicted by the others: {why}")
-    if own is not None:
+    rows, lines, each = list[Row](), list[str](), fit.recordings or []
+    for one in each:
+        span = (x / one.sample_rate_hz for x in one.samples)
+        timing = (Number(one.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
+        both = (one.relative_error_percent, one.held_out_error_percent)
+        rows.append((one.recording, *timing, *(Number(x, ".4f") for x in both)))
+        if one.undetermined or one.relative_error_percent is None:
+            names = ", ".join(one.undetermined)
+            why = f"{names} undetermined" if names else "it has no torque"
+            lines.append(f"{one.recording} cannot be predicted by the others: {why}")
+    if own := fit.own_parameters:
         lines.append(
             f"own parameters {', '.join(own.names)} against shared ones: F test p = "
             f"{Number(own.p_value, '.2g').text} "
             f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
         )
     short = Section(lines=tuple(lines))
-    fs, settings = recordings[0].problem.signals.sample_rate_hz, recordings[0].problem.settings
-    cutoff = "no low-pass" if settings.cutoff_hz is None else f"low-pass {settings.cutoff_hz:g} Hz"
+    row_hz = (fit.sample_rate_hz or 0.0) / (fit.decimation or 1)
+    cutoff = "no low-pass" if fit.cutoff_hz is None else f"low-pass {fit.cutoff_hz:g} Hz"
     lines.append("held out: predicted by a fit of the other recordings, in the same rows")
-    lines.append(f"common to all: {cutoff}, {fs / settings.decimation:g} rows a second")
-    lines += [line for one in recordings for line in recording_lines(one.problem.signals)]
+    lines.append(f"common to all: {cutoff}, {row_hz:g} rows a second")
+    lines += [line for one in each for line in recording_lines(one)]
     numbers = ("Hz", "from, s", "to, s", "trained", "held out")
     return Section(
         title="recordings: relative torque error, %",
@@ -214,14 +202,14 @@ def headline(errors: tuple[TorqueResidual, ...]) -> str:
     return f"{Number(errors[-1].relative_error_percent, '.3g', most=1000).text} % torque error"
 
 
-def error_line(errors: tuple[TorqueResidual, ...], settings: Settings) -> str:
-    """The relative torque error of all joints together, and in what rows."""
+def error_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> str:
+    """The relative torque error of all joints together, in what rows, behind what low-pass."""
     e = errors[-1]
     return (
         f"relative {headline(errors)} in the {e.moving_rows} of "
         f"{e.moving_rows + e.standing_rows} rows in which "
         "joints move, behind "
-        + (f"a low-pass of {settings.cutoff_hz:.3g} Hz" if settings.cutoff_hz else "no low-pass")
+        + (f"a low-pass of {cutoff_hz:.3g} Hz" if cutoff_hz else "no low-pass")
     )
 
 
@@ -250,7 +238,7 @@ def main_figures(
     return tuple(shown.items())
 
 
-def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -> Section:
+def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
     """Relative torque errors by joint; all joints together last."""
     heads = columns("joint", "unit", numbers=("torque error",))
     each = [
@@ -258,13 +246,13 @@ def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -
         for error in errors[:-1]
     ]
     rows = list[Row]()
-    for e, unit in zip(errors, (*units, ""), strict=True):
+    for e in errors:
         counts = (
             Number(e.moving_rows, "d"),
             Number(e.standing_rows, "d"),
             Number(e.autocorrelation, ".2f"),
         )
-        rows.append((e.name, unit, Number(e.relative_error_percent, ".4f"), *counts))
+        rows.append((e.name, e.unit or "", Number(e.relative_error_percent, ".4f"), *counts))
     wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
     return Section(
         title="relative torque error, %",
@@ -276,23 +264,24 @@ def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -
     )
 
 
-def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[str, ...]:
+def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
     """The settings in words; `used` is what is done with the span."""
-    fs, cutoff = signals.sample_rate_hz, "no low-pass"
-    if settings.cutoff_hz is not None:
-        both = forward_backward_3db_hz(settings.cutoff_hz, fs)
+    fs, cutoff, (start, stop) = of.sample_rate_hz or 1.0, "no low-pass", of.samples or (0, 0)
+    if of.cutoff_hz is not None:
         cutoff = (
-            f"low-pass {settings.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at "
-            f"{both:.1f} Hz)"
+            f"low-pass {of.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at "
+            f"{of.cutoff_forward_backward_3db_hz:.1f} Hz)"
         )
-    notes = " with MATLAB's edge rule" if settings.edges == "matlab" else ""
-    if signals.off_grid > ON_GRID:
-        notes += f"; samples up to {signals.off_grid:.2g} periods off a uniform grid: interpolated"
+    notes = " with MATLAB's edge rule" if of.edges == "matlab" else ""
+    if of.off_grid_periods > ON_GRID:
+        notes += f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: "
+        notes += "interpolated"
+    name = of.provenance.recording if of.provenance else ""
+    whole = f" of {of.recorded_samples / fs:.3f} s" if of.recorded_samples else ""
     return (
-        f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {settings.decimation}{notes}",
-        f"{used}: {settings.span}, {settings.start / fs:.3f} s to {settings.stop / fs:.3f} s of "
-        f"{len(signals.q) / fs:.3f} s",
-        *_known_lines(signals),
+        f"{name}: {fs:g} Hz, {cutoff}, decimated by {of.decimation}{notes}",
+        f"{used}: {of.span}, {start / fs:.3f} s to {stop / fs:.3f} s{whole}",
+        *of.inputs,
     )
 
 
@@ -309,41 +298,11 @@ def gain_warnings(signals: Signals) -> tuple[str, ...]:
     return (text + shared * (robot.n > 1),)
 
 
-def _known_lines(signals: Signals) -> list[str]:
-    """Known torque and feed-forward, and their use."""
-    lines, robot = [], signals.robot
-    for values, units, text in (
-        (
-            signals.known_torque,
-            robot.effort_units,
-            "known torque, added to that of the drives and to the simulated robot",
-        ),
-        (
-            signals.feedforward,
-            [motor.recorded_unit for motor in robot.motors],
-            "feed-forward, added to the output of the simulated controller",
-        ),
-    ):
-        if values is not None:
-            sizes = zip(robot.joints, np.sqrt(np.mean(values**2, axis=0)), units, strict=True)
-            lines.append(
-                f"{text}: rms "
-                + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in sizes)
-            )
-    return lines
-
-
-def recording_lines(signals: Signals) -> tuple[str, ...]:
+def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
     """The final counters of the recorder and the payload, if any, and the digest of the file."""
-    known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
-    last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
-    counted = [f"recorder: {', '.join(last)}"] if last else []
-    if signals.payload is not None:
-        counted.append(
-            f"payload of {signals.recording}: "
-            f"{signals.payload.describe(signals.robot.joints[-1].name)}"
-        )
-    return (*counted, f"{signals.recording} has sha256 {signals.sha256}")
+    source = of if isinstance(of, RecordingOfFit) else of.provenance
+    digest = "" if source is None else f"{source.recording} has sha256 {source.sha256}"
+    return (*of.remarks, digest)
 
 
 def _ends(x: Array) -> tuple[Number, Number]:

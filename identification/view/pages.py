@@ -33,7 +33,7 @@ def draw_fit(fit: results.Fit, *, truth: Array | None = None) -> Picture:
     signals, own = fit.problem.signals, results.fitted_parameters(fit)
     others = [results.fitted_parameters(fit, by_ls=True)] if fit.passes else []
     others += [results.true_parameters(fit.base, truth)] if truth is not None else []
-    document = results.fit_document(fit).followed_by(
+    document = results.fit_document(results.fit_file(fit)).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)

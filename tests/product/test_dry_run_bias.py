@@ -29,7 +29,7 @@ from identification.control import Reference, described_law
 from identification.data import load_signals
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides, make_settings
-from identification.results import fit_document, identify_ls
+from identification.results import fit_document, fit_file, identify_ls
 from identification.simulation import described_robot, drive_loops
 from identification.study import demo, record_simulated_session, study_truth
 
@@ -163,7 +163,7 @@ def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning():
     fit, told = identify_ls(signals, Overrides()), "torque (6074) is read once per SYNC"
     assert [note[: len(told)] for note in fit.notes] == [told]
     assert not [line for line in fit.warnings if "SYNC" in line]
-    verdict = fit_document(fit).sections[0]
+    verdict = fit_document(fit_file(fit)).sections[0]
     for section in (verdict, verdict.short):
         assert f"note: {fit.notes[0]}" in section.lines
     assert identify_ls(replace(signals, provenance="tables"), Overrides()).notes == ()

@@ -255,7 +255,7 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
     robot = replace(signals.robot, name="<b>SCARA & Co")
     fit = identification.identify_ls(replace(signals, robot=robot), identification.Overrides())
     assert fit._repr_html_().count("<iframe") == 1
-    page, report = Page(fit._repr_html_()), fit_document(fit).short
+    page, report = Page(fit._repr_html_()), fit_document(fit.file).short
     assert page.open == []
     assert page.texts[0] == report.title.split("; ")[0]
     assert page.texts[1] == fit.verdict

@@ -12,7 +12,7 @@ from fits_of_records import signals_of
 from identification.commands import main
 from identification.regression import Overrides
 from identification.report import Document, Section, Table, columns, print_whole
-from identification.results import fit_document, identify
+from identification.results import fit_document, fit_file, identify
 
 SESSION = REPLAY / "scara" / "session.mcap"
 
@@ -39,7 +39,7 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
 
 
 def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
-    print_whole(fit_document(identify(signals_of(emps), Overrides())), short=True)
+    print_whole(fit_document(fit_file(identify(signals_of(emps), Overrides()))), short=True)
     printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
     section = (
         (ROOT / "identification" / "README.md").read_text().split("\n## The report of a fit\n")[1]

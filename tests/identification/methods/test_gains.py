@@ -34,7 +34,7 @@ from identification.regression import (
     make_unknowns,
     predicted_torque,
 )
-from identification.results import fit_document, identify, identify_ls
+from identification.results import fit_document, fit_file, identify, identify_ls
 from identification.simulation import SimulatedRecording
 from identification.study import write_signals
 
@@ -421,7 +421,9 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
     true = payload_parameters(InverseModel(free.robot), loaded.payload)
     told = [(p, x) for p, x in zip(found.parameters, true, strict=True) if not p.from_prior]
     assert len(told) >= len(names) - 2
-    (table,) = (one.table for one in fit_document(fit).sections if "payload of" in one.title)
+    (table,) = (
+        one.table for one in fit_document(fit_file(fit)).sections if "payload of" in one.title
+    )
     assert [row[-1] == "stated" for row in table.rows] == [
         payload.mass_kg is not None,
         *[payload.center_of_mass_m is not None] * 3,

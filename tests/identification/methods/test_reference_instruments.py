@@ -86,7 +86,7 @@ def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(fits):
 def test_the_reason_is_told_and_no_law_is_assumed(fits):
     fit, alone = fits[0], "instruments: reference"
     assert fit.solution.reason.startswith(alone)
-    assert alone in fit_document(fit).title
+    assert alone in fit_document(fit_file(fit)).title
     line = fit.trust.line("fixed point")
     assert (line.level, alone in line.text) == ("ok", True)
     assert "control law" not in [one.what for one in fit.trust.assumed]

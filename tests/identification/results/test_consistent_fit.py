@@ -64,7 +64,7 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
 
 
 def lines_of(fit) -> list[str]:
-    return [line for section in fit_document(fit).sections for line in section.lines]
+    return [line for section in fit_document(fit_file(fit)).sections for line in section.lines]
 
 
 def test_the_verdict_and_the_consistent_set_are_one_computation(consistent):
@@ -93,7 +93,7 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent):
     far = dataclasses.replace(
         consistent, consistent_set=msgspec.structs.replace(c, base_parameters=base)
     )
-    sections = {s.title: s for s in fit_document(far).sections}
+    sections = {s.title: s for s in fit_document(fit_file(far)).sections}
     standard = sections["physically consistent standard parameters"]
     heads = ["parameter", "value", "±95%", "unit", "mostly from"]
     assert [heading for heading, _ in standard.table.columns] == heads

@@ -52,7 +52,7 @@ def test_an_error_does_not_depend_on_the_bandwidth_that_is_stated(hz):
     assert found.moving_rows == expected.moving_rows
     assert fit.settings.cutoff_hz == pytest.approx(5 * hz)
     assert len(fit.tau) != len(fit.data.observed.tau)
-    document = fit_document(fit)
+    document = fit_document(fit_file(fit))
     assert f"{found.relative_error_percent:.3g} % torque error" in document.title
 
 

@@ -34,7 +34,7 @@ def with_essential(fit, names, **figures):
 
 def test_the_verdict_comes_first_with_one_error():
     fit = with_essential(iv_of(SCARA), ("ZZ1R", "ZZ2"))
-    document = fit_document(fit)
+    document = fit_document(fit_file(fit))
     error = fit.errors[-1].relative_error_percent
     held, names = fit.trust.line("held-out blocks").value, fit.estimate.names
     a, b = (
@@ -73,7 +73,7 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
     fit = replace(fit, data=replace(fit.data, intervals=intervals))
     fit = with_essential(fit, kept, F=1.0)
     expected = {name for name in kept if name not in wide}
-    document, file = fit_document(fit), fit_file(fit)
+    document, file = fit_document(fit_file(fit)), fit_file(fit)
     assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected
     flagged = [p for p in file.parameters if p.essential]
     assert {p.name for p in flagged} == set(file.essential.names) == expected
@@ -96,7 +96,7 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
 def test_the_table_has_the_essential_parameters_or_all(everything):
     essential = ("ZZ1R", "Fc2")
     fit = with_essential(ls_of(SCARA), essential)
-    document = fit_document(fit)
+    document = fit_document(fit_file(fit))
     document = document if everything else document.short
     section = document.sections[2]
     rows = {row[0]: row for row in section.table.rows}
@@ -125,7 +125,9 @@ def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_
     fit = replace(
         fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6))
     )
-    verdict, trust, parameters, errors, *rest = (s for s in fit_document(fit).short.sections)
+    verdict, trust, parameters, errors, *rest = (
+        s for s in fit_document(fit_file(fit)).short.sections
+    )
     assert verdict.warnings == fit.warnings[:4]
     assert verdict.lines[-1] == "2 more warnings (--all)"
     assert not any(line.startswith("status") for line in verdict.lines), "the title has it"
