@@ -58,6 +58,7 @@ cutoff = _value(
 )
 seconds_or_none = _value("a number, or none", lambda text: text if text == "none" else finite(text))
 list_of_values = _values(above_zero)
+list_of_noises = _values(not_negative)
 list_of_ratios = _values(_value("a number that is not 0", float, lambda x: 0 < abs(x) < INF))
 list_of_names = _values(_value("a name", str, bool))
 

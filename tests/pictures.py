@@ -25,7 +25,7 @@ MARGIN = 4  # pixels around a figure
 # per pixel of the page.
 PICTURES = {
     "noise.png": (
-        ["sensitivity", EMPS, "--position-noise", NOISE],
+        ["study", EMPS, "--position-noise", NOISE],
         "return document.querySelector('.first')",
         2,
     ),
@@ -36,7 +36,7 @@ PICTURES = {
         1,
     ),
     "sensitivity.png": (
-        ["sensitivity", "emps.mcap"],
+        ["study", "emps.mcap"],
         "document.querySelector('details').open = true; return document.querySelector('details "
         "section')",
         1,

@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from acquisition.commands import Progress, add_options, add_path
+from acquisition.commands import Progress, add_path
 from acquisition.errors import one_line
 
 from ..errors import BadInputError
-from ..options import CellOptions, StudyOptions, workers
+from ..options import workers
 
 if TYPE_CHECKING:
     from ..data import RecordingFile, Work
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 # and what to use instead
 GONE = {
     "schema": "all keys of robot.toml are in identification/reference.md",
-    "study --cutoffs": "use sensitivity LOG.mcap, which varies the cut-off",
-    "study --starts": "use sensitivity LOG.mcap, which varies the start",
+    "sensitivity": "use study LOG.mcap",
+    "study --cutoffs": "use study LOG.mcap, which varies the cut-off",
+    "study --starts": "use study LOG.mcap, which varies the start",
     "study --low-speed-percent": "state low_speed_percent in [identification]",
     "study --encoder-step": "use --position-noise",
     "study --rrd": "use --report FILE.html",
@@ -48,7 +49,6 @@ GONE = {
         for name in names
     },
     "--cluster": "use --workers tcp://HOST:8786",
-    "sensitivity --rrd": "use --report FILE.html, which has the charts",
     "compare --rrd": "use --report FILE.html, which has the charts",
     "demo --noise": "use simulate --effort-noise-percent",
     "friction --rrd": "use --report FILE.html, which has the charts",
@@ -63,15 +63,6 @@ def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._Argument
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "robot", "ROBOT.toml", f"the robot's description; {text}")
     return inputs
-
-
-def add_simulation(parser: argparse.ArgumentParser, *names: str, **noise: float) -> None:
-    """Length, rate, seed and noise of a simulated recording; `noise` replaces
-    defaults of the fields.
-    """
-    group = parser.add_argument_group("simulated recording")
-    add_options(group, StudyOptions, "duration_s", "sample_rate_hz", "seed", seed=1)
-    add_options(group, CellOptions, *names, **noise)
 
 
 def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
@@ -110,11 +101,12 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
         name, _, payload = text.partition("=")
         names = [x for path in options.recordings for x in (path.name, path.stem)]
         if not payload or name not in names:
-            expected = (
-                "NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of "
-                f"{', '.join(names[1::2])}"
+            raise BadInputError(
+                key="--payload",
+                value=text,
+                expected="NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of "
+                f"{', '.join(names[1::2])}",
             )
-            raise BadInputError(key="--payload", value=text, expected=expected)
         payloads[name] = payload
     return [
         RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem)))
@@ -153,17 +145,38 @@ def add_pictures(outputs: "argparse._ActionsContainer", text: str) -> None:
     add_path(outputs, "--rrd", "FILE", text)
 
 
+def show_results(
+    options: argparse.Namespace,
+    document: "Document",
+    content: Callable[[], Any],
+    draw: "Callable[[ModuleType], list[Picture]] | None" = None,
+    rrds: Sequence[Path] = (),
+    lines: Sequence[str] = (),
+) -> None:
+    """Write the `content` as `--json` and the files of `add_pictures`, and print the document
+    and the `lines`, even if a file cannot be written.
+    """
+    from ..report import write_json
+
+    try:
+        if options.json:
+            write_json(options.json, content())
+        if draw is not None:
+            write_pictures(options, document, draw, rrds)
+    finally:
+        print_results(document, *lines, everything=options.all)
+
+
 def write_pictures(
     options: argparse.Namespace,
     document: "Document",
     draw: "Callable[[ModuleType], list[Picture]]",
-    rrds: Sequence[Path] | None = None,
+    rrds: Sequence[Path] = (),
 ) -> None:
     """Write the files of `add_pictures`: a report of all pictures, a Rerun file of each; `draw` is
     given the room `view`.
     """
-    report, rrd = options.report, getattr(options, "rrd", None)
-    rrds = rrds or ([rrd] if rrd else [])
+    report = options.report
     if report is not None and report.suffix == ".md":
         from acquisition.files import write_text
 

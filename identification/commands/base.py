@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
 
-from .arguments import add_robot, print_results, refuse_outputs
+from .arguments import add_robot, refuse_outputs, show_results
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -21,11 +21,8 @@ def run(options: argparse.Namespace) -> None:
         from acquisition.robot import load_robot
 
         from ..model import InverseModel, base_parameters
-        from ..report import write_json
         from ..study import base_document, base_file
 
         robot = load_robot(options.robot)
         base = base_parameters(InverseModel(robot))
-    if options.json:
-        write_json(options.json, base_file(base, robot))
-    print_results(base_document(base, robot), everything=options.all)
+    show_results(options, base_document(base, robot), lambda: base_file(base, robot))

@@ -5,7 +5,7 @@ from hashlib import sha256
 
 from acquisition.commands import add_flag, add_path
 
-from .arguments import add_report, print_results, refuse_outputs, write_pictures
+from .arguments import add_report, refuse_outputs, show_results
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -30,13 +30,12 @@ def run(options: argparse.Namespace) -> None:
         differences,
         frame_lines,
         read_fit,
-        write_json,
     )
 
     refuse_outputs([options.a, options.b], json=options.json, report=options.report)
-    same = options.a.stem == options.b.stem
-    labels = [str(path) if same else path.stem for path in (options.a, options.b)]
-    prior, first = options.b.suffix.lower() in (".urdf", ".toml"), read_fit(options.a)
+    paths, prior = (options.a, options.b), options.b.suffix.lower() in (".urdf", ".toml")
+    labels = [str(path) if options.a.stem == options.b.stem else path.stem for path in paths]
+    first = read_fit(options.a)
     if prior:
         from ..results import prior_file
 
@@ -45,8 +44,10 @@ def run(options: argparse.Namespace) -> None:
     warnings = [*fits[0].warnings_of(str(options.a)), *fits[1].warnings_of(str(options.b))]
     warnings += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
     document = comparison_document(a, b, tuple(warnings), prior=prior)
-    if options.json:
-        write_json(options.json, {"a": a.label, "b": b.label, "differences": differences(a, b)})
-    digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in (options.a, options.b)}
-    write_pictures(options, document, lambda view: [view.draw_comparison(a, b, document, digests)])
-    print_results(document, everything=options.all)
+    digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in paths}
+    show_results(
+        options,
+        document,
+        lambda: {"a": a.label, "b": b.label, "differences": differences(a, b)},
+        lambda view: [view.draw_comparison(a, b, document, digests)],
+    )

@@ -3,10 +3,15 @@
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_overwrite, add_path
 
+from ..options import Overrides
 from .arguments import make_folder, print_results
+
+if TYPE_CHECKING:
+    from acquisition.robot import Robot
 
 NEXT = (
     "next, with your own robot:",
@@ -44,47 +49,36 @@ def run(options: argparse.Namespace) -> None:
     """Record, fit by both methods, draw, and print both fits beside the true
     values; or drive gains alone.
     """
-    if options.gains:
-        _identify_gains(options)
-        return
+    (_identify_gains if options.gains else _identify)(options)
+
+
+def _identify(options: argparse.Namespace) -> None:
     with Progress("starting") as progress:
-        from acquisition.files import atomic_write, refuse_clash
-        from acquisition.robot import load_robot
+        from acquisition.files import atomic_write
 
         from ..data import load_signals
         from ..methods import Iteration
-        from ..regression import Overrides
         from ..report import write_json
         from ..results import PARAMETERS, fit_document, fit_file, identify_iv, identify_ls
-        from ..study import (
-            base_file,
-            description,
-            record_simulated_session,
-            study_truth,
-            truth_document,
-        )
+        from ..study import base_file, record_simulated_session, study_truth, truth_document
         from ..view import draw_fit, write_rrd
 
-        place, out = description(options.robot), options.out
-        refuse_clash(
-            [],
-            *(out / name for name in ("session.mcap", "truth.json", "ls.json", "iv.json")),
-            out / "demo.rrd",
-            overwrite=options.overwrite,
-            option="--out",
+        out = options.out
+        robot, place = _simulated_robot(
+            options, "session.mcap", "truth.json", "ls.json", "iv.json", "demo.rrd"
         )
-        robot = load_robot(place)
-        make_folder(out)
         with atomic_write(out / "session.mcap") as recording:
             progress.say("simulated drives")
-            record_simulated_session(robot, str(place), recording)
+            record_simulated_session(robot, place, recording)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
         write_json(out / "truth.json", base_file(base, robot, true))
         progress.say("least squares")
         ls = identify_ls(signals, Overrides())
-        law = Overrides(law=ls.law)
-        fits = {"ls": ls, "iv": identify_iv(signals, law, Iteration(), say=progress.say)}
+        fits = {
+            "ls": ls,
+            "iv": identify_iv(signals, Overrides(law=ls.law), Iteration(), say=progress.say),
+        }
         reports = [fit_document(fit_file(fit)) for fit in fits.values()]
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(fit))
@@ -94,10 +88,10 @@ def run(options: argparse.Namespace) -> None:
     if options.all:
         print_results(*reports, compared)
     else:  # the true values in place of the table of parameters
-        sections = (
+        sections = tuple(
             compared.sections[0] if s.title == PARAMETERS else s for s in reports[-1].sections
         )
-        print_results(replace(reports[-1], sections=tuple(sections)), everything=False)
+        print_results(replace(reports[-1], sections=sections), everything=False)
     print_results(f"open the plots: rerun --bind 127.0.0.1 {out / 'demo.rrd'}", *NEXT)
 
 
@@ -107,22 +101,35 @@ def _identify_gains(options: argparse.Namespace) -> None:
     """
     out, paths = options.out, (options.out / "free.mcap", options.out / "loaded.mcap")
     with Progress("starting") as progress:
-        from acquisition.files import refuse_clash
-        from acquisition.robot import load_robot
-
         from ..data import RecordingFile, Recordings
-        from ..regression import Overrides
         from ..report import write_json
         from ..results import fit_file, identify
-        from ..study import description, gains_document, record_gain_pair
+        from ..study import gains_document, record_gain_pair
 
-        place = description(options.robot)
-        refuse_clash([], *paths, out / "k.json", overwrite=options.overwrite, option="--out")
-        make_folder(out)
+        robot, place = _simulated_robot(options, "free.mcap", "loaded.mcap", "k.json")
         progress.say("simulated drives")
-        true = record_gain_pair(load_robot(place), str(place), paths)
-        recordings = Recordings(sources=tuple(RecordingFile.at(path) for path in paths))
-        fit = identify(recordings, Overrides(gains=("all",)), say=progress.say)
+        true = record_gain_pair(robot, place, paths)
+        fit = identify(
+            Recordings(sources=tuple(RecordingFile.at(path) for path in paths)),
+            Overrides(gains=("all",)),
+            say=progress.say,
+        )
         write_json(out / "k.json", fit_file(fit))
-    print_results(gains_document(fit, true))
-    print_results(f"the whole fit: robot-identify fit {paths[0]} {paths[1]} --gains")
+    print_results(
+        gains_document(fit, true),
+        f"the whole fit: robot-identify fit {paths[0]} {paths[1]} --gains",
+    )
+
+
+def _simulated_robot(options: argparse.Namespace, *names: str) -> tuple["Robot", str]:
+    """Return the robot to simulate and its file; make the folder for files of these `names`."""
+    from acquisition.files import refuse_clash
+    from acquisition.robot import load_robot
+
+    from ..study import description
+
+    place, outputs = description(options.robot), (options.out / name for name in names)
+    refuse_clash([], *outputs, overwrite=options.overwrite, option="--out")
+    robot = load_robot(place)
+    make_folder(options.out)
+    return robot, str(place)

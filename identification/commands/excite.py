@@ -83,9 +83,11 @@ def run(options: argparse.Namespace) -> None:
     document = excitation_document(found)
     try:
         found.write(options.out)
-
         shared.write_pictures(
-            options, document, lambda view: [view.draw_excitation(found, document)]
+            options,
+            document,
+            lambda view: [view.draw_excitation(found, document)],
+            [options.rrd] if options.rrd else (),
         )
     finally:
         shared.print_results(document, everything=options.all)

@@ -62,26 +62,22 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
     if options.start is not None and options.method in ("ols", "wls"):
-        text = f"has no effect with --method {options.method}"
-        raise BadInputError(text, key="--start", value=options.start, expected="--method iv")
-    if options.prior is not None and not options.consistent:
-        expected = "--consistent with it"
         raise BadInputError(
-            "has no effect alone", key="--prior", value=str(options.prior), expected=expected
+            f"has no effect with --method {options.method}",
+            key="--start",
+            value=options.start,
+            expected="--method iv",
         )
-    inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "ls")]
-    shared.refuse_outputs(inputs, json=options.json, report=options.report, picture=options.rrd)
-    from acquisition.files import refuse_clash
-
-    pictures = [options.rrd] if options.rrd else []
-    if len(options.recordings) > 1 and options.rrd:
-        pictures = [
-            options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings
-        ]
-        refuse_clash(inputs, *pictures)
+    if options.prior is not None and not options.consistent:
+        raise BadInputError(
+            "has no effect alone",
+            key="--prior",
+            value=str(options.prior),
+            expected="--consistent with it",
+        )
+    pictures = _pictures(options)
     with Progress("reading") as progress:
         from ..data import Recordings
-        from ..report import write_json
         from ..results import fit_document, fit_file
 
         recordings = Recordings(
@@ -94,30 +90,22 @@ def run(options: argparse.Namespace) -> int:
             from ..results import with_consistent
 
             fit = with_consistent(fit, prior)
-    file = fit_file(fit)
-    document = fit_document(file)
-    try:
-        if options.json:
-            write_json(options.json, file)
-        shared.write_pictures(
-            options,
-            document,
-            lambda view: [view.draw_fit(fit.on(one)) for one in fit.recordings],
-            pictures,
-        )
-    finally:  # print the fit even if a file cannot be written
-        shared.print_results(document, everything=options.all)
+    shared.show_results(
+        options,
+        fit_document(file := fit_file(fit)),
+        lambda: file,
+        lambda view: [view.draw_fit(fit.on(one)) for one in fit.recordings],
+        pictures,
+    )
+    lines = [f"report with charts: --report {options.recordings[0].stem}.html"]
     if options.report:
         viewer = "a browser" if options.report.suffix == ".html" else "an editor"
-        shared.print_results(f"open the report: {options.report} in {viewer}")
-    else:
-        shared.print_results(f"report with charts: --report {options.recordings[0].stem}.html")
+        lines = [f"open the report: {options.report} in {viewer}"]
     if pictures:
-        shared.print_results(
-            f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}"
-        )
+        lines.append(f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
     if options.robot is None:
-        shared.print_results(*edited_descriptions(fit, options.recordings))
+        lines += edited_descriptions(fit, options.recordings)
+    shared.print_results(*lines)
     refused = ("do not use", "caution") if options.require else ("do not use",)
     worst = fit.trust.lines[0].level
     return shared.trust_status(
@@ -125,22 +113,39 @@ def run(options: argparse.Namespace) -> int:
     )
 
 
+def _pictures(options: argparse.Namespace) -> list[Path]:
+    """Return the Rerun files to write, one for each recording; refuse outputs that cannot be
+    written.
+    """
+    from acquisition.files import refuse_clash
+
+    inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "ls")]
+    shared.refuse_outputs(inputs, json=options.json, report=options.report, picture=options.rrd)
+    if options.rrd is None or len(options.recordings) == 1:
+        return [options.rrd] if options.rrd else []
+    pictures = [
+        options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings
+    ]
+    refuse_clash(inputs, *pictures)
+    return pictures
+
+
 def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
     """A line for each robot.toml, beside a recording or in the working folder, that differs
     from the recording's own.
     """
-    lines = list[str]()
+    lines = dict[str, None]()
     for one, path in zip(fit.recordings, recordings, strict=True):
         robot = one.problem.signals.robot
         for beside in (path.parent / "robot.toml", Path("robot.toml")):
             content = beside.read_bytes() if beside.is_file() else b""
             same_name = f'name = "{robot.name}"'.encode() in content.split(b"[[", 1)[0]
             if same_name and content != robot.files["robot.toml"]:
-                lines.append(
+                lines[
                     f"{beside} differs from the description in {path.name}, which was used: "
                     f"--robot {beside} uses it"
-                )
-    return list(dict.fromkeys(lines))
+                ] = None
+    return list(lines)
 
 
 def _prior(options: argparse.Namespace) -> "Robot | None":
@@ -164,8 +169,10 @@ def _identify(
 
     iteration = None if options.start is None else Iteration(start=options.start)
     if options.start not in (None, "regular", "ls"):
-        values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
-        iteration = Iteration(start=options.start, values=values)
+        iteration = Iteration(
+            start=options.start,
+            values=partial(stored_beta, read_fit(Path(options.start)), place=options.start),
+        )
     return identify(
         recordings,
         from_options(Overrides, options),

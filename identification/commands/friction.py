@@ -27,6 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "write all sets of terms that were tried, and the recommended one, as JSON",
     )
     shared.add_report(outputs)
+    parser.set_defaults(all=True)
     add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
 
 
@@ -42,7 +43,6 @@ def run(options: argparse.Namespace) -> None:
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..design import friction_document, friction_file, select_friction, write_friction
-        from ..report import write_json
 
         choice = select_friction(
             Recordings(sources=tuple(shared.sources(options))),
@@ -50,13 +50,11 @@ def run(options: argparse.Namespace) -> None:
             say=progress.say,
         )
     document = friction_document(choice)
-    try:
-        if options.json:
-            write_json(options.json, friction_file(choice))
-        shared.write_pictures(
-            options, document, lambda view: [view.draw_friction(*choice.fits(), document)]
-        )
-        if options.write:
-            write_friction(options.robot, choice)
-    finally:  # print the result even if a file cannot be written
-        shared.print_results(document)
+    shared.show_results(
+        options,
+        document,
+        lambda: friction_file(choice),
+        lambda view: [view.draw_friction(*choice.fits(), document)],
+    )
+    if options.write:
+        write_friction(options.robot, choice)

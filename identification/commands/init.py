@@ -3,6 +3,7 @@
 import argparse
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,43 +97,26 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the description, and print its joints and the locked ones."""
     from acquisition.files import write_text
-    from acquisition.robot import marks_of_motion
 
-    from ..export import FILL_IN, USES, chain_of_letters, describe, describe_rows, read_chain
+    from ..export import chain_of_letters, describe, describe_rows, read_chain
 
-    out: Path | None = options.out
+    out = options.out
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], toml=out)
     if out is not None and out.exists() and not options.overwrite:
-        expected = "a new name, or --overwrite"
-        raise BadInputError("already exists", place=str(out), expected=expected)
+        raise BadInputError("already exists", place=str(out), expected="a new name, or --overwrite")
     if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
-        expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
-        raise BadInputError(key="--dh", value=options.dh, expected=expected)
+        raise BadInputError(
+            key="--dh",
+            value=options.dh,
+            expected="ROBOT.urdf, or --dh with a letter for each joint and without --joints",
+        )
     chain = (
         chain_of_letters(options.dh)
         if options.dh
         else read_chain(options.robot, options.joints or ())
     )
-    given = {
-        option: values
-        for option in (*_URDF_OPTIONS, *_EFFORTS)
-        if (values := getattr(options, option[2:].replace("-", "_")))
-    }
     bus = b"" if options.bus is None else options.bus.read_bytes()
-    efforts = _efforts(chain, options, bus)
-    for option, units in _EFFORTS.items():
-        if option in given and (
-            not {*efforts} & {*units} or (option == "--ratio" and options.torque_sensor)
-        ):
-            expected = (
-                f"with --effort {' or '.join(map(repr, units[:3]))}, and --ratio not with "
-                "--torque-sensor"
-            )
-            raise BadInputError(key=option, value=given[option], expected=expected)
-    joints = (replace(j, effort_unit=x) for j, x in zip(chain.joints, efforts, strict=True))
-    chain = replace(
-        chain, joints=tuple(joints), torque_sensors=bool(given.pop("--torque-sensor", False))
-    ).with_options(given)
+    chain = _with_options(chain, options, bus)
     folder = Path.cwd() if out is None else out.absolute().parent
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
     text = describe(chain, urdf, bus.decode()) if urdf else describe_rows(chain, bus.decode())
@@ -140,33 +124,64 @@ def run(options: argparse.Namespace) -> None:
         print(text, end="")
         return
     write_text(out, text)
+    print(one_line(f"{out}: {len(chain.joints)} joints of {options.robot or options.dh}"))
+    for line in (*_joint_lines(chain), *_lines_to_fill_in(text)):
+        print(one_line(line))
+
+
+def _joint_lines(chain: "Chain") -> Iterator[str]:
+    """The joints, and what is special about the chain."""
+    yield from (f"joint {j}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints, 1))
+    yield from (f"locked at zero: {locked}" for locked in chain.locked)
+    yield from (f"note: {note}" for note in chain.notes)
+    if chain.torque_sensors:
+        yield (
+            "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
+            "includes its rotor"
+        )
+
+
+def _lines_to_fill_in(text: str) -> Iterator[str]:
+    """How many lines of a description are marked, and which ones each use needs."""
+    from acquisition.robot import marks_of_motion
+
+    from ..export import FILL_IN, USES
+
     marked = [(k, x) for k, x in enumerate(text.splitlines(), 1) if FILL_IN in x][1:]
     moving = marks_of_motion(text)
-    needed = {
-        use: [
+    yield f"to be filled in: {len(marked)} lines with {FILL_IN}"
+    for use in USES:
+        lines = [
             str(k)
             for k, x in marked
             if re.search(f"{FILL_IN}{use}(:|$)", x) or (use == USES[-1] and k in moving)
         ]
-        for use in USES
+        yield f"of these, lines needed{use}: {', '.join(lines) or 'none'}"
+
+
+def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "Chain":
+    """Apply the options that a URDF lacks; those that do not go with the efforts are refused."""
+    given = {
+        option: values
+        for option in (*_URDF_OPTIONS, *_EFFORTS)
+        if (values := getattr(options, option[2:].replace("-", "_")))
     }
-    sensors_only = (
-        "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
-        "includes its rotor",
-    )
-    for line in (
-        f"{out}: {len(chain.joints)} joints of {options.robot or options.dh}",
-        *(f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)),
-        *(f"locked at zero: {locked}" for locked in chain.locked),
-        *(f"note: {note}" for note in chain.notes),
-        *(sensors_only if chain.torque_sensors else ()),
-        f"to be filled in: {len(marked)} lines with {FILL_IN}",
-        *(
-            f"of these, lines needed{use}: {', '.join(lines) or 'none'}"
-            for use, lines in needed.items()
-        ),
-    ):
-        print(one_line(line))
+    efforts = _efforts(chain, options, bus)
+    for option, units in _EFFORTS.items():
+        if option in given and (
+            not {*efforts} & {*units} or (option == "--ratio" and options.torque_sensor)
+        ):
+            raise BadInputError(
+                key=option,
+                value=given[option],
+                expected=f"with --effort {' or '.join(map(repr, units[:3]))}, and --ratio not with "
+                "--torque-sensor",
+            )
+    return replace(
+        chain,
+        joints=tuple(replace(j, effort_unit=x) for j, x in zip(chain.joints, efforts, strict=True)),
+        torque_sensors=bool(given.pop("--torque-sensor", False)),
+    ).with_options(given)
 
 
 def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[str]:

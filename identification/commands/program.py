@@ -22,10 +22,8 @@ PROGRAM = Program(
         "excite": "an exciting trajectory that makes the parameters as identifiable as possible "
         "within the limits",
         "simulate": "make a recording of a simulated robot with known parameters",
-        "sensitivity": "how least squares and iv of a recording depend on filter, decimation, "
-        "position "
-        "noise and start",
-        "study": "Monte-Carlo study on a simulated robot: how far to trust least squares and iv",
+        "study": "how far to trust least squares and iv: on a simulated robot, or on a recording "
+        "with other settings, noise and starts",
         "demo": "record simulated drives, fit, and compare with the true parameters",
     },
     gone=GONE,

@@ -2,15 +2,18 @@
 
 import argparse
 
-from acquisition.commands import Progress, add_overwrite, add_path, from_options
+from acquisition.commands import Progress, add_options, add_overwrite, add_path, from_options
 
-from .arguments import add_robot, add_simulation, print_results, refuse_outputs
+from ..options import CellOptions, StudyOptions
+from .arguments import add_robot, print_results, refuse_outputs
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_robot(parser, "with [parameters]")
-    add_simulation(parser)
+    simulated = parser.add_argument_group("simulated recording")
+    add_options(simulated, StudyOptions, "duration_s", "sample_rate_hz", "seed", seed=1)
+    add_options(simulated, CellOptions)
     parser.add_argument(
         "--payload",
         metavar="KG[@X,Y,Z]",

@@ -1,32 +1,86 @@
-"""`robot-identify study`: Monte-Carlo study of least squares and iv on a simulated robot."""
+"""`robot-identify study`: least squares and iv on a simulated robot, or on a varied recording."""
 
 import argparse
+from collections.abc import Callable, Sequence
+from hashlib import sha256
 from time import perf_counter
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-from acquisition.commands import Progress, add_options, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..errors import BadInputError
-from ..options import StudyOptions
+from ..options import CellOptions, StudyOptions, list_of_noises
 from . import arguments as shared
+
+if TYPE_CHECKING:
+    from ..report import Document
+    from ..view import Picture
+
+    # report, the JSON file, pictures, further lines
+    Draw = Callable[[ModuleType], list[Picture]]
+    Result = tuple[Document, Callable[[], dict[str, Any]], Draw, Sequence[str]]
+
+DEFAULTS = {"seed": 1, "effort_percent": 2.0}  # of simulated runs; an option not given is None
+POSITION_NOISE = 3e-6  # of simulated runs
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    shared.add_robot(parser, "with [parameters]")
-    add_options(parser, StudyOptions, "runs")
-    noise = "position", "effort_percent", "coloured_percent", "lag_samples"
-    shared.add_simulation(parser, *noise, position=3e-6, effort_percent=2.0)
+    inputs = parser.add_argument_group("inputs")
+    add_path(
+        inputs,
+        "input",
+        "ROBOT.toml|LOG.mcap",
+        "a description with [parameters], whose robot is simulated, or a recording, which is "
+        "fitted with other settings, position noise and starts",
+    )
+    inputs.add_argument(
+        "--position-noise",
+        type=list_of_noises,
+        metavar="Q,Q",
+        help="position noise, rad or m rms: of the simulated encoder, one value (default "
+        f"{POSITION_NOISE:g}), or added to the recording, one or several (default: by the travel)",
+    )
+    simulated = parser.add_argument_group("with ROBOT.toml: simulated recordings")
+    add_options(simulated, StudyOptions, **DEFAULTS)
+    add_options(
+        simulated, CellOptions, "effort_percent", "coloured_percent", "lag_samples", **DEFAULTS
+    )
+    add_path(simulated, "--json", "FILE", "write every run as JSON")
+    recorded = parser.add_argument_group("with LOG.mcap")
+    add_path(
+        recorded, "--robot", "ROBOT.toml", "use this description instead of the recording's own"
+    )
+    add_flag(recorded, "--all", "also print the values and intervals of all fits")
+    parser.set_defaults(simulated=simulated, recorded=recorded, **dict.fromkeys(DEFAULTS))
     shared.add_work(parser)
-    outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "--json", "FILE", "write every run as JSON")
-    shared.add_report(outputs)
+    shared.add_report(parser.add_argument_group("outputs"))
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the study, write the requested files, print the table."""
+    """Fit simulated recordings or variants of a recording, write the files, print the table."""
+    from acquisition.files import is_recording
+
+    shared.refuse_outputs([options.input, options.robot], json=options.json, report=options.report)
+    recorded = is_recording(options.input)
+    for action in (options.simulated if recorded else options.recorded)._group_actions:
+        if getattr(options, action.dest) not in (None, False):
+            raise BadInputError(
+                f"{action.option_strings[0]} has no effect on "
+                f"{'a recording' if recorded else 'a simulated robot'}",
+                place=str(options.input),
+                expected="ROBOT.toml with it" if recorded else "LOG.mcap with it",
+            )
+    document, content, draw, lines = (_of_recording if recorded else _of_robot)(options)
+    options.all |= not recorded
+    shared.show_results(options, document, content, draw, lines=lines)
+
+
+def _of_robot(options: argparse.Namespace) -> "Result":
+    """Simulate and fit the runs of a Monte-Carlo study."""
     from acquisition.robot import load_robot
 
-    from ..report import write_json
     from ..study import (
         Noise,
         Run,
@@ -38,9 +92,14 @@ def run(options: argparse.Namespace) -> None:
         study_truth,
     )
 
-    shared.refuse_outputs([options.robot], json=options.json, report=options.report)
-    robot = load_robot(options.robot)
-    study = from_options(Study, options, noise=from_options(Noise, options))
+    position, *more = options.position_noise or (POSITION_NOISE,)
+    if more:
+        raise BadInputError(
+            key="--position-noise", value=options.position_noise, expected="one with ROBOT.toml"
+        )
+    vars(options).update({k: x for k, x in DEFAULTS.items() if getattr(options, k) is None})
+    robot = load_robot(options.input)
+    study = from_options(Study, options, noise=from_options(Noise, options, position=position))
     base, true = study_truth(robot)
     runs, began = list[Run](), perf_counter()
     with Progress("simulating") as progress:
@@ -49,14 +108,30 @@ def run(options: argparse.Namespace) -> None:
             progress.say(f"{len(runs)} of {study.runs} runs")
     took_s = perf_counter() - began
     if not any(run.ls for run in runs):
-        raise BadInputError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))
+        raise BadInputError(f"no run can be fitted: {runs[0].reason}", place=str(options.input))
     document = study_document(robot.name, study, runs, true)
-    try:
-        if options.json:
-            write_json(options.json, study_file(study, runs, base, true))
-        shared.write_pictures(
-            options, document, lambda view: [view.draw_study(robot.name, runs, document)]
+    return (
+        document,
+        lambda: study_file(study, runs, base, true),
+        lambda view: [view.draw_study(robot.name, runs, document)],
+        (*border_line(robot), f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"),
+    )
+
+
+def _of_recording(options: argparse.Namespace) -> "Result":
+    """Fit a recording in all variants, to see how far the estimates move."""
+    noises = options.position_noise
+    if noises and 0 in noises:
+        raise BadInputError(
+            key="--position-noise", value=noises, expected="numbers above 0 with LOG.mcap"
         )
-    finally:  # print the result of a long study even if a file cannot be written
-        took = f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"
-        shared.print_results(document, *border_line(robot), took)
+    options.recordings = [options.input]
+    with Progress("fitting"):
+        from ..study import sensitivity_document, vary
+
+        fits = vary(
+            shared.sources(options)[0], noises, shared.work_of(options, len(noises or "abc") + 9)
+        )
+        document = sensitivity_document(options.input.name, fits)
+    digests = {options.input.name: sha256(options.input.read_bytes()).hexdigest()}
+    return document, dict, lambda view: [view.draw_sensitivity(digests, fits, document)], ()

@@ -11,7 +11,8 @@ from ..options import Overrides, above_zero
 from . import arguments as shared
 
 if TYPE_CHECKING:
-    from ..report import TorqueResidual
+    from ..data import Signals
+    from ..report import FitFile, TorqueResidual
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="exit status 3 if the torque error is larger (with --consistent: that of the "
         "consistent set)",
     )
+    parser.set_defaults(all=False)
     add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")
 
 
@@ -43,8 +45,11 @@ def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit; 3 if they are larger than allowed."""
     if options.fit.suffix != ".json" == options.recordings[-1].suffix:
         others = " ".join(map(str, (options.fit, *options.recordings[:-1])))
-        expected = f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`"
-        raise BadInputError("is no fit", place=str(options.fit), expected=expected)
+        raise BadInputError(
+            "is no fit",
+            place=str(options.fit),
+            expected=f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`",
+        )
     shared.refuse_outputs(
         [options.fit, *options.recordings, options.robot],
         json=options.json,
@@ -52,20 +57,11 @@ def run(options: argparse.Namespace) -> int:
     )
     with Progress("reading") as progress:
         from .. import results
-        from ..report import read_fit, write_json
+        from ..report import read_fit
 
-        place, name = str(options.fit), options.fit.name
-        stored, recordings, notes = read_fit(options.fit), [], []
+        place, name, stored = str(options.fit), options.fit.name, read_fit(options.fit)
         consistent = results.consistent_fit(stored, place) if options.consistent else None
-        for path, source in zip(options.recordings, shared.sources(options), strict=True):
-            signals, lines = results.signals_as_fitted(
-                source.load(), path, stored, place, chosen=options.robot is not None
-            )
-            overrides, of_lag = results.stored_settings(
-                stored, signals, from_options(Overrides, options)
-            )
-            recordings.append((signals, overrides))
-            notes += lines + of_lag
+        recordings, notes = _recordings(options, stored)
         progress.say("predicting")
         validated, errors = results.validate_all(recordings, stored, place)
         of_set: tuple[TorqueResidual, ...] = ()
@@ -74,14 +70,38 @@ def run(options: argparse.Namespace) -> int:
     of_settings = dict.fromkeys(text for one in validated for text in one.problem.settings.warnings)
     warnings = (*of_settings, *dict.fromkeys(notes), *stored.warnings_of(place))
     document = results.validation_document(validated, name, errors, warnings, of_set)
-    if options.json:
-        write_json(options.json, results.validation_file(validated, name, errors, warnings, of_set))
     digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
-    shared.write_pictures(
-        options, document, lambda view: [view.draw_validation(validated, document, digests)]
+    shared.show_results(
+        options,
+        document,
+        lambda: results.validation_file(validated, name, errors, warnings, of_set),
+        lambda view: [view.draw_validation(validated, document, digests)],
     )
-    shared.print_results(document, everything=False)
-    error, limit = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
+    return _status(options, (of_set or errors)[-1].relative_error_percent)
+
+
+def _recordings(
+    options: argparse.Namespace, stored: "FitFile"
+) -> tuple[list[tuple["Signals", Overrides]], list[str]]:
+    """Read the recordings as those of the fit, each with its settings; lines on both."""
+    from .. import results
+
+    recordings, notes = [], list[str]()
+    for path, source in zip(options.recordings, shared.sources(options), strict=True):
+        signals, lines = results.signals_as_fitted(
+            source.load(), path, stored, str(options.fit), chosen=options.robot is not None
+        )
+        overrides, of_lag = results.stored_settings(
+            stored, signals, from_options(Overrides, options)
+        )
+        recordings.append((signals, overrides))
+        notes += lines + of_lag
+    return recordings, notes
+
+
+def _status(options: argparse.Namespace, error: float | None) -> int:
+    """Return 3 if an error in percent is above `--max-error-percent`."""
+    limit = options.max_error_percent
     if limit is None or (error is not None and error <= limit):
         return 0
     found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"

@@ -16,9 +16,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
     add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz")
-    outputs = parser.add_argument_group("outputs")
     add_path(
-        outputs,
+        parser.add_argument_group("outputs"),
         "-o --out",
         "VIEW.rrd",
         "file to write, with .html a page with spectra (default: LOG.rrd, or a viewer with "

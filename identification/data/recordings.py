@@ -2,7 +2,7 @@
 recordings are of one robot.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, get_args
 import numpy as np
 
 from acquisition.files import field_of
-from acquisition.recording import OPTIONAL, Recording, in_gaps, measured_rows, read_recording
+from acquisition.recording import OPTIONAL, Block, Recording, in_gaps, measured_rows, read_recording
 from acquisition.robot import (
     SIMULATED_CONTROLLER,
     Controller,
@@ -63,45 +63,23 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         `robot` has other units.
     """
     path = Path(path)
-    recording = read_recording(path)
-    if recording.cut:
-        expected = f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it"
-        raise BadInputError("is cut off", place=str(path), expected=expected)
-    samples = recording.samples
-    if samples is None or len(samples) == 0:
-        expected = (
-            "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
-            "that are not lost"
-        )
-        raise BadInputError(recording.no_samples, place=str(path), expected=expected)
+    recording, samples = _read(path)
     stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
     first_ns, was, since = int(stamps[0]), recording.robot, (stamps - stamps[0]).astype(float)
     grid, rate_hz, off_grid = _grid(since, recording.sample_rate_hz, path)
     rows, text = measured_rows(samples, recording.robot)
-    names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
-    columns = {name: _resample(grid, since, field_of(samples, name)) for name in names}
+    columns = {
+        name: _resample(grid, since, field_of(samples, name))
+        for name in ("position", "effort", "reference", *OPTIONAL)
+        if name in fields
+    }
     measured = (np.interp(grid, since, rows) == 1) & ~in_gaps(since, grid)
-    law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()
-    # it belongs to the drives of this recording, not to the description
-    if robot is not None and law is not None:
-        if robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz):
-            assumed = [
-                f"{path.name}: the given [controller] is not used: the drives of a dry run have "
-                "their own"
-            ]
-        robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
-    if robot is not None and robot.n == was.n:
-        _refuse_other_units(was, robot, path)
-        # Samples are at the joint: convert to the motors as recorded, and back
-        # to joints by `robot`.
-        for name, to_motor, to_joint in (
-            ("position", was.motor_position, robot.joint_position),
-            ("reference", was.motor_position, robot.joint_position),
-            ("velocity", was.motor_velocity, robot.joint_velocity),
-            ("effort", was.motor_effort, robot.joint_effort),
-        ):
-            if name in columns:
-                columns[name] = to_joint(to_motor(columns[name]))
+    assumed: tuple[str, ...] = ()
+    if robot is not None:
+        robot, assumed = _with_recorded_controller(robot, was, path)
+        if robot.n == was.n:
+            _refuse_other_units(was, robot, path)
+            columns |= _converted(columns, was, robot)
     provenance = recording.metadata.get("effort_provenance", "")
     signals = Signals(
         t_s=grid * 1e-9,
@@ -122,7 +100,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         payload=recording.payload,
         began=recording.began,
         off_grid=off_grid,
-        assumed=tuple(assumed),
+        assumed=assumed,
         measured=None if measured.all() else measured,
         unmeasured=text,
         motion_hz=None,
@@ -132,30 +110,76 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     return signals
 
 
+def _read(path: Path) -> tuple[Recording, Block]:
+    """Read a recording that is whole, and its samples, of which there must be some."""
+    recording = read_recording(path)
+    if recording.cut:
+        raise BadInputError(
+            "is cut off",
+            place=str(path),
+            expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
+        )
+    if recording.samples is None or len(recording.samples) == 0:
+        raise BadInputError(
+            recording.no_samples,
+            place=str(path),
+            expected="some; `robot-acquire import`, with a corrected --robot, makes them from "
+            "frames that are not lost",
+        )
+    return recording, recording.samples
+
+
+def _with_recorded_controller(
+    robot: Robot, was: Robot, path: Path
+) -> tuple[Robot, tuple[str, ...]]:
+    """Another description with the control law of a dry run, which belongs to the drives of the
+    recording; a warning if the description has one too.
+    """
+    law = was.files.get(SIMULATED_CONTROLLER)
+    if law is None:
+        return robot, ()
+    warning = (
+        f"{path.name}: the given [controller] is not used: the drives of a dry run have their own"
+    )
+    is_other = robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz)
+    files = {**robot.files, SIMULATED_CONTROLLER: law}
+    return robot_from_files(files, str(path)), (warning,) * is_other
+
+
+def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[str, Array]:
+    """Columns of samples at the joint, converted to the motors as recorded, and back to joints by
+    `robot`.
+    """
+    conversions = {
+        "position": (was.motor_position, robot.joint_position),
+        "reference": (was.motor_position, robot.joint_position),
+        "velocity": (was.motor_velocity, robot.joint_velocity),
+        "effort": (was.motor_effort, robot.joint_effort),
+    }
+    return {
+        name: to_joint(to_motor(columns[name]))
+        for name, (to_motor, to_joint) in conversions.items()
+        if name in columns
+    }
+
+
 def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
     """Another description may correct ratios and gains, but cannot change volts
     to amperes or rad to m.
     """
-    for kind, old, new in (
-        (
-            "motor",
-            [(m.name, m.recorded_unit) for m in was.motors],
-            [m.recorded_unit for m in robot.motors],
-        ),
-        (
-            "joint",
-            [(j.name, j.position_unit) for j in was.joints],
-            [j.position_unit for j in robot.joints],
-        ),
+    motors = zip(was.motors, robot.motors, strict=True)
+    joints = zip(was.joints, robot.joints, strict=True)
+    for key, before, now in (
+        *((f"motor {a.name}", a.recorded_unit, b.recorded_unit) for a, b in motors),
+        *((f"joint {a.name}", a.position_unit, b.position_unit) for a, b in joints),
     ):
-        for (name, before), now in zip(old, new, strict=True):
-            if before != now:
-                raise BadInputError(
-                    place=str(path),
-                    key=f"unit of {kind} {name} in robot {robot.name}",
-                    value=now,
-                    expected=f"{before}, as recorded",
-                )
+        if before != now:
+            raise BadInputError(
+                place=str(path),
+                key=f"unit of {key} in robot {robot.name}",
+                value=now,
+                expected=f"{before}, as recorded",
+            )
 
 
 def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, float]:
@@ -175,9 +199,12 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
     bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(since) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
-        problem = f"a step of {steps[k] * 1e-9:.6g} s after {1e-9 * since[k]:.4f} s"
-        expected = f"{period * 1e-6:.3f} ms, and each motion as a recording of its own"
-        raise BadInputError(problem, place=str(path), key="samples", expected=expected)
+        raise BadInputError(
+            f"a step of {steps[k] * 1e-9:.6g} s after {1e-9 * since[k]:.4f} s",
+            place=str(path),
+            key="samples",
+            expected=f"{period * 1e-6:.3f} ms, and each motion as a recording of its own",
+        )
     whole = steps.max() <= 1.5 * period or len(since) < 3
     if whole:
         period = float(since[-1]) / (len(since) - 1)
@@ -207,17 +234,11 @@ def _resample(grid: Array, since: Array, x: Array) -> Array:
 
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
     """The recorder's counters by name, over time in s from the first sample."""
-    names = dict.fromkeys(name for health in recording.health for name in health.counters)
-    counters = {}
-    for name in names:
-        rows = [
-            (1e-9 * (h.stamp_ns - first_ns), h.counters[name])
-            for h in recording.health
-            if name in h.counters
-        ]
-        t_s, counts = np.array(rows).T
-        counters[name] = (t_s, counts)
-    return counters
+    rows = dict[str, list[tuple[float, float]]]()
+    for health in recording.health:
+        for name, count in health.counters.items():
+            rows.setdefault(name, []).append((1e-9 * (health.stamp_ns - first_ns), count))
+    return {name: (x[:, 0], x[:, 1]) for name, x in ((k, np.array(v)) for k, v in rows.items())}
 
 
 def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
@@ -260,18 +281,18 @@ class RecordingFile:
 
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""
-        robot = (
-            None
-            if self.description is None
-            else robot_from_files(dict(self.description), self.path)
-        )
-        signals = load_signals(self.path, robot)
-        if self.payload is None:
-            return signals
-        stated = {"none": None, "unknown": Payload(mass_kg=None, frame=signals.robot.payload.frame)}
-        if self.payload in stated:
-            return replace(signals, payload=stated[self.payload])
-        return replace(signals, payload=parse_payload(self.payload, signals.robot))
+        given = self.description and robot_from_files(dict(self.description), self.path)
+        signals = load_signals(self.path, given or None)
+        match self.payload:
+            case None:
+                return signals
+            case "none":
+                payload = None
+            case "unknown":
+                payload = Payload(mass_kg=None, frame=signals.robot.payload.frame)
+            case text:
+                payload = parse_payload(text, signals.robot)
+        return replace(signals, payload=payload)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -287,20 +308,28 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
         if other.sha256 and other.sha256 in seen:
-            problem = f"has the same content as {seen[other.sha256]}"
-            raise BadInputError(problem, place=other.recording, expected="each recording once")
+            raise BadInputError(
+                f"has the same content as {seen[other.sha256]}",
+                place=other.recording,
+                expected="each recording once",
+            )
         seen[other.sha256] = other.recording
         if other.robot.n != first.robot.n:
-            expected = f"{first.robot.n}, as in {first.recording}"
             raise BadInputError(
-                place=other.recording, key="joints", value=other.robot.n, expected=expected
+                place=other.recording,
+                key="joints",
+                value=other.robot.n,
+                expected=f"{first.robot.n}, as in {first.recording}",
             )
         for key, value, wanted in _compare(other.robot, first.robot):
             if value != wanted:
-                expected = (
-                    f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
+                raise BadInputError(
+                    place=other.recording,
+                    key=key,
+                    value=value,
+                    expected=f"{wanted!r}, as in {first.recording}: recordings of one fit are of "
+                    "one robot",
                 )
-                raise BadInputError(place=other.recording, key=key, value=value, expected=expected)
 
 
 def _compare(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:

@@ -1,12 +1,28 @@
 """Missing and repeated rows, found from position steps: times of a table without
 stamps do not show them.
+
+A robot's speed changes little from row to row, so each step x of the positions is compared with m,
+the median of its four neighbours, two on either side:
+
+    row lost        | 1.0  1.0  1.1  2.2  1.1  1.2  1.2 |   x = 2 m: one row is missing
+    row repeated    | 1.0  1.0  0.0  1.1  1.1  1.2  1.2 |   x = 0: a row came twice
+    late, then both | 1.0  1.0  0.0  2.1  1.1  1.2  1.2 |   0, then 2 m: compensated, nothing lost
+
+- **All joints together**: the ratio x/m is that of the least squares of x by m over the joints,
+  each divided by its deviation. A whole multiple of m, within `MAX_ERROR`, counts.
+- **Deviation** of a joint: the scatter of x about m, by its median in blocks of rows; at least that
+  of rounding, which is seen in the smallest changes of a step (quanta of an encoder).
+- **Alike**: a ratio tells something only if three of the four neighbours are near m. Next to a
+  lost or repeated row two are enough, if the others are 0 or 2 m.
+- **Joint by joint**: where steps are above the noise but only a few quanta long, rounding hides
+  multiples from the sum, and double and zero steps are counted for each joint.
 """
 
 import numpy as np
 
 from acquisition.files import release_pages
 
-from ..arrays import Array
+from ..arrays import Array, Bools
 
 # of steps about their neighbours: smaller ones are not told from double or zero steps
 MIN_DEVIATIONS = 10.0
@@ -40,34 +56,32 @@ def position_steps(q: Array) -> tuple[Array, Array]:
 
 
 def _count(q: Array) -> tuple[Array, Array]:
-    steps, n = np.diff(q, axis=0), q.shape[1]
-    blocks = max(1, (len(q) - 5) // _BLOCK_ROWS)
+    n, blocks = q.shape[1], max(1, (len(q) - 5) // _BLOCK_ROWS)
     rows = (len(q) - 5) // blocks * blocks
     if rows < _BLOCK_ROWS // 4:
         return np.zeros(4), np.zeros((n, 3))
+    steps = np.diff(q, axis=0)
     around = np.stack([steps[k : k + rows] for k in (0, 1, 3, 4)])
     low, high = (of(around[:2], around[2:]) for of in (np.minimum, np.maximum))
     x, m = steps[2 : 2 + rows], 0.5 * (np.maximum(*low) + np.minimum(*high))  # the median of four
-    rounding = ROUNDING * np.abs(q).max(axis=0)
-    # at least a quantum if positions are rounded
     change = np.abs(np.diff(steps[2 : 3 + rows], axis=0))
-    scatter, quantum = (
-        np.repeat(
-            _medians(np.where(moves, values, np.inf).reshape(blocks, -1, n)), rows // blocks, axis=0
-        )
-        for values, moves in ((np.abs(x - m), np.abs(m) > rounding), (change, change > rounding))
-    )
-    noise = np.maximum(1.4826 * scatter, rounding)
+    rounding = ROUNDING * np.abs(q).max(axis=0)
+    noise = np.maximum(1.4826 * _medians(np.abs(x - m), np.abs(m) > rounding, blocks), rounding)
+    quantum = _medians(change, change > rounding, blocks)
     deviation = np.maximum(noise, QUANTUM_DEVIATION * np.where(np.isfinite(quantum), quantum, 0.0))
+    return _count_of_all(around, x, m, deviation), _count_by_joint(x, m, noise, deviation)
+
+
+def _count_of_all(around: Array, x: Array, m: Array, deviation: Array) -> Array:
+    """Counts (4,) of all joints together, as a row that is missing is missing for all of them."""
     weight = np.divide(1.0, deviation, out=np.zeros_like(m), where=deviation > 0)
-    # All joints together: a row that is missing is missing for all of them.
     size = np.linalg.norm(m * weight, axis=1)
     none, once, twice = (
         np.linalg.norm((around - k * m) * weight, axis=2) < MAX_DIFFERENCE * size for k in (0, 1, 2)
     )
     alike = (once.sum(axis=0) >= 3) | ((once.sum(axis=0) == 2) & (none | once | twice).all(axis=0))
     moving = (size > MIN_DEVIATIONS) & alike
-    ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(rows), where=moving)
+    ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(len(x)), where=moving)
     multiple = np.rint(ratio)
     is_multiple = (
         (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE)
@@ -78,18 +92,22 @@ def _count(q: Array) -> tuple[Array, Array]:
     group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]
     net, without = np.bincount(group, extra[odd]), np.bincount(group, extra[odd] < 0)
     held = np.minimum(without, without + net)
-    coarse = (np.abs(m) > MIN_DEVIATIONS * noise) & (np.abs(m) <= MIN_DEVIATIONS * deviation)
+    return np.array((net[net > 0].sum(), -net[net < 0].sum(), held.sum(), moving.sum())).astype(int)
+
+
+def _count_by_joint(x: Array, m: Array, noise: Array, deviation: Array) -> Array:
+    """Counts (n, 3) of each joint alone, whose steps may be too few quanta for those of all."""
+    above = np.abs(m) > MIN_DEVIATIONS * noise
+    coarse = above & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)
-    by_joint = [
-        np.abs(m) > MIN_DEVIATIONS * noise,
-        np.abs(parts - 2) < MAX_ERROR,
-        np.abs(parts) < MAX_ERROR,
-    ]
-    counts = net[net > 0].sum(), -net[net < 0].sum(), held.sum(), moving.sum()
-    return np.array(counts).astype(int), np.stack([part.sum(axis=0) for part in by_joint], axis=1)
+    counted = above, np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR
+    return np.stack([part.sum(axis=0) for part in counted], axis=1)
 
 
-def _medians(x: Array) -> Array:
-    """Medians (blocks, n) of the finite numbers of x (blocks, rows, n)."""
-    place = np.isfinite(x).sum(axis=1, keepdims=True) // 2
-    return np.asarray(np.take_along_axis(np.sort(x, axis=1), place, axis=1)[:, 0])
+def _medians(x: Array, counts: Bools, blocks: int) -> Array:
+    """Medians (rows, n) in each of the blocks of x (rows, n), of the numbers that count."""
+    parts = np.where(counts, x, np.inf).reshape(blocks, -1, x.shape[1])
+    place = np.isfinite(parts).sum(axis=1, keepdims=True) // 2
+    return np.repeat(
+        np.take_along_axis(np.sort(parts, axis=1), place, axis=1)[:, 0], parts.shape[1], axis=0
+    )

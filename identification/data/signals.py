@@ -91,21 +91,26 @@ class Signals:
         for name, part in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
             if part is not None and part.shape != shape:
-                key, expected = f"{name}.shape", f"{shape}, as q has"
                 raise BadInputError(
-                    place=self.recording, key=key, value=part.shape, expected=expected
+                    place=self.recording,
+                    key=f"{name}.shape",
+                    value=part.shape,
+                    expected=f"{shape}, as q has",
                 )
         if n != (joints := len(self.robot.joints)):
-            expected = f"{joints}, as the robot has"
             raise BadInputError(
-                place=self.recording, key="joints recorded", value=n, expected=expected
+                place=self.recording,
+                key="joints recorded",
+                value=n,
+                expected=f"{joints}, as the robot has",
             )
         if self.known_torque is not None and not self.robot.gain_known:
             units = " and ".join(sorted(set(self.robot.effort_units)))
-            problem = f"cannot be added to efforts in {units}"
-            expected = f"the drive gains of robot {self.robot.name}"
             raise BadInputError(
-                problem, place=self.recording, key="known_torque", expected=expected
+                f"cannot be added to efforts in {units}",
+                place=self.recording,
+                key="known_torque",
+                expected=f"the drive gains of robot {self.robot.name}",
             )
         for name, array in parts.items():
             if array is not None:
@@ -126,8 +131,9 @@ class Signals:
 
     def with_gains_of(self, robot: Robot) -> "Signals":
         """The same efforts by the drive gains of another description of the robot."""
-        effort = robot.joint_effort(self.robot.motor_effort(self.effort))
-        return replace(self, robot=robot, effort=effort)
+        return replace(
+            self, robot=robot, effort=robot.joint_effort(self.robot.motor_effort(self.effort))
+        )
 
     def first(self, N: int) -> "Signals":
         """The first N samples, copied: a view would hold all of them."""
@@ -193,40 +199,19 @@ def signals_from_arrays(
     for name in columns:
         if name not in OPTIONAL:
             raise BadInputError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
-    of_file = OF_FILES.get(id(q))
-    rate, doubt = np.asarray(sample_rate_hz), ""
-    if rate.size > 1 and rate.dtype.kind in "iufM":  # datetimes too
-        unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
-        step = float(np.median(np.diff(rate.ravel()) / unit))
-        doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
-    if rate.ndim or rate.dtype.kind not in "iuf" or not 0 < sample_rate_hz < math.inf:
-        raise BadInputError(
-            doubt,
-            place=NAME,
-            key="sample_rate_hz",
-            value=sample_rate_hz,
-            shown=f"{rate.size} values" if rate.size > 1 else "",
-            expected="the rate in Hz, a number above 0",
-        )
-    if sample_rate_hz < 1:
-        problem = f"a period? the rate is {1 / sample_rate_hz:g} Hz"
-        raise BadInputError(
-            problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more"
-        )
-    told = list[str]()
+    _refuse_rate(sample_rate_hz)
+    of_file, doubts = OF_FILES.get(id(q)), list[str]()
     if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
-        told.append(
+        doubts.append(
             f"q is of {of_file.recording}, recorded at {of_file.sample_rate_hz:.9g} Hz: fitted at "
             f"that rate, not at sample_rate_hz = {sample_rate_hz:g}"
         )
         sample_rate_hz = of_file.sample_rate_hz
+    given: dict[str, Any] = {"q": q, "effort": effort, "q_ref": q_ref, **columns}
     arrays: dict[str, Any] = {
-        "q": _copy("q", q, robot.n),
-        "effort": _copy("effort", effort, robot.n),
-    }
-    given: dict[str, Any] = {"q_ref": q_ref, **columns}
-    arrays |= {
-        x: _copy(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None
+        name: _copy(name, given[name], robot.n)
+        for name in ("q", "effort", "q_ref", *OPTIONAL)
+        if name in ("q", "effort") or given.get(name) is not None
     }
     digest = hashlib.sha256()
     for name, array in arrays.items():
@@ -242,24 +227,54 @@ def signals_from_arrays(
     held = grid_of_new_rows(signals.t_s, {**arrays, "position": signals.q}, Place(NAME))
     if held is not None:
         fewer: dict[str, Any] = {name: held.parts[name] for name in arrays}
-        t_s = np.arange(len(fewer["q"])) / held.rate_hz
-        signals = replace(signals, t_s=t_s, sample_rate_hz=held.rate_hz, **fewer)
+        signals = replace(
+            signals,
+            t_s=np.arange(len(fewer["q"])) / held.rate_hz,
+            sample_rate_hz=held.rate_hz,
+            **fewer,
+        )
+        doubts += held.warnings
+    if signals.velocity is not None:
+        doubts += check_recorded_velocities(
+            robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME
+        )
     rows = {"stamp_ns": 1e9 * signals.t_s, "position": signals.q, "effort": signals.effort}
     measured, text = measured_rows(rows, robot)
-    doubts = (
-        check_recorded_velocities(robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME)
-        if signals.velocity is not None
-        else ()
-    )
     return replace(
         signals,
         measured=measured if text else None,
         unmeasured=text,
         events=tuple(
             Event(stamp_ns=round(1e9 * signals.t_s[-1]), kind="warning", text=doubt)
-            for doubt in (*told, *(held.warnings if held is not None else ()), *doubts)
+            for doubt in doubts
         ),
     )
+
+
+def _refuse_rate(rate_hz: float) -> None:
+    """Refuse what is not one rate in Hz, such as time stamps or a period."""
+    rate, doubt = np.asarray(rate_hz), ""
+    if rate.size > 1 and rate.dtype.kind in "iufM":  # datetimes too
+        unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
+        step = float(np.median(np.diff(rate.ravel()) / unit))
+        doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
+    if rate.ndim or rate.dtype.kind not in "iuf" or not 0 < rate_hz < math.inf:
+        raise BadInputError(
+            doubt,
+            place=NAME,
+            key="sample_rate_hz",
+            value=rate_hz,
+            shown=f"{rate.size} values" if rate.size > 1 else "",
+            expected="the rate in Hz, a number above 0",
+        )
+    if rate_hz < 1:
+        raise BadInputError(
+            f"a period? the rate is {1 / rate_hz:g} Hz",
+            place=NAME,
+            key="sample_rate_hz",
+            value=rate_hz,
+            expected="1 or more",
+        )
 
 
 def _copy(name: str, array: ArrayLike, n: int) -> Array:

@@ -3,7 +3,7 @@ limits, and their report.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from ..errors import BadInputError
 from ..estimation import one_thread
 from ..model import (
     BaseParameters,
+    DirectModel,
     InverseModel,
     Obstacles,
     base_parameters,
@@ -42,7 +43,7 @@ from .information import (
     rows_per_s,
     torque_noise,
 )
-from .limits import KINDS, Limits, Series, limits_of, motion_of
+from .limits import KINDS, Limits, Motion, Series, limits_of, motion_of
 from .search import (
     CHECKS_PER_SAMPLE,
     MARGIN_M,
@@ -77,14 +78,12 @@ class Excitation:
         limits, used: the limits, and (L,) the largest share used of each; 1 is the whole limit.
         nearest: the smallest distance in m, and its pair of links, or link and
             ground; None without shapes.
-        beta, beta_from: parameters for the torque, and their origin; None where
-            torque was not checked.
-        payload: carried in a second recording; `gains` (n,): half-widths of the drive gains
-            from both, in percent.
+        beta: parameters for the torque; None where torque was not checked.
+        knowledge: from before the motion, with the origin of `beta`, and the payload carried in a
+            second recording; `gains` (n,): half-widths of the drive gains from both, in percent.
         warnings: lines.
     """
 
-    robot: Robot
     base: BaseParameters
     settings: ExcitationSettings
     reference: FourierReference
@@ -96,10 +95,14 @@ class Excitation:
     used: Array
     nearest: tuple[float, str] | None
     beta: Array | None
-    beta_from: str
-    payload: Payload | None
+    knowledge: PriorInformation
     gains: Array
     warnings: tuple[str, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that the reference is for."""
+        return self.limits.robot
 
     @property
     def half(self) -> Array:
@@ -163,17 +166,12 @@ def excite(
     # criterion leaves it out.
     mus = load_parameters(every)
     base = every.without(mus)
-    known = [every.names.index(name) for name in base.names]
-    ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
-    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (SAMPLE_POSES, robot.n))
-    obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
+    obstacles = _obstacles(model, knowledge)
     limits = limits_of(robot, loads, settings.limits_percent / 100, place)
     _refuse_rest(limits, place)
-    series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
-    samples = SAMPLES_PER_PERIOD * settings.harmonics
-    t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
-    plain_series = Series(period_s=settings.period_s, harmonics=min(HARMONICS, settings.harmonics))
-    plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN_REFERENCES)]
+
+    # Compare with plain references, whose torque also gives the noise if it is unknown.
+    plain = _plain_motions(limits, settings)
     noise, noise_from = torque_noise(robot, loads[-1] if loads else None, knowledge, plain)
     information = Information(
         model=model,
@@ -183,41 +181,71 @@ def excite(
         earlier=earlier_information(base, noise, knowledge.recordings),
         creep=CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints]),
     )
-    sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
-    checked = obstacles if obstacles.names else None
     problem = SearchProblem(
-        series=series, information=information, limits=limits, plain=sigma_plain, obstacles=checked
+        series=Series(period_s=settings.period_s, harmonics=settings.harmonics),
+        information=information,
+        limits=limits,
+        plain=np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0)),
+        obstacles=obstacles if obstacles.names else None,
     )
+
+    # Judge the best between the samples of the search too.
     x, sigma = best_of_searches(problem, settings.seed, place, say)
-    reference = series.reference(x)
-    fine, gains = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples)), np.zeros(0)
-    if knowledge.payload is not None:
-        deviations = information.gain_deviations(
-            motion_of(x, series.basis(samples)), loads, knowledge.payload
-        )
-        gains = 100 * NORMAL_QUANTILE * deviations
+    fine = motion_of(x, problem.series.basis(CHECKS_PER_SAMPLE * problem.samples))
+    known = [every.names.index(name) for name in base.names]
     excitation = Excitation(
-        robot=robot,
         base=base,
         settings=settings,
-        reference=reference,
+        reference=problem.series.reference(x),
         sigma=sigma,
-        plain=sigma_plain,
+        plain=problem.plain,
         noise=noise,
         noise_from=noise_from,
         limits=limits,
         used=limits.share_of_whole(fine),
-        nearest=checked.nearest(fine[0]) if checked else None,
+        nearest=obstacles.nearest(fine[0]) if obstacles.names else None,
         beta=None if knowledge.beta is None else knowledge.beta[known],
-        beta_from=knowledge.beta_from,
-        payload=knowledge.payload,
-        gains=gains,
+        knowledge=knowledge,
+        gains=_gain_percents(problem, x, loads, knowledge.payload),
         warnings=(*_warnings(limits, obstacles, mus), *knowledge.warnings),
     )
     if robot.bus is not None:
         at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
-        refuse_out_of_range(reference.at(at_sync)[0], robot, resolve(robot, place), "the reference")
+        refuse_out_of_range(
+            excitation.reference.at(at_sync)[0], robot, resolve(robot, place), "the reference"
+        )
     return excitation
+
+
+def _obstacles(model: InverseModel, knowledge: PriorInformation) -> Obstacles:
+    """Pairs of links to be kept apart, of which some are always near each other."""
+    ranges = [joint.si("position") or (0.0, 0.0) for joint in model.robot.joints]
+    low, high = np.array(ranges).T
+    poses = np.random.default_rng(0).uniform(low, high, (SAMPLE_POSES, model.robot.n))
+    return obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
+
+
+def _plain_motions(limits: Limits, settings: ExcitationSettings) -> list[Motion]:
+    """Motions of random references of the usual number of harmonics within the limits."""
+    harmonics, samples = settings.harmonics, SAMPLES_PER_PERIOD * settings.harmonics
+    t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
+    series = Series(period_s=settings.period_s, harmonics=min(HARMONICS, harmonics))
+    return [random_within(limits, series, seed).at(t_s) for seed in range(PLAIN_REFERENCES)]
+
+
+def _gain_percents(
+    problem: SearchProblem, x: Array, loads: Sequence[DirectModel], payload: Payload | None
+) -> Array:
+    """Return half-widths (n,) of the drive gains in percent; none without a payload."""
+    if payload is None:
+        return np.zeros(0)
+    return (
+        100
+        * NORMAL_QUANTILE
+        * problem.information.gain_deviations(
+            motion_of(x, problem.series.basis(problem.samples)), loads, payload
+        )
+    )
 
 
 def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None:
@@ -257,45 +285,55 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         )
 
 
-def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple[str, ...]:
+def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Iterator[str]:
     """Which torques and distances were not checked; load friction `mus`, which
     the criterion leaves out.
     """
-    warnings = list[str]()
     if obstacles.missing:
-        warnings.append(
+        yield (
             f"distances not checked: {len(obstacles.missing)} meshes of the URDF are not found, "
             f"such as {obstacles.missing[0]}; set ROS_PACKAGE_PATH, or describe capsules"
         )
     if obstacles.near:
-        warnings.append(
+        yield (
             f"distances not checked of pairs always nearer than {MARGIN_M:g} m: "
             f"{'; '.join(obstacles.near)}"
         )
     if limits.model is None:
-        warnings.append("torque not checked: no parameters, neither a fit nor [parameters]")
+        yield ("torque not checked: no parameters, neither a fit nor [parameters]")
     elif not limits.robot.gain_known:
-        warnings.append(
-            "limits in N m or N not checked: efforts are in A or V, drive gains unknown"
-        )
-    by_joint = zip(limits.robot.joints, limits.effort.directions.T, strict=True)
-    free = ", ".join(joint.name for joint, column in by_joint if not column.any())
+        yield ("limits in N m or N not checked: efforts are in A or V, drive gains unknown")
+    free = ", ".join(
+        joint.name
+        for joint, column in zip(limits.robot.joints, limits.effort.directions.T, strict=True)
+        if not column.any()
+    )
     if limits.model is not None and free:
-        warnings.append(
+        yield (
             f"torque of joint {free} is not limited: no effort_nm or effort_n, no saturation of "
             "its motor"
         )
     if mus:
-        warnings.append(
+        yield (
             f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits"
         )
-    return tuple(warnings)
 
 
 def excitation_document(excitation: Excitation) -> Document:
     """Expected intervals of a reference, in short the widest, and the limits that it uses."""
     e, s = excitation, excitation.settings
-    smaller, known = e.plain / e.sigma, e.beta is not None
+    return Document(
+        title=f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} "
+        f"harmonics up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}",
+        sections=(
+            _interval_section(e).with_short_table(np.argsort(-e.half).tolist()),
+            _limit_section(e),
+        ),
+    )
+
+
+def _interval_section(e: Excitation) -> Section:
+    smaller, payload = e.plain / e.sigma, e.knowledge.payload
     rows = tuple(
         (
             name,
@@ -307,51 +345,51 @@ def excitation_document(excitation: Excitation) -> Document:
         )
         for i, name in enumerate(e.base.names)
     )
-    headings = (("value",) if known else ()) + ("±95 %", "plain\n±95 %", "times\nsmaller")
-    expected = Table(columns=(*columns("parameter", numbers=headings), *columns("unit")), rows=rows)
-    noise, count = ", ".join(f"{x:.3g}" for x in e.noise), min(HARMONICS, s.harmonics)
+    heads = columns(
+        "parameter",
+        numbers=(*(("value",) * (e.beta is not None)), "±95 %", "plain\n±95 %", "times\nsmaller"),
+    )
     lines: tuple[str, ...] = (
         f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference "
         "(median), at least "
         f"{smaller.min():.2f} times",
-        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {count} harmonics "
-        "and the same "
+        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with "
+        f"{min(HARMONICS, e.settings.harmonics)} harmonics and the same "
         "share of all limits",
-        f"torque noise per row of the fit: {noise} "
+        f"torque noise per row of the fit: {', '.join(f'{x:.3g}' for x in e.noise)} "
         f"({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
-        f"torque from {e.beta_from}" if known else "torque unknown",
+        "torque unknown" if e.beta is None else f"torque from {e.knowledge.beta_from}",
     )
-    if e.payload is not None:
+    if payload is not None:
         pairs = zip(e.robot.motors, e.gains, strict=True)
         gains = ", ".join(f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in pairs)
         lines += (
-            f"drive gains by a run without and a run with {e.payload}: {gains}; expected by this "
+            f"drive gains by a run without and a run with {payload}: {gains}; expected by this "
             "noise",
         )
-    intervals = Section(title="expected intervals", table=expected, lines=lines)
+    return Section(
+        title="expected intervals",
+        table=Table(columns=(*heads, *columns("unit")), rows=rows),
+        lines=lines,
+    )
+
+
+def _limit_section(e: Excitation) -> Section:
     n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
     efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))
-    table: list[Row] = [
+    rows: list[Row] = [
         (joint.name, *percents[j : 3 * n : n], efforts.pop(f"effort of joint {joint.name}", ""))
         for j, joint in enumerate(e.robot.joints)
     ]
-    table += [
+    rows += [
         (name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent)
         for name, percent in efforts.items()
     ]
-    apart = () if e.nearest is None else (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)
-    return Document(
-        title=f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} "
-        f"harmonics up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}",
-        sections=(
-            intervals.with_short_table(np.argsort(-e.half).tolist()),
-            Section(
-                title="limits in use, % of the whole limit",
-                table=Table(
-                    columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table)
-                ),
-                lines=apart,
-                warnings=e.warnings,
-            ),
-        ),
+    return Section(
+        title="limits in use, % of the whole limit",
+        table=Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(rows)),
+        lines=()
+        if e.nearest is None
+        else (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",),
+        warnings=e.warnings,
     )

@@ -65,14 +65,13 @@ def friction_document(choice: TermChoice) -> Document:
     )
     # in the order given
     names = [one.recording for one in choice.recordings if one.recording in choice.held_out]
-    held = (
-        f"held out: {', '.join(names) or 'fifths of the recording'}, each predicted by the fit of "
-        "the others; score: squared weighted residual"
-    )
     sets = Section(
         title="sets of friction terms",
         table=Table(columns=heads, rows=rows),
-        lines=(held,),
+        lines=(
+            f"held out: {', '.join(names) or 'fifths of the recording'}, each predicted by the fit "
+            "of the others; score: squared weighted residual",
+        ),
         warnings=choice.left_out,
     )
     recommended = Section(
@@ -112,7 +111,7 @@ def write_friction(path: Path, choice: TermChoice) -> None:
             *([] if "stribeck" in terms else [joint.key("stribeck_speed")]),
         ]
         values[joint.name] = {"friction": list(terms)} | dict.fromkeys(unused)
-    written = replace_in_tables(
-        choice.robot.files["robot.toml"].decode(), "joint", values, str(path)
+    write_text(
+        path,
+        replace_in_tables(choice.robot.files["robot.toml"].decode(), "joint", values, str(path)),
     )
-    write_text(path, written)

@@ -252,8 +252,11 @@ class Information:
         """
         moments, half_m = {"MX", "MY", "MZ"}, payload.center_half_width_m
         stated = {"M"} | (moments if payload.center_of_mass_m is not None and not half_m else set())
-        pairs = zip(dynamics.link_columns(self.model)[-1], dynamics.LINK, strict=True)
-        columns = [x for x in pairs if x[1] not in stated]
+        columns = [
+            x
+            for x in zip(dynamics.link_columns(self.model)[-1], dynamics.LINK, strict=True)
+            if x[1] not in stated
+        ]
         free = self.base.K[:, [column for column, _ in columns]]
         W = (self._regressor(motion) / self.noise[:, None]).reshape(-1, self.base.b)
         others, R = (

@@ -5,6 +5,7 @@ speed, acceleration, effort.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -48,8 +49,12 @@ class Series:
         """The series with the coefficients x (n, K)."""
         H = self.harmonics
         sine, cosine = self._null_spaces
-        sines, cosines = x[:, 1:H] @ sine.T, x[:, H:] @ cosine.T
-        return FourierReference(period_s=self.period_s, center=x[:, 0], sine=sines, cosine=cosines)
+        return FourierReference(
+            period_s=self.period_s,
+            center=x[:, 0],
+            sine=x[:, 1:H] @ sine.T,
+            cosine=x[:, H:] @ cosine.T,
+        )
 
     def coefficients(self, reference: FourierReference) -> Array:
         """x (n, K) of a reference that is such a series."""
@@ -63,8 +68,9 @@ class Series:
         """Matrices (N, K) of position, speed and acceleration at N instants from the start of
         a period: q_j = A x_j.
         """
-        t_s = np.arange(samples, dtype=np.float64) * (self.period_s / samples)
-        return self.reference(np.eye(2 * self.harmonics - 1)).at(t_s)
+        return self.reference(np.eye(2 * self.harmonics - 1)).at(
+            np.arange(samples, dtype=np.float64) * (self.period_s / samples)
+        )
 
 
 def motion_of(x: Array, basis: Motion) -> Motion:
@@ -188,16 +194,16 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
     The torque is limited by each of the `models`, with the same friction. Raises `BadInputError`
     where a joint states no limit, or friction alone needs more than a joint's or motor's effort.
     """
-    for i, joint in enumerate(robot.joints):
-        for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):
-            if joint.si(kind) is None:
-                unit = "deg" if joint.type == "revolute" else "m"
-                raise BadInputError(
-                    f"joint {joint.name} states none",
-                    place=place,
-                    key=f"joint[{i}].{kind}_{unit}{tail}",
-                    expected="a limit",
-                )
+    tails = zip(KINDS, ("", "_s", "_s2"), strict=True)
+    for (i, joint), (kind, tail) in product(enumerate(robot.joints), tails):
+        if joint.si(kind) is None:
+            unit = "deg" if joint.type == "revolute" else "m"
+            raise BadInputError(
+                f"joint {joint.name} states none",
+                place=place,
+                key=f"joint[{i}].{kind}_{unit}{tail}",
+                expected="a limit",
+            )
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot)
     coulomb = np.zeros(len(limits.limits))
@@ -215,11 +221,10 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
                 expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
             )
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
-    maximum = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(
         robot=robot,
         middle=ranges.mean(axis=1),
-        maximum=maximum,
+        maximum=share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion]),
         models=tuple(models),
         effort=limits,
         coulomb=coulomb,

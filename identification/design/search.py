@@ -113,10 +113,8 @@ def random_within(limits: Limits, series: Series, seed: int) -> FourierReference
         harmonics=series.harmonics,
         share=limits.share,
     )
-    x, _ = shrink(
-        series.coefficients(reference), series.basis(SAMPLES_PER_PERIOD * series.harmonics), limits
-    )
-    return series.reference(x)
+    basis = series.basis(SAMPLES_PER_PERIOD * series.harmonics)
+    return series.reference(shrink(series.coefficients(reference), basis, limits))
 
 
 def _random_start(problem: SearchProblem, seed: int) -> Array:
@@ -126,8 +124,13 @@ def _random_start(problem: SearchProblem, seed: int) -> Array:
     x[:, 0] /= START_SHARE
     if problem.obstacles is not None:
         x[:, 0] = _roomiest_pose(problem.obstacles, limits, seed)
-    between = series.basis(CHECKS_PER_SAMPLE * problem.samples)
-    return shrink(x, between, limits, share=MAX_SHARE, obstacles=problem.obstacles)[0]
+    return shrink(
+        x,
+        series.basis(CHECKS_PER_SAMPLE * problem.samples),
+        limits,
+        share=MAX_SHARE,
+        obstacles=problem.obstacles,
+    )
 
 
 def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
@@ -165,8 +168,8 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
     )
     x = search.minimise(start, MAX_ITERATIONS)
     search.tighten(x)
-    safe, _ = kept(x, towards=start)
-    return kept(search.minimise(x, POLISHING_ITERATIONS), towards=safe)[0]
+    safe = kept(x, towards=start)
+    return kept(search.minimise(x, POLISHING_ITERATIONS), towards=safe)
 
 
 class _Search:
@@ -244,8 +247,11 @@ class _Search:
     def _slack_slopes(self, z: Array) -> Array:
         shares, slopes, peaks = self._shares_at(z)
         signs = (self._tight * np.sign(np.take_along_axis(shares, peaks, axis=0))).ravel()
-        J = self._problem.limits.jacobian(slopes, self._basis, peaks)
-        return np.asarray(-signs[:, None] * J * self._unit.ravel())
+        return np.asarray(
+            -signs[:, None]
+            * self._problem.limits.jacobian(slopes, self._basis, peaks)
+            * self._unit.ravel()
+        )
 
 
 def shrink(
@@ -255,16 +261,14 @@ def shrink(
     towards: Array | None = None,
     share: float = 1.0,
     obstacles: Obstacles | None = None,
-) -> tuple[Array, float]:
+) -> Array:
     """A series moved towards another until it is within a share of all limits at
     the samples of the basis.
 
     By default `towards` is rest at its end position. Shapes of `obstacles` keep the
-    margin. Returns coefficients (n, K) and the largest share used of a limit: above
-    `share` if the other exceeds it too.
+    margin. Returns coefficients (n, K), beyond `share` if the other exceeds it too.
     """
-    rest = np.c_[x[:, :1], np.zeros_like(x[:, 1:])]
-    still = rest if towards is None else towards
+    still = np.c_[x[:, :1], np.zeros_like(x[:, 1:])] if towards is None else towards
 
     def largest_share(scale: float) -> float:
         motion = motion_of(still + scale * (x - still), basis)
@@ -281,4 +285,4 @@ def shrink(
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
             low, high = (middle, high) if largest_share(middle) <= share else (low, middle)
-    return still + low * (x - still), largest_share(low)
+    return still + low * (x - still)

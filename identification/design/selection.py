@@ -63,8 +63,10 @@ def at_all_joints(robot: Robot, kinds: Collection[FrictionTerm]) -> TermSet:
     """These terms at all joints that can have them: Stribeck friction only
     if its speed is stated.
     """
-    given = (joint.si("stribeck_speed") is not None for joint in robot.joints)
-    return tuple(frozenset(kind for kind in kinds if kind != "stribeck" or has) for has in given)
+    return tuple(
+        frozenset(kind for kind in kinds if kind != "stribeck" or has)
+        for has in (joint.si("stribeck_speed") is not None for joint in robot.joints)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -275,7 +277,6 @@ class Trials:
             return self.done[terms]
         model, settled, rows = self._fit(terms)
         estimate = settled.estimate
-        found = estimation.intervals_of(rows.system, estimate)
         betas = [beta for beta, _ in self._predictions(rows)]
         others = [replace(estimate, names=rows.system.names, beta=beta) for beta in betas]
         tau, (fitted, by_others), counts, _, instants = model.torques(
@@ -289,31 +290,35 @@ class Trials:
 
         J, Y = rows.system.weighted(self.weights)
         held = [
-            (
-                np.sum((Y - J @ beta)[part[rows.system.span]] ** 2),
-                percent(by_others, part),
-            )
+            (np.sum((Y - J @ beta)[part[rows.system.span]] ** 2), percent(by_others, part))
             for name, part, beta in zip(self.names, self.parts, betas, strict=True)
             if name not in self.unpredicted
         ]
         scores, percents = np.array(held, dtype=float).T
-        least = (
-            estimation.t_quantile(1 - FALSE_TERM_RATE / 2 / max(1, len(self.added)), found.freedom)
-            * found.sigma
-        )
-        # The interval of load friction must lie above 0: no friction decreases with load.
-        values = zip(estimate.names, estimate.beta, least, strict=True)
-        beyond = [
-            name for name, x, limit in values if (x if name.startswith("mu") else abs(x)) > limit
-        ]
         trial = Trial(
             terms=self._terms(estimate.names),
-            significant_terms=self._terms(beyond),
+            significant_terms=self._terms(self._significant(rows.system, estimate)),
             fitted_error_percent=percent(fitted, np.ones_like(self.parts[0])),
             held_out_percents=percents,
             scores=scores,
         )
         return self.done.setdefault(trial.terms, trial)
+
+    def _significant(
+        self, system: estimation.System, estimate: estimation.Estimate
+    ) -> Sequence[str]:
+        """Names of the parameters whose interval excludes 0, so wide that few terms are shown by
+        chance.
+        """
+        found = estimation.intervals_of(system, estimate)
+        level = 1 - FALSE_TERM_RATE / 2 / max(1, len(self.added))
+        least = estimation.t_quantile(level, found.freedom) * found.sigma
+        # The interval of load friction must lie above 0: no friction decreases with load.
+        return [
+            x
+            for x, beta, most in zip(estimate.names, estimate.beta, least, strict=True)
+            if (beta if x[:2] == "mu" else abs(beta)) > most
+        ]
 
     def _terms(self, names: Sequence[str]) -> TermSet:
         """The tried terms that have these parameters."""

@@ -186,8 +186,10 @@ def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Arr
         sums = [np.tensordot(c, grams, axes=1) for c in (cosine, (cosine**2).mean(axis=0))]
         lost, found, whole = (bread @ x for x in (*sums, grams.sum(axis=0)))
         found, whole = ((x * bread).sum(axis=-1) for x in (found, whole))
-        share = _share(found - (lost**2).sum(axis=-1).mean(axis=0), whole)
-        each.append(deviations(scores, B) / np.sqrt(share))
+        each.append(
+            deviations(scores, B)
+            / np.sqrt(_share(found - (lost**2).sum(axis=-1).mean(axis=0), whole))
+        )
     return np.asarray(np.hypot.reduce(each)), sum(B for _, _, B in recordings)
 
 
@@ -224,8 +226,9 @@ def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
     """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
     that the estimate holds.
     """
-    weight = estimate.weights[system.joint_of_row]
-    return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
+    return np.asarray(
+        estimate.bread @ (estimate.Q.T @ (columns * estimate.weights[system.joint_of_row][:, None]))
+    )
 
 
 def deviations_of_sums(
@@ -248,12 +251,16 @@ def deviations_of_sums(
         )
         lost = (cosine @ by_own) ** 2
         for basis in (Q,) if common is None else (Q, common):
-            each_span = zip(pairwise(cuts), spans, strict=True)
-            products = [of_z[slice(*both)].T @ basis[at] for both, at in each_span]
+            products = [
+                of_z[slice(*both)].T @ basis[at]
+                for both, at in zip(pairwise(cuts), spans, strict=True)
+            ]
             along = np.tensordot(cosine, np.array(products), axes=1)
             lost = lost + (along**2).sum(axis=-1)
-        share = _share((cosine**2 @ squares - lost).mean(axis=0), squares.sum(axis=0))
-        each.append(deviations(scores, B) / np.sqrt(share))
+        each.append(
+            deviations(scores, B)
+            / np.sqrt(_share((cosine**2 @ squares - lost).mean(axis=0), squares.sum(axis=0)))
+        )
     return np.asarray(np.hypot.reduce(each))
 
 

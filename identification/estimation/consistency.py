@@ -354,13 +354,10 @@ def link_parameters(P: Array) -> Array:
 
 
 def _basis() -> Array:
-    basis = np.zeros((10, 4, 4))
-    for place, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
-        basis[place, [i, j], [j, i]] = -1.0
-        if i == j:
-            basis[place, range(3), range(3)] += 0.5
-    for i in range(3):
-        basis[6 + i, [i, 3], [3, i]] = 1.0
+    basis, (i, j), k = np.zeros((10, 4, 4)), np.triu_indices(3), np.arange(3)
+    basis[np.arange(6), i, j] = basis[np.arange(6), j, i] = -1.0
+    basis[np.flatnonzero(i == j)] += np.diag([0.5, 0.5, 0.5, 0.0])
+    basis[6 + k, k, 3] = basis[6 + k, 3, k] = 1.0
     basis[9, 3, 3] = 1.0
     return basis
 

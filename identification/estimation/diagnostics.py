@@ -143,12 +143,10 @@ def _chi_squared_tail(x: float, freedom: int) -> float:
     """By repeated integration by parts from 1 or 2 degrees of freedom."""
     odd, half = freedom % 2, 0.5 * x
     tail = math.erfc(math.sqrt(half)) if odd else 0.0
-    powers = (k + 0.5 * odd for k in range(freedom // 2))
-    terms = (
+    return tail + sum(
         math.exp(k * math.log(half) - half - math.lgamma(k + 1)) if half else float(k == 0)
-        for k in powers
+        for k in (k + 0.5 * odd for k in range(freedom // 2))
     )
-    return tail + sum(terms)
 
 
 def _incomplete_beta(a: float, b: float, x: float) -> float:

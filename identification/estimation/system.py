@@ -41,8 +41,12 @@ def spans_at(spans: Sequence[Ints], instants: Sequence[Ints]) -> Ints:
     after the other. Instants after the end are in the last span.
     """
     first = np.cumsum([0, *(len(own) - 1 for own in spans)])
-    each = zip(spans, instants, first, strict=False)
-    return np.concatenate([np.searchsorted(own[1:-1], at, side="right") + k for own, at, k in each])
+    return np.concatenate(
+        [
+            np.searchsorted(own[1:-1], at, side="right") + k
+            for own, at, k in zip(spans, instants, first, strict=False)
+        ]
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,14 +77,16 @@ class System:
         """A system of samples, one instant after the other at each joint."""
         rows = np.bincount(joint_of_row)
         spans = equal_spans(int(rows.max()))
-        instant = np.concatenate([np.arange(count) for count in rows])
         return cls(
             W=W,
             Y=Y,
             joint_of_row=joint_of_row,
             names=names,
             rows=rows.astype(float),
-            span=np.searchsorted(spans, instant, side="right") - 1,
+            span=np.searchsorted(
+                spans, np.concatenate([np.arange(count) for count in rows]), side="right"
+            )
+            - 1,
             spans=(spans,),
         )
 
@@ -103,8 +109,7 @@ class System:
 
 def spans_of(parts: Sequence[int]) -> list[slice]:
     """The instants of each recording within those of all."""
-    edges = np.cumsum([0, *parts])
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *parts]))]
 
 
 def by_joint(systems: Sequence[System]) -> Ints:
@@ -214,8 +219,7 @@ def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str
     norms = np.linalg.norm(R, axis=0)
     excited = norms > 1e-12 * norms.max()
     _, singular, Vt = np.linalg.svd(R[:, excited] / norms[excited])
-    lost = singular < RANK_TOLERANCE * singular[:1]
-    involved = np.abs(Vt[lost]).max(axis=0, initial=0.0) > 0.05
+    involved = np.abs(Vt[singular < RANK_TOLERANCE * singular[:1]]).max(axis=0, initial=0.0) > 0.05
     known = [name for name, s in zip(names, excited, strict=True) if s]
     unexcited = [name for name, s in zip(names, excited, strict=True) if not s]
     return (

@@ -2,9 +2,7 @@
 others stay locked at zero.
 """
 
-import math
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,11 +14,10 @@ from acquisition.errors import listed
 from acquisition.files import read_bytes
 
 from ..errors import BadInputError
+from .urdf_tree import MOVABLE, UrdfTree, attribute_of, finite_number
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SUFFIXES = (".urdf", ".xacro", ".xml")
-_MOVABLE = ("revolute", "continuous", "prismatic")
-_TYPES = (*_MOVABLE, "fixed", "floating", "planar")
 _JOINT_NAME = re.compile(r"[A-Za-z0-9_.\- ]{1,64}")  # as in robot.toml
 _MAX_ROUNDING = 1e-6  # relative to the largest principal moment: CAD programs write few digits
 _NUMBERS = {
@@ -100,19 +97,23 @@ class Chain:
         joints, n = list(self.joints), len(self.joints)
         for option, values in options.items():
             if len(values) not in (1, n):
-                expected = f"one, or {n} for {', '.join(joint.name for joint in joints)}"
-                shown = f"{len(values)} values"
                 raise BadInputError(
-                    place=self.place, key=option, value=values, shown=shown, expected=expected
+                    place=self.place,
+                    key=option,
+                    value=values,
+                    shown=f"{len(values)} values",
+                    expected=f"one, or {n} for {', '.join(joint.name for joint in joints)}",
                 )
             if (
                 len(values) < n
                 and len({joint.type for joint in joints}) > 1
                 and option in _OPTION_FIELDS
             ):
-                expected = f"{n} values: some joints are in rad, others in m"
                 raise BadInputError(
-                    place=self.place, key=option, value=values[0], expected=expected
+                    place=self.place,
+                    key=option,
+                    value=values[0],
+                    expected=f"{n} values: some joints are in rad, others in m",
                 )
             for j, joint in enumerate(joints if option in _OPTION_FIELDS else ()):
                 value: Any = values[j % len(values)]
@@ -132,9 +133,11 @@ def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, 
     low, high = joint.position or (-side, side)
     narrowed = max(low, -side), min(high, side)
     if not narrowed[0] < narrowed[1]:
-        expected = f"a range that overlaps the URDF's, {low:g} to {high:g} {joint.unit}"
         raise BadInputError(
-            place=f"{place}: joint {joint.name!r}", key="--range", value=side, expected=expected
+            place=f"{place}: joint {joint.name!r}",
+            key="--range",
+            value=side,
+            expected=f"a range that overlaps the URDF's, {low:g} to {high:g} {joint.unit}",
         )
     return narrowed
 
@@ -152,18 +155,25 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     two chains of equal length, invalid numbers, reversed limits.
     """
     text = read_bytes(path)
-    tree = _Tree(text, str(path))
+    tree = UrdfTree(text, str(path))
     for i, name in enumerate(names):
         if name not in tree.movable or name in names[:i]:
-            expected = f"one of {listed(tree.movable)}, each once"
-            raise BadInputError(place=tree.place, key="--joints", value=name, expected=expected)
+            raise BadInputError(
+                place=tree.place,
+                key="--joints",
+                value=name,
+                expected=f"one of {listed(tree.movable)}, each once",
+            )
     chain = list(names) or _find_longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
         kind = tree.joints[name].get("type")
         if kind in ("floating", "planar"):
-            at = f"{path}: joint {name!r}, between the base and joint {chain[-1]!r}"
-            expected = "fixed, revolute, continuous or prismatic joints on a fixed base"
-            raise BadInputError(place=at, key="type", value=kind, expected=expected)
+            raise BadInputError(
+                place=f"{path}: joint {name!r}, between the base and joint {chain[-1]!r}",
+                key="type",
+                value=kind,
+                expected="fixed, revolute, continuous or prismatic joints on a fixed base",
+            )
     rigid: dict[str, list[str]] = {name: [] for name in chain}
     for link in tree.links:
         carried = [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]
@@ -190,125 +200,14 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     )
 
 
-class _Tree:
-    """A URDF that is one tree: its links and joints by name, and `above`, the joint
-    that carries each link.
-    """
-
-    def __init__(self, text: bytes, place: str) -> None:
-        try:
-            robot = ET.fromstring(text)
-        except (ET.ParseError, ValueError, LookupError) as error:
-            raise BadInputError(f"is not XML: {error}", place=place, expected="a URDF") from error
-        if robot.tag != "robot":
-            shown, expected = f"<{robot.tag}>", "<robot>, of a URDF"
-            raise BadInputError(
-                place=place, key="its root", value=robot.tag, shown=shown, expected=expected
-            )
-        if any("xacro" in str(element.tag) for element in robot.iter()):
-            expected = "a URDF: xacro FILE > robot.urdf makes it"
-            raise BadInputError("has xacro elements", place=place, expected=expected)
-        self.place, self.name = place, robot.get("name") or ""
-        self.links, self.joints = (_by_name(robot, tag, place) for tag in ("link", "joint"))
-        self.above: dict[str, str] = {}
-        for name, joint in self.joints.items():
-            self._check_joint(name, joint)
-            self.above[_end(joint, "child")] = name
-        roots = [link for link in self.links if link not in self.above]
-        if len(roots) != 1:
-            problem = (
-                f"{len(roots)} root links: {listed(roots)}"
-                if roots
-                else "no root link: its joints form a loop"
-            )
-            raise BadInputError(
-                problem, place=place, expected="one base link, which is no joint's child"
-            )
-        if loop := [
-            link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)
-        ]:
-            problem = f"links {listed(loop)} are in a loop of joints"
-            raise BadInputError(problem, place=place, expected="a tree below one base link")
-
-    def _check_joint(self, name: str, joint: ET.Element) -> None:
-        at, kind = f"{self.place}: joint {name!r}", joint.get("type")
-        if kind not in _TYPES:
-            raise BadInputError(
-                place=at, key="type", value=kind, expected=f"one of {', '.join(_TYPES)}"
-            )
-        for tag in ("parent", "child"):
-            if _end(joint, tag) not in self.links:
-                value, expected = (
-                    _end(joint, tag) or None,
-                    f"one of the links {listed([*self.links])}",
-                )
-                raise BadInputError(place=at, key=tag, value=value, expected=expected)
-        child = _end(joint, "child")
-        if child in self.above:
-            expected = f"one parent joint per link; {self.above[child]!r} is another of this one"
-            raise BadInputError(place=at, key="child", value=child, expected=expected)
-
-    def path(self, joint: str | None) -> list[str]:
-        """The joints from the root to `joint`, including it; more than the URDF
-        has if they form a loop.
-        """
-        path: list[str] = []
-        while joint is not None and len(path) <= len(self.joints):
-            path.append(joint)
-            joint = self.above.get(_end(self.joints[joint], "parent"))
-        return path[::-1]
-
-    @property
-    def movable(self) -> list[str]:
-        """Revolute, continuous and prismatic joints that mimic no other joint."""
-        return [
-            name
-            for name, j in self.joints.items()
-            if j.get("type") in _MOVABLE and j.find("mimic") is None
-        ]
-
-
-def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
-    elements: dict[str, ET.Element] = {}
-    for i, element in enumerate(robot.findall(tag)):
-        name = element.get("name")
-        if not name or name in elements:
-            where, expected = (
-                f"{place}: {tag} {i + 1}",
-                "a name not used before" if name else "a name",
-            )
-            raise BadInputError(place=where, key="name", value=name or None, expected=expected)
-        elements[name] = element
-    if not elements:
-        raise BadInputError(f"has no {tag}", place=place, expected="links, and joints between them")
-    return elements
-
-
-def _end(joint: ET.Element, tag: str) -> str:
-    """The `parent` or `child` link of a joint; empty if missing."""
-    return _text(joint, tag, "link") or ""
-
-
-def _text(element: ET.Element, tag: str, name: str) -> str | None:
-    child = element.find(tag)
-    return None if child is None else child.get(name)
-
-
-def _number(text: str | None, place: str, key: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise BadInputError(place=place, key=key, value=text, expected="a finite number")
-    return value
-
-
-def _find_longest(tree: _Tree) -> list[str]:
+def _find_longest(tree: UrdfTree) -> list[str]:
     free = {name for name in tree.movable if not _OF_A_HAND.search(name)} or {*tree.movable}
     if not free:
-        expected = f"joints of the types {', '.join(_MOVABLE)}"
-        raise BadInputError("no joint moves", place=tree.place, expected=expected)
+        raise BadInputError(
+            "no joint moves",
+            place=tree.place,
+            expected=f"joints of the types {', '.join(MOVABLE)}",
+        )
     chains = {
         name: [joint for joint in tree.path(name) if joint in free]
         for name in tree.movable
@@ -317,30 +216,37 @@ def _find_longest(tree: _Tree) -> list[str]:
     most = max(map(len, chains.values()))
     last = [name for name, chain in chains.items() if len(chain) == most]
     if len(last) > 1:
-        problem = f"{len(last)} chains of {most} joints each, which end at {listed(last)}"
         raise BadInputError(
-            problem, place=tree.place, expected="--joints with the joints of one chain"
+            f"{len(last)} chains of {most} joints each, which end at {listed(last)}",
+            place=tree.place,
+            expected="--joints with the joints of one chain",
         )
     return chains[last[0]]
 
 
-def _describe_locked(tree: _Tree, name: str) -> str:
+def _describe_locked(tree: UrdfTree, name: str) -> str:
     joint = tree.joints[name]
     mimicked = (
-        f", mimics {_text(joint, 'mimic', 'joint')}" if joint.find("mimic") is not None else ""
+        f", mimics {attribute_of(joint, 'mimic', 'joint')}"
+        if joint.find("mimic") is not None
+        else ""
     )
     return f"{name}: {joint.get('type')}{mimicked}"
 
 
-def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
+def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:
     if not _JOINT_NAME.fullmatch(name):
-        expected = "1 to 64 letters, digits, spaces, and _ . -, as in robot.toml"
-        raise BadInputError(place=tree.place, key="name of a joint", value=name, expected=expected)
+        raise BadInputError(
+            place=tree.place,
+            key="name of a joint",
+            value=name,
+            expected="1 to 64 letters, digits, spaces, and _ . -, as in robot.toml",
+        )
     joint, at = tree.joints[name], f"{tree.place}: joint {name!r}"
 
     def number(tag: str, attribute: str) -> float:
-        text = _text(joint, tag, attribute)
-        return 0.0 if text is None else _number(text, at, f"{tag} {attribute}")
+        text = attribute_of(joint, tag, attribute)
+        return 0.0 if text is None else finite_number(text, at, f"{tag} {attribute}")
 
     kind, low, high = joint.get("type"), number("limit", "lower"), number("limit", "upper")
     if kind != "continuous" and low > high:
@@ -366,7 +272,7 @@ def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
 
 
 def _check_inertials(
-    tree: _Tree, rigid: Mapping[str, Sequence[str]]
+    tree: UrdfTree, rigid: Mapping[str, Sequence[str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """A note that there are no a-priori values, where joints move no mass or inertials are
     negative; notes on moments that violate the triangle inequality: these can be simulated.
@@ -376,11 +282,11 @@ def _check_inertials(
         inertial, at = tree.links[link].find("inertial"), f"{tree.place}: link {link!r}"
         if inertial is None:
             continue
-        m = _number(_text(inertial, "mass", "value"), at, "mass")
+        m = finite_number(attribute_of(inertial, "mass", "value"), at, "mass")
         masses[joint] += abs(m)
         matrix = np.zeros((3, 3))
         matrix[np.triu_indices(3)] = [
-            _number(_text(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA
+            finite_number(attribute_of(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA
         ]
         moments = np.linalg.eigvalsh(matrix, UPLO="U")
         slack, shown = _MAX_ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)

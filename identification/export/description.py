@@ -45,8 +45,11 @@ def read_robot(
     if is_urdf(path):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
-        expected = "a URDF; robot.toml has a key for it"
-        raise BadInputError(f"{option} has no effect", place=str(path), expected=expected)
+        raise BadInputError(
+            f"{option} has no effect",
+            place=str(path),
+            expected="a URDF; robot.toml has a key for it",
+        )
     return load_robot(path)
 
 
@@ -58,12 +61,17 @@ def chain_of_letters(letters: str) -> Chain:
             key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR"
         )
     unknown: Any = dict.fromkeys(("position", "speed", "effort"))
-    joints = (
-        UrdfJoint(name=f"joint_{j + 1}", type=str(kind), damping=0.0, friction=0.0, **unknown)
-        for j, kind in enumerate(types)
-    )
     return Chain(
-        place="--dh", name="robot", text=b"", joints=tuple(joints), locked=(), rigid=(), notes=()
+        place="--dh",
+        name="robot",
+        text=b"",
+        joints=tuple(
+            UrdfJoint(name=f"joint_{j + 1}", type=str(kind), damping=0.0, friction=0.0, **unknown)
+            for j, kind in enumerate(types)
+        ),
+        locked=(),
+        rigid=(),
+        notes=(),
     )
 
 
@@ -110,8 +118,10 @@ def describe_rows(chain: Chain, bus: str = "") -> str:
 
 
 def _load_robot(text: str, chain: Chain) -> Robot:
-    robot = robot_from_files({"robot.toml": text.encode(), "robot.urdf": chain.text}, chain.place)
-    return replace(robot, name=chain.name)
+    return replace(
+        robot_from_files({"robot.toml": text.encode(), "robot.urdf": chain.text}, chain.place),
+        name=chain.name,
+    )
 
 
 def _head(chain: Chain, urdf: str) -> Iterator[str]:

@@ -5,6 +5,7 @@ each motor that turns with several joints; none is negative. Other terms are lef
 their torque is reported.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,9 +58,8 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
     links = chi[dynamics.link_columns(model)]
     for j, link in enumerate(links):
         if not dynamics.is_a_body(link, MIN_EIGENVALUE):
-            problem = "impossible inertia for a body of positive density"
             raise BadInputError(
-                problem,
+                "impossible inertia for a body of positive density",
                 place=place,
                 key=f"link {j + 1}, of joint {model.robot.joints[j].name}",
                 expected="a new fit with --consistent",
@@ -67,13 +67,13 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
     for matrix, first, text in dynamics.requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
         if lowest < -MIN_EIGENVALUE:
-            problem, shown = (
-                "generates energy, and simulators do not check it",
-                f"{lowest:.4g} {first.unit}",
-            )
-            expected = "0 or more: a new fit with --consistent"
             raise BadInputError(
-                problem, place=place, key=text, value=lowest, shown=shown, expected=expected
+                "generates energy, and simulators do not check it",
+                place=place,
+                key=text,
+                value=lowest,
+                shown=f"{lowest:.4g} {first.unit}",
+                expected="0 or more: a new fit with --consistent",
             )
     return _of_axes(model, chi, links)
 
@@ -115,18 +115,17 @@ def _coupled(term: dynamics.JointTerm) -> bool:
     return term.kind in ("viscous", "coulomb") and int(np.count_nonzero(term.row)) > 1
 
 
-def random_states(joints: tuple[Joint, ...]) -> tuple[Array, ...]:
+def random_states(joints: tuple[Joint, ...]) -> Iterator[Array]:
     """Positions, speeds and accelerations (N, n), uniform within the limits of the joints,
     by default ±pi, ±1, ±5.
     """
-    rng, states = np.random.default_rng(SEED), list[Array]()
+    rng = np.random.default_rng(SEED)
     for quantity, default in DEFAULT_LIMITS.items():
         limits = [joint.si(quantity) or default for joint in joints]
         low, high = np.array(
             [limit if isinstance(limit, tuple) else (-limit, limit) for limit in limits]
         ).T
-        states.append(low + (high - low) * rng.random((STATES, len(joints))))
-    return tuple(states)
+        yield low + (high - low) * rng.random((STATES, len(joints)))
 
 
 def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:

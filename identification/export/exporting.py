@@ -15,7 +15,7 @@ import numpy as np
 from acquisition.errors import one_line
 from acquisition.files import atomic_write, format_numbers
 
-from ..report import Cell, Document, Number, Section, Table, columns
+from ..report import Document, Number, Row, Section, Table, columns
 from .exported_model import STATES, ExportedModel, Losses, representable
 from .formats import mjcf_text, servo_loop, urdf_text
 from .tables import checked_toml
@@ -88,27 +88,27 @@ def _make_section(
     """The losses of a format for each joint."""
     if not losses:
         return Section(title=f"{title}: complete", lines=notes)
-    robot, rows = m.model.robot, list[tuple[Cell, ...]]()
-    for what, (rms, percent) in losses.items():
-        for k, j in enumerate(np.flatnonzero(rms)):
-            rows.append(
-                (
-                    "" if k else what,
-                    robot.joints[j].name,
-                    Number(float(rms[j]), ".4g"),
-                    robot.effort_units[j],
-                    Number(float(percent[j]), ".2f"),
-                )
-            )
+    robot = m.model.robot
+    rows: list[Row] = [
+        (
+            "" if k else what,
+            robot.joints[j].name,
+            Number(float(rms[j]), ".4g"),
+            robot.effort_units[j],
+            Number(float(percent[j]), ".2f"),
+        )
+        for what, (rms, percent) in losses.items()
+        for k, j in enumerate(np.flatnonzero(rms))
+    ]
     heads = columns(f"not representable in {format_}", "joint", numbers=("rms torque",))
-    line = (
-        f"missing torque at {STATES} random states within the description's limits; in %: of "
-        "the whole torque"
-    )
     return Section(
         title=title,
         table=Table(columns=heads + columns("unit", numbers=("in %",)), rows=tuple(rows)),
-        lines=(line, *notes),
+        lines=(
+            f"missing torque at {STATES} random states within the description's limits; in %: "
+            "of the whole torque",
+            *notes,
+        ),
     )
 
 
@@ -167,10 +167,18 @@ def replace_parameters(
     if urdf is not None:
         now["urdf"], quoted = urdf, '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
         before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
-    table = ["", f"# {remark}", "[parameters]", *map(" = ".join, written.items())]
-    made = "\n".join([*before, *table, *after]) + "\n"
     return checked_toml(
-        made,
+        "\n".join(
+            [
+                *before,
+                "",
+                f"# {remark}",
+                "[parameters]",
+                *map(" = ".join, written.items()),
+                *after,
+            ]
+        )
+        + "\n",
         now,
         "the fit's robot.toml",
         "[parameters]",

@@ -10,6 +10,7 @@ that turns with several joints is a fixed tendon (its armature: MuJoCo 3.3 and l
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
 from xml.dom import minidom
 from xml.dom.minidom import Element
 
@@ -44,66 +45,86 @@ def link_names(robot: Robot, *, made: bool = False) -> tuple[str, ...]:
         joint.get("name"): joint.find("child")
         for joint in ET.fromstring(robot.urdf).findall("joint")
     }
-    children = (joints[joint.name] for joint in robot.joints)
-    return tuple("" if child is None else child.get("link", "") for child in children)
+    return tuple(
+        "" if child is None else child.get("link", "")
+        for child in (joints[joint.name] for joint in robot.joints)
+    )
+
+
+def _element(tag: str, attributes: dict[str, str], *children: ET.Element) -> ET.Element:
+    made = ET.Element(tag, attributes)
+    made.extend(children)
+    return made
 
 
 def mjcf_text(m: ExportedModel) -> str:
     """The MJCF of a model, without offsets, and without friction that is
     neither viscous nor dry.
     """
-    robot, axes_values = m.model.robot, ("armature", "damping", "frictionloss")
+    robot, loop = m.model.robot, servo_loop(m)
     values = [
-        {key: format_numbers(getattr(m, key)[k]) for key in axes_values}
+        {key: format_numbers(getattr(m, key)[k]) for key in ("armature", "damping", "frictionloss")}
         for k in range(len(m.names))
     ]
-    root = ET.Element("mujoco", model=robot.name)
-    ET.SubElement(root, "compiler", angle="radian")
-    ET.SubElement(root, "option", gravity=format_numbers(*robot.gravity))
-    carriers = [ET.SubElement(root, "worldbody")]
-    origins, rotations, axes = m.model.joint_frames
+    tendons = [
+        _element(
+            "fixed",
+            {"name": m.names[k]} | values[k],
+            *(
+                _element("joint", {"joint": joint.name, "coef": format_numbers(coefficient)})
+                for joint, coefficient in zip(robot.joints, m.rows[k], strict=True)
+                if coefficient
+            ),
+        )
+        for k in range(robot.n, len(m.names))
+    ]
+    motors = (_element("motor", {"name": x.name, "joint": x.name}) for x in robot.joints)
+    root = _element(
+        "mujoco",
+        {"model": robot.name},
+        _element("compiler", {"angle": "radian"}),
+        _element("option", {"gravity": format_numbers(*robot.gravity)}),
+        _world(m, values),
+        *([_element("tendon", {}, *tendons)] if tendons else []),
+        _element("actuator", {}, *(motors if loop is None else _servos(m, loop))),
+    )
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _world(m: ExportedModel, values: Sequence[dict[str, str]]) -> ET.Element:
+    """The bodies, each with its joint, which has the `values` of its axis."""
+    robot, carriers = m.model.robot, [ET.Element("worldbody")]
     for j, (joint, name) in enumerate(zip(robot.joints, link_names(robot), strict=True)):
-        body = ET.SubElement(
-            carriers[m.model.parents[j]],
-            "body",
-            name=name,
-            pos=format_numbers(*origins[j]),
-            quat=format_numbers(*quaternion(rotations[j])),
-        )
-        carriers.append(body)
+        origin, rotation, axis = (of_joints[j] for of_joints in m.model.joint_frames)
         mass, com, inertia = about_com(m.links[j])
-        ET.SubElement(
-            body,
-            "inertial",
-            pos=format_numbers(*com),
-            mass=format_numbers(mass),
-            fullinertia=format_numbers(*inertia[_MUJOCO]),
-        )
         moved = {
             "name": joint.name,
             "type": "slide" if joint.type == "prismatic" else "hinge",
-            "axis": format_numbers(*axes[j]),
+            "axis": format_numbers(*axis),
         }
         if (limits := joint.si("position")) is not None:
             moved["range"] = format_numbers(*limits)
-        ET.SubElement(body, "joint", moved | values[j])
-    if len(m.names) > robot.n:
-        tendons = ET.SubElement(root, "tendon")
-        for k in range(robot.n, len(m.names)):
-            fixed = ET.SubElement(tendons, "fixed", {"name": m.names[k]} | values[k])
-            for joint, coefficient in zip(robot.joints, m.rows[k], strict=True):
-                if coefficient:
-                    ET.SubElement(
-                        fixed, "joint", joint=joint.name, coef=format_numbers(coefficient)
-                    )
-    actuators, loop = ET.SubElement(root, "actuator"), servo_loop(m)
-    if loop is not None:
-        _servos(actuators, m, loop)
-    else:
-        for joint in robot.joints:
-            ET.SubElement(actuators, "motor", name=joint.name, joint=joint.name)
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+        body = _element(
+            "body",
+            {
+                "name": name,
+                "pos": format_numbers(*origin),
+                "quat": format_numbers(*quaternion(rotation)),
+            },
+            _element(
+                "inertial",
+                {
+                    "pos": format_numbers(*com),
+                    "mass": format_numbers(mass),
+                    "fullinertia": format_numbers(*inertia[_MUJOCO]),
+                },
+            ),
+            _element("joint", moved | values[j]),
+        )
+        carriers[m.model.parents[j]].append(body)
+        carriers.append(body)
+    return carriers[0]
 
 
 def servo_loop(m: ExportedModel) -> ControlLaw | None:
@@ -121,7 +142,7 @@ def servo_loop(m: ExportedModel) -> ControlLaw | None:
     return described_law(robot)
 
 
-def _servos(actuators: ET.Element, m: ExportedModel, loop: ControlLaw) -> None:
+def _servos(m: ExportedModel, loop: ControlLaw) -> Iterator[ET.Element]:
     """Actuators of the motors' angles, kp = Kp R² G in N m per rad of the joint, or of the tendon;
     a second one for speeds.
     """
@@ -136,10 +157,10 @@ def _servos(actuators: ET.Element, m: ExportedModel, loop: ControlLaw) -> None:
         on = {"tendon" if k >= robot.n else "joint": m.names[k]}
         if math.isfinite(most := float(abs(ratio * loop.G[j]) * loop.saturation[j])):
             on["forcerange"] = format_numbers(-most, most)
-        own = {"name": motor.name, "kp": kp, "kv": "0" if loop.feedforward else kv}
-        ET.SubElement(actuators, "position", own | on)
+        damping = "0" if loop.feedforward else kv
+        yield _element("position", {"name": motor.name, "kp": kp, "kv": damping} | on)
         if loop.feedforward:
-            ET.SubElement(actuators, "velocity", {"name": f"{motor.name}_speed", "kv": kv} | on)
+            yield _element("velocity", {"name": f"{motor.name}_speed", "kv": kv} | on)
 
 
 def quaternion(R: Array) -> Array:
@@ -162,49 +183,50 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
     links, joints = (
         {e.getAttribute("name"): e for e in _children(root, tag)} for tag in ("link", "joint")
     )
-    notes = _note_unlimited(joints) if robot.urdf is None else []
+    notes = list(_note_unlimited(joints) if robot.urdf is None else ())
     frames = _find_lumped({joint.name for joint in robot.joints}, joints, links)
     for j, (joint, name) in enumerate(zip(robot.joints, link_names(robot), strict=True)):
-        inertials = {}
-        for other, (carrier, T) in frames.items():
-            if carrier == name and (found := _child(links[other], "inertial")):
-                inertials[other] = found, _read_inertia(found, T)
-        rest, others = (
-            m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10)),
-            ", ".join(inertials),
-        )
-        if others and not is_a_body(rest, MIN_EIGENVALUE):
-            mass = sum(x[9] for _, x in inertials.values())
+        inertials = {
+            other: (inertial, _read_inertia(inertial, T))
+            for other, (carrier, T) in frames.items()
+            if carrier == name and (inertial := _child(links[other], "inertial"))
+        }
+        rest = m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10))
+        if inertials and is_a_body(rest, MIN_EIGENVALUE):
+            notes.append(f"link {name}: {', '.join(inertials)}, fixed to it, keep their inertials")
+        elif inertials:
             notes.append(
-                f"link {name}: minus the inertials of {others} ({mass:.3g} kg), fixed to it, "
+                f"link {name}: minus the inertials of {', '.join(inertials)} "
+                f"({sum(x[9] for _, x in inertials.values()):.3g} kg), fixed to it, "
                 "it is no physical body: they are removed, it has the lumped inertia"
             )
             rest = m.links[j]
             for other, (inertial, _) in inertials.items():
                 links[other].removeChild(inertial)
-        elif others:
-            notes.append(f"link {name}: {others}, fixed to it, keep their inertials")
-        mass, com, about = about_com(rest)
-        inertial = _set(links[name], "inertial", {})
-        inertial.childNodes.clear()
-        _set(inertial, "origin", {"xyz": format_numbers(*com), "rpy": "0 0 0"})
-        _set(inertial, "mass", {"value": format_numbers(mass)})
-        _set(
-            inertial,
-            "inertia",
-            {key: format_numbers(x) for key, x in zip(INERTIA, about, strict=True)},
-        )
+        _set_inertial(links[name], rest)
         _set(
             joints[joint.name],
             "dynamics",
             {
-                "damping": format_numbers(m.damping[j]),
-                "friction": format_numbers(m.frictionloss[j]),
+                key: format_numbers(value)
+                for key, value in {"damping": m.damping[j], "friction": m.frictionloss[j]}.items()
             },
         )
     # comments may precede and follow the root
     lines = [node.toxml() for node in document.childNodes]
     return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""]), tuple(notes)
+
+
+def _set_inertial(link: Element, parameters: Array) -> None:
+    """Write ten parameters about the link's origin as its inertial."""
+    mass, com, about = about_com(parameters)
+    inertial = _set(link, "inertial", {})
+    inertial.childNodes.clear()
+    _set(inertial, "origin", {"xyz": format_numbers(*com), "rpy": "0 0 0"})
+    _set(inertial, "mass", {"value": format_numbers(mass)})
+    _set(
+        inertial, "inertia", {key: format_numbers(x) for key, x in zip(INERTIA, about, strict=True)}
+    )
 
 
 def _children(element: Element, name: str) -> list[Element]:
@@ -236,9 +258,8 @@ def _set(element: Element, name: str, attributes: dict[str, str]) -> Element:
     return child
 
 
-def _note_unlimited(joints: dict[str, Element]) -> list[str]:
+def _note_unlimited(joints: dict[str, Element]) -> Iterator[str]:
     """Lines on limits of a new URDF that are unknown."""
-    notes = []
     for key, keys in (
         ("effort", "effort_nm, effort_n or saturation"),
         ("velocity", "speed_deg_s or speed_m_s"),
@@ -249,10 +270,7 @@ def _note_unlimited(joints: dict[str, Element]) -> list[str]:
             if _attribute(joint, "limit", key) == format_numbers(UNLIMITED)
         ]
         if names:
-            notes.append(
-                f"unknown {key} of {listed(names)}: written as {UNLIMITED:g}; state {keys}"
-            )
-    return notes
+            yield (f"unknown {key} of {listed(names)}: written as {UNLIMITED:g}; state {keys}")
 
 
 def _find_lumped(
@@ -302,47 +320,39 @@ def make_urdf(model: InverseModel) -> str:
     """A URDF for a robot that has none, or none with shapes: joints with limits, links drawn as
     cylinders, no inertials.
     """
-    robot = model.robot
-    root, names = ET.Element("robot", name=robot.name), [_BASE, *link_names(robot, made=True)]
+    robot, names = model.robot, [_BASE, *link_names(model.robot, made=True)]
     origins, rotations, axes = model.joint_frames
+    links, joints = [], []
     for k, name in enumerate(names):
-        link = ET.SubElement(root, "link", name=name)
-        ends = [
-            origin for origin, parent in zip(origins, model.parents, strict=True) if parent == k
-        ]
-        for end in ends or [np.zeros(3)]:
-            _draw(link, end)
+        ends = [x for x, parent in zip(origins, model.parents, strict=True) if parent == k]
+        links.append(_element("link", {"name": name}, *map(_drawn, ends or [np.zeros(3)])))
     found = effort_limits(robot)
     # N m or N
     efforts = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
     for j, joint in enumerate(robot.joints):
-        limits, effort = (
-            joint.si("position"),
-            efforts.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED),
-        )
-        kind = (
-            "prismatic"
-            if joint.type == "prismatic"
-            else "continuous"
-            if limits is None
-            else "revolute"
-        )
-        element = ET.SubElement(root, "joint", name=joint.name, type=kind)
-        ET.SubElement(element, "parent", link=names[model.parents[j]])
-        ET.SubElement(element, "child", link=names[j + 1])
-        ET.SubElement(
-            element,
-            "origin",
-            xyz=format_numbers(*origins[j]),
-            rpy=format_numbers(*roll_pitch_yaw(rotations[j])),
-        )
-        ET.SubElement(element, "axis", xyz=format_numbers(*axes[j]))
+        limits, kind = joint.si("position"), str(joint.type)
         low, high = limits or (-UNLIMITED, UNLIMITED)
-        stated = {} if kind == "continuous" else {"lower": low, "upper": high}
-        stated |= {"effort": effort, "velocity": joint.si("speed") or UNLIMITED}
-        ET.SubElement(
-            element, "limit", {name: format_numbers(value) for name, value in stated.items()}
+        stated = {"lower": low, "upper": high}
+        if limits is None and kind == "revolute":
+            kind, stated = "continuous", {}
+        stated["effort"] = efforts.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED)
+        stated["velocity"] = joint.si("speed") or UNLIMITED
+        origin = {
+            "xyz": format_numbers(*origins[j]),
+            "rpy": format_numbers(*roll_pitch_yaw(rotations[j])),
+        }
+        joints.append(
+            _element(
+                "joint",
+                {"name": joint.name, "type": kind},
+                _element("parent", {"link": names[model.parents[j]]}),
+                _element("child", {"link": names[j + 1]}),
+                _element("origin", origin),
+                _element("axis", {"xyz": format_numbers(*axes[j])}),
+                _element("limit", {key: format_numbers(x) for key, x in stated.items()}),
+            )
         )
+    root = _element("robot", {"name": robot.name}, *links, *joints)
     ET.indent(root)
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
@@ -354,18 +364,14 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
 
 
-def _draw(link: ET.Element, end: Array) -> None:
+def _drawn(end: Array) -> ET.Element:
     """A cylinder from the link's origin to the next joint, `end` (3,); a box
     if `end` is the origin.
     """
-    visual, length = ET.SubElement(link, "visual"), float(np.linalg.norm(end))
-    if length > 1e-6:
-        yaw, pitch = math.atan2(end[1], end[0]), math.atan2(math.hypot(end[0], end[1]), end[2])
-        ET.SubElement(
-            visual, "origin", xyz=format_numbers(*end / 2), rpy=format_numbers(0.0, pitch, yaw)
-        )
-    shape = ET.SubElement(visual, "geometry")
-    if length > 1e-6:
-        ET.SubElement(shape, "cylinder", radius=f"{_THICKNESS:g}", length=f"{length:.9g}")
-    else:
-        ET.SubElement(shape, "box", size=_TIP)
+    length = float(np.linalg.norm(end))
+    if length <= 1e-6:
+        return _element("visual", {}, _element("geometry", {}, _element("box", {"size": _TIP})))
+    yaw, pitch = math.atan2(end[1], end[0]), math.atan2(math.hypot(end[0], end[1]), end[2])
+    origin = {"xyz": format_numbers(*end / 2), "rpy": format_numbers(0.0, pitch, yaw)}
+    shape = _element("cylinder", {"radius": f"{_THICKNESS:g}", "length": f"{length:.9g}"})
+    return _element("visual", {}, _element("origin", origin), _element("geometry", {}, shape))

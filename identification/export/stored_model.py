@@ -31,8 +31,10 @@ def export_fit(
     refuse_clash((), of_kinds=outputs)
     reasons = distrust(stored, place)
     if reasons and not untrusted:
-        expected = "a fit to be trusted, or --allow-untrusted"
-        raise BadInputError(f"not exported: {'; '.join(reasons)}", expected=expected)
+        raise BadInputError(
+            f"not exported: {'; '.join(reasons)}",
+            expected="a fit to be trusted, or --allow-untrusted",
+        )
     mechanism, lines = model_of_fit(stored, place)
     texts, document = export_model(mechanism, Path(place).name, lines=lines, **outputs)
     write_models(texts)
@@ -62,11 +64,14 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
         return split_parameters(model, chi, place), (*of_gains, *of_law, line)
     parameters, names = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
     if [(p.name, p.unit) for p in parameters] != names:
-        other = next(
-            (f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None
+        raise BadInputError(
+            place=place,
+            key="standard_parameters",
+            value=next(
+                (f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None
+            ),
+            expected=f"the {len(names)} of the description",
         )
-        expected = f"the {len(names)} of the description"
-        raise BadInputError(place=place, key="standard_parameters", value=other, expected=expected)
     lines = [*of_gains, *of_law]
     if (c := stored.consistent) is not UNSET:
         lines.append(
@@ -85,16 +90,22 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     base = base.without(shapes - given - left_out.keys())
     beta = stored_beta(stored, base, place)
     if stored.covariance is UNSET:
-        problem = "the fit is not consistent, and cannot be made so without it"
-        expected = "a new fit, preferably with --consistent"
-        raise BadInputError(problem, place=place, key="covariance", value=None, expected=expected)
+        raise BadInputError(
+            "the fit is not consistent, and cannot be made so without it",
+            place=place,
+            key="covariance",
+            value=None,
+            expected="a new fit, preferably with --consistent",
+        )
     names, values = stored.covariance.names, np.array(stored.covariance.values)
     shared = [base_name(name) for name in names]
     missing = [name for name in base.names if name not in shared and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
-        value = ", ".join(missing[:5]) or None
         raise BadInputError(
-            place=place, key="covariance", value=value, expected="one row per parameter"
+            place=place,
+            key="covariance",
+            value=", ".join(missing[:5]) or None,
+            expected="one row per parameter",
         )
     # of parameters of single recordings the mean, as in `stored_beta`
     mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
@@ -105,8 +116,9 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     reach = float(
         np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0])
     )
-    known = Known(beta=beta, covariance=covariance, reach=reach)
-    c, parameters = consistent_set(model, base, known)
+    c, parameters = consistent_set(
+        model, base, Known(beta=beta, covariance=covariance, reach=reach)
+    )
     return np.array([p.value for p in parameters]), (
         f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
         f"added chi² {c.chi2:.3g} on {base.b} parameters, largest move "

@@ -1,6 +1,8 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters.
 
-This room alone imports pinocchio.
+It owns the names, units and columns of all parameters, and what makes them physical; it alone
+imports pinocchio and coal. It may use the robot's description of `acquisition` and the estimators,
+but no recordings and no fits.
 """
 
 from .base import (
@@ -10,15 +12,13 @@ from .base import (
     known_parameters,
     load_parameters,
 )
+from .derivatives import regressor_gradient, torque_of_links, torque_without_sliding
 from .direct import (
     DirectModel,
     cholesky_solver,
     direct_model,
     inertias,
     poses_of,
-    regressor_gradient,
-    torque_of_links,
-    torque_without_sliding,
     why_not_positive,
 )
 from .inverse import LINK, InverseModel

@@ -1,9 +1,20 @@
 """Base parameters: the fewest parameters that give the inverse dynamic model, found
 numerically (Gautier1991).
 
-The regressor at random states shows which columns are zero and which are combinations of previous
-columns. Columns are taken from the base outwards, which gives the usual names: ZZ1R, XX2R, ...; R
-marks a regrouped parameter.
+The torque W chi of a robot never shows all its standard parameters chi. Some columns of W are zero
+at every state: what moves no joint, such as the mass of the first link. Others are combinations of
+columns: a rotor inertia acts as the link's ZZ does. Which ones they are depends on the robot alone,
+so W at random states shows it to rounding. Its columns, of norm one, are factored, W = Q R:
+
+    |R_cc| > 0    column c is independent of the columns before it: a base parameter
+    |R_cc| = 0    W_c = W_independent C_c: its parameter is regrouped into others
+
+With W_dependent = W_independent C the torque is W_independent (chi_independent + C chi_dependent),
+hence beta = K chi with K = [1 C] in the order of the columns.
+
+Which columns are kept depends on the order. From the base outwards, links first, it gives the names
+that the literature uses: ZZ1R, XX2R, ...; R marks a regrouped parameter. Further friction terms,
+which a fit may leave out, are kept apart and regrouped with nothing.
 """
 
 from collections.abc import Collection
@@ -19,6 +30,7 @@ from .joint_terms import SHAPES
 
 STATES = 200  # random ones; 200 n rows are several times the number of columns
 TOLERANCE = 1e-9  # of a column's norm: the residual of a dependent column is rounding
+MIN_COEFFICIENT = 1e-8  # of C: less is rounding
 SEED = 2014
 
 
@@ -97,42 +109,44 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     # into a link's parameter.
     order = sorted(range(dynamics.p), key=lambda c: (not dynamics.of_links[c], c))
     present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in shapes]
-    scaled = W[:, present] / norms[present]
-    R = np.linalg.qr(scaled, mode="r")
-    diagonal = np.abs(np.diag(R))
-    keep = diagonal > TOLERANCE * diagonal.max()
-    # W_dependent = W_independent C, hence beta = chi_independent + C chi_dependent.
-    C = (
-        np.linalg.lstsq(scaled[:, keep], scaled[:, ~keep])[0]
-        if (~keep).any()
-        else np.zeros((keep.sum(), 0))
-    )
-    independent, dependent = np.array(present)[keep], np.array(present, dtype=np.intp)[~keep]
-    C = C * norms[dependent] / norms[independent][:, None]
-    C[np.abs(C) < 1e-8] = 0.0
-    regrouping = np.zeros((len(independent), dynamics.p))
-    regrouping[:, dependent] = C
+    independent, regrouping = _regroup(W[:, present] / norms[present], norms, np.array(present))
     # friction shapes are regrouped with nothing
     independent = np.r_[independent, np.array(shapes, dtype=np.intp)]
     K = np.r_[regrouping, np.zeros((len(shapes), dynamics.p))]
     K[np.arange(len(independent)), independent] = 1.0
-    link_masses = {f"M{j + 1}" for j in range(dynamics.robot.n)}
     by_column = np.argsort(independent)
     K, columns = K[by_column], independent[by_column]
-    regrouped = np.count_nonzero(K, axis=1) > 1
+    names, link_masses = dynamics.names, {f"M{j + 1}" for j in range(dynamics.robot.n)}
     return BaseParameters(
         names=tuple(
-            dynamics.names[c] + "R" * bool(r) for c, r in zip(columns, regrouped, strict=True)
+            names[c] + "R" * bool(np.count_nonzero(row) > 1)
+            for c, row in zip(columns, K, strict=True)
         ),
         expressions=tuple(
-            _expression(row, int(c), dynamics.names) for row, c in zip(K, columns, strict=True)
+            _expression(row, int(c), names) for row, c in zip(K, columns, strict=True)
         ),
         units=tuple(dynamics.units[c] for c in columns),
         columns=columns,
         K=K,
-        masses=np.array([c for c in range(dynamics.p) if dynamics.names[c] in link_masses]),
+        masses=np.array([c for c in range(dynamics.p) if names[c] in link_masses]),
         links=dynamics.of_links[columns],
     )
+
+
+def _regroup(scaled: Array, norms: Array, columns: Ints) -> tuple[Ints, Array]:
+    """Independent ones (b,) of the `columns` of a regressor, and what is regrouped into each
+    (b, p); `norms` (p,) are those of all columns, `scaled` the columns divided by theirs.
+    """
+    diagonal = np.abs(np.diag(np.linalg.qr(scaled, mode="r")))
+    keep = diagonal > TOLERANCE * diagonal.max()
+    independent, dependent = columns[keep], columns[~keep]
+    regrouping = np.zeros((len(independent), len(norms)))
+    if len(dependent):
+        C = np.linalg.lstsq(scaled[:, keep], scaled[:, ~keep])[0]
+        C = C * norms[dependent] / norms[independent][:, None]
+        C[np.abs(C) < MIN_COEFFICIENT] = 0.0
+        regrouping[:, dependent] = C
+    return independent, regrouping
 
 
 def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
@@ -165,12 +179,12 @@ def known_parameters(dynamics: InverseModel) -> Array:
         )
     for name, value in values.items():
         if name not in names:
-            text, expected = (
-                "not a standard parameter of this robot",
-                f"such as {', '.join(names[:3])} ... {names[-1]}",
-            )
             raise BadInputError(
-                text, place=place, key=f"parameters.{name}", value=value, expected=expected
+                "not a standard parameter of this robot",
+                place=place,
+                key=f"parameters.{name}",
+                value=value,
+                expected=f"such as {', '.join(names[:3])} ... {names[-1]}",
             )
     return np.array([values.get(name, 0.0) for name in names])
 

@@ -1,11 +1,4 @@
-"""The robot's direct dynamic model: its equation of motion with given parameters; and
-derivatives of the inverse model.
-
-A row of the regressor times any parameters is the torque of a robot with these parameters. So the
-gradient of a function of the regressor is, row by row, a derivative of RNEA with the function's
-derivative by that row as the inertias. Carpentier, Mansard: Analytical Derivatives of Rigid Body
-Dynamics Algorithms, RSS 2018.
-"""
+"""The robot's direct dynamic model: its equation of motion with given parameters."""
 
 import math
 from collections.abc import Callable
@@ -19,17 +12,13 @@ import pinocchio as pin
 from acquisition.robot import FRICTION
 
 from ..arrays import Array
-from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import SHAPES, SIZES, JointTerm, Kind
 
 _POSES = 300  # positions of a trajectory at which M is checked
 # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
 _ONE_BY_ONE = 150
-# mass added to each link, times the sum of masses and first moments: no sum of masses is then zero
-_DUMMY = 2.0
 _MASS = FROM_PINOCCHIO[LINK.index("M")]
-_FIRST_MOMENTS = tuple(FROM_PINOCCHIO[LINK.index(name)] for name in ("MX", "MY", "MZ"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,8 +71,10 @@ class DirectModel:
         """h of a lone joint, without friction, as a function of its position:
         a + b cos q + c sin q.
         """
-        at = np.array([[0.0], [0.5 * np.pi], [np.pi]])
-        ahead, up, behind = (self.inertia_and_bias(q, np.zeros(1))[1].item() for q in at)
+        ahead, up, behind = (
+            self.inertia_and_bias(q, np.zeros(1))[1].item()
+            for q in np.array([[0.0], [0.5 * np.pi], [np.pi]])
+        )
         a, b = 0.5 * (ahead + behind), 0.5 * (ahead - behind)
         c, cos, sin = up - a, math.cos, math.sin
 
@@ -159,11 +150,13 @@ class DirectModel:
 
     def steepness(self, u: Array) -> Array:
         """Slopes (c,) of shapes that grow with speed, at the speeds u (c,), not zero."""
-        slopes = (
-            x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0)
-            for kind, (x, u_s) in self.shapes.items()
+        return sum(
+            (
+                x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0)
+                for kind, (x, u_s) in self.shapes.items()
+            ),
+            np.zeros_like(u),
         )
-        return sum(slopes, np.zeros_like(u))
 
     def largest_shape(self, u: Array) -> Array:
         """Maximum (c,) of the resisting shapes up to the speeds u (c,), without load friction."""
@@ -213,8 +206,9 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
                 up[at] += value * (source.side >= 0)
                 down[at] += value * (source.side <= 0)
             else:
-                none = np.zeros(len(directions)), np.full(len(directions), np.inf)
-                factor, speed = shapes.setdefault(source.kind, none)
+                factor, speed = shapes.setdefault(
+                    source.kind, (np.zeros(len(directions)), np.full(len(directions), np.inf))
+                )
                 factor[at], speed[at] = value, source.speed
     values[values[:, _MASS] == 0.0, _MASS] = 1e-6  # pinocchio divides by the masses
     for j in range(n):
@@ -272,82 +266,3 @@ def why_not_positive(M: Array) -> str | None:
     lowest = float(np.linalg.eigvalsh(M).min())
     text = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
     return None if lowest > 0 else text
-
-
-def regressor_gradient(
-    model: InverseModel, base: BaseParameters, motion: tuple[Array, Array, Array], G: Array
-) -> tuple[Array, Array, Array]:
-    """Gradients (N, n) by q, dq and ddq, the `motion`, each (N, n), of sum(G * W): W (N, n, b) is
-    the regressor of the base parameters, G (N, n, b) constant.
-
-    Pinocchio divides by masses: a dummy mass is added to each link, and its torque is subtracted.
-    """
-    q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
-    n = model.robot.n
-    inertias, out = np.zeros((*G.shape[:2], n, len(LINK))), np.zeros((3, *q.shape))
-    for c, column in enumerate(base.columns):
-        source = model.sources[column]
-        if isinstance(source, JointTerm):
-            for j in source.rows:
-                by_speed, by_acceleration = source.entry_slopes(int(j), dq)
-                out[1] += G[:, j, c, None] * by_speed
-                out[2] += G[:, j, c, None] * by_acceleration
-        else:
-            inertias[:, :, source[0], FROM_PINOCCHIO[source[1]]] += G[:, :, c]
-    rigid = model.model.copy()
-    data = rigid.createData()
-    sizes = np.abs(inertias[..., [_MASS, *_FIRST_MOMENTS]]).sum(axis=(2, 3))  # (N, n)
-    dummy = (_DUMMY * sizes)[..., None]
-    dummy[dummy == 0] = 1.0
-    inertias[..., _MASS] += dummy
-    unit = [pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))] * n
-    derivatives = pin.computeRNEADerivatives
-    # of each joint's inertias and of the dummy: derivatives by q, dq, ddq
-    slopes = np.empty((n + 1, 3, *q.shape, n))
-    for k in range(len(q)):
-        state = rigid, data, q[k], dq[k], ddq[k]
-        for i in range(n + 1):
-            each = (
-                unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]]
-            )
-            for link, inertia in enumerate(each):
-                rigid.inertias[link + 1] = inertia
-            derivatives(*state)
-            slopes[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
-    slopes[:, 2] = _symmetric(slopes[:, 2])
-    for j in range(n):
-        out += slopes[j, :, :, j] - dummy[:, j] * slopes[n, :, :, j]
-    return out[0], out[1], out[2]
-
-
-def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q,
-    dq, ddq: the last axis.
-    """
-    q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
-    rigid, data, n = model.rigid, model.data, q.shape[1]
-    tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))
-    for k in range(len(q)):
-        pin.computeRNEADerivatives(rigid, data, q[k], dq[k], ddq[k])
-        tau[k] = data.tau
-        slopes[:, k] = data.dtau_dq, data.dtau_dv, data.M
-    slopes[2] = _symmetric(slopes[2])
-    return tau, slopes
-
-
-def torque_without_sliding(
-    model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n) by q, dq,
-    ddq, each (N, n); `of_links` are those of `torque_of_links`.
-    """
-    _, dq, ddq = motion
-    slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down
-    slopes[2] += model.rotor
-    slopes[1] += model.viscous + (dq > 0)[:, None] * up + (dq < 0)[:, None] * down
-    return of_links[0] + model.without_sliding(dq, ddq), slopes
-
-
-def _symmetric(M: Array) -> Array:
-    """Full matrices (..., n, n) from the upper triangles that pinocchio fills."""
-    return np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)

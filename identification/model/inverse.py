@@ -70,8 +70,8 @@ class InverseModel:
             np.array([not isinstance(s, JointTerm) for s in self.sources]),
         )
         self.nonzero = self._structure()
-        along = [term.direction for term in self.terms.values() if term.kind in SLIDING]
-        self.coulomb_directions = np.array(list(dict.fromkeys(map(tuple, along)))).reshape(-1, n)
+        along = [tuple(term.direction) for term in self.terms.values() if term.kind in SLIDING]
+        self.coulomb_directions = np.array(list(dict.fromkeys(along))).reshape(-1, n)
 
     def entries(self, columns: Ints) -> Ints:
         """Entries (E, 2) of the regressor that can be non-zero: (joint, place in `columns`)."""
@@ -102,8 +102,9 @@ class InverseModel:
         """The URDF's parameters (n, 10) of the links in the order of `LINK`, with fixed and locked
         links; zero for DH rows.
         """
-        inertias = list(self.model.inertias)[1:]
-        return np.array([inertia.toDynamicParameters() for inertia in inertias])[:, FROM_PINOCCHIO]
+        return np.array(
+            [inertia.toDynamicParameters() for inertia in list(self.model.inertias)[1:]]
+        )[:, FROM_PINOCCHIO]
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
@@ -119,8 +120,9 @@ class InverseModel:
         pin.computeJointJacobians(self.model, self._data, np.zeros(self.robot.n))
         axes = np.empty((self.robot.n, 3))
         for j, joint in enumerate(self.robot.joints):
-            jacobian = np.asarray(pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL))
-            column = jacobian.reshape(6, -1)[:, j]  # for a single joint pinocchio returns a vector
+            column = np.asarray(
+                pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL)
+            ).reshape(6, -1)[:, j]  # for a single joint pinocchio returns a vector
             axes[j] = column[:3] if joint.type == "prismatic" else column[3:]
         return (
             np.array([p.translation for p in placements]),
@@ -175,8 +177,9 @@ class InverseModel:
         for block, twists in self._twists(motion, n, gravity):
             for i, carriers in enumerate(self._carriers):
                 wrenches = (np.tensordot(parameters[:, i], x, 1) for x in unit_wrenches)
-                torques = _link_torques(twists[i + 1], *wrenches)
-                tau[:, carriers, block] += torques.reshape(K, len(carriers), -1)
+                tau[:, carriers, block] += _link_torques(twists[i + 1], *wrenches).reshape(
+                    K, len(carriers), -1
+                )
         return np.ascontiguousarray(tau.swapaxes(1, 2))
 
     def _twists(
@@ -246,10 +249,8 @@ class InverseModel:
         """Which entries (n, p) of the regressor can be non-zero: joint j carries link i."""
         nonzero = np.zeros((self.robot.n, self.p), dtype=bool)
         for c, source in enumerate(self.sources):
-            if isinstance(source, JointTerm):
-                nonzero[source.rows, c] = True
-            else:
-                nonzero[self._carriers[source[0]], c] = True
+            rows = source.rows if isinstance(source, JointTerm) else self._carriers[source[0]]
+            nonzero[rows, c] = True
         return nonzero
 
 
@@ -261,11 +262,13 @@ def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
     # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); torque v·f + w·n.
     of = np.concatenate([a + _cross(w, v), dw, w[[0, 0, 0, 1, 1, 2]] * w[[0, 1, 2, 1, 2, 2]]])
     N, pushed = of.shape[1], forces.any(axis=(1, 2))
-    n = (moments.reshape(-1, 12) @ of).reshape(-1, 3, N)
-    out = np.einsum("cjn,pcn->pjn", twist[1, :, 2:], n)
+    out = np.einsum(
+        "cjn,pcn->pjn", twist[1, :, 2:], (moments.reshape(-1, 12) @ of).reshape(-1, 3, N)
+    )
     if pushed.any():
-        f = (forces[pushed].reshape(-1, 12) @ of).reshape(-1, 3, N)
-        out[pushed] += np.einsum("cjn,pcn->pjn", twist[0, :, 2:], f)
+        out[pushed] += np.einsum(
+            "cjn,pcn->pjn", twist[0, :, 2:], (forces[pushed].reshape(-1, 12) @ of).reshape(-1, 3, N)
+        )
     return np.asarray(out.reshape(-1, N))
 
 
@@ -316,17 +319,12 @@ def _model_from_dh(robot: Robot) -> pin.Model:
     """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified
     Denavit-Hartenberg, Khalil2002.
     """
-    model, parent = pin.Model(), 0
+    model, parent, rotate = pin.Model(), 0, pin.utils.rotate
     for joint in robot.joints:
-        assert joint.dh is not None  # load_robot checks it
-        about_x = pin.SE3(
-            pin.utils.rotate("x", np.deg2rad(joint.dh.alpha_deg)),
-            np.array([joint.dh.d_m, 0.0, 0.0]),
-        )
-        about_z = pin.SE3(
-            pin.utils.rotate("z", np.deg2rad(joint.dh.theta_deg)),
-            np.array([0.0, 0.0, joint.dh.r_m]),
-        )
+        dh = joint.dh
+        assert dh is not None  # load_robot checks it
+        about_x = pin.SE3(rotate("x", np.deg2rad(dh.alpha_deg)), np.array([dh.d_m, 0.0, 0.0]))
+        about_z = pin.SE3(rotate("z", np.deg2rad(dh.theta_deg)), np.array([0.0, 0.0, dh.r_m]))
         kind = pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ()
         parent = model.addJoint(parent, kind, about_x * about_z, joint.name)
     return model
@@ -341,8 +339,9 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         found = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
         for name in wanted:
             if name not in found:
-                expected = f"one of {listed(found)}"
-                raise BadInputError(place=place, key="movable joint", value=name, expected=expected)
+                raise BadInputError(
+                    place=place, key="movable joint", value=name, expected=f"one of {listed(found)}"
+                )
         _refuse_malformed_numbers(root, place)
         for element in root:  # what the model does not need, such as pictures, cannot fail then
             element[:] = [part for part in element if part.tag in _NEEDED.get(element.tag, ())]
@@ -356,9 +355,12 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
         raise BadInputError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
     if (order := list(model.names)[1:]) != wanted:
-        shown, expected = ", ".join(wanted), ", ".join(order)
         raise BadInputError(
-            place=place, key="order of joints", value=wanted, shown=shown, expected=expected
+            place=place,
+            key="order of joints",
+            value=wanted,
+            shown=", ".join(wanted),
+            expected=", ".join(order),
         )
     for described, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         kind, at = built.shortname(), f"{place}: joint {described.name!r}"

@@ -20,7 +20,7 @@ one joint only belongs to that joint's Ia and Fv: on the Stäubli TX40 tau5 has 
 and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -104,13 +104,13 @@ class JointTerm:
         if self.kind == "rotor":
             by_acceleration = self.matrix[j]
         elif self.kind == "viscous":
-            acts = dq * self.side > 0 if self.side else np.ones(dq.shape)
-            by_speed = acts * self.matrix[j]
+            by_speed = (dq * self.side > 0 if self.side else np.ones(dq.shape)) * self.matrix[j]
         elif self.kind in SHAPES and self.kind not in SLIDING:
-            slope = np.sign(u := dq @ self.direction) * FRICTION[self.kind].slope(
-                np.abs(u), self.speed
+            by_speed = self.direction[j] * np.outer(
+                np.sign(u := dq @ self.direction)
+                * FRICTION[self.kind].slope(np.abs(u), self.speed),
+                self.direction,
             )
-            by_speed = self.direction[j] * np.outer(slope, self.direction)
         return by_speed, by_acceleration
 
     def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
@@ -139,80 +139,98 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     """The described terms numbered j + 1: Ia, friction of the joint, Off,
     friction of a coupled motor.
     """
-    joint, n = robot.joints[j], robot.n
-    motors = _motor_rows(robot)
-    r, own = motors[j], np.eye(n)[j]
-    single = np.count_nonzero(motors, axis=1) == 1  # motors that turn with one joint only
-    coupled = np.count_nonzero(r) > 1
-    effort, length = robot.effort_units[j], joint.position_unit
-    viscous_unit = f"{effort} s/{length}"
-    none, square = np.zeros(n), np.zeros((n, n))
+    none, square = np.zeros(robot.n), np.zeros((robot.n, robot.n))
     blank = JointTerm(
         name="", joint=j, unit="", kind="offset", matrix=square, direction=none, given_away=none
     )
+    motors = _motor_rows(robot)
+    terms = list(_joint_friction(robot, blank))
+    if np.count_nonzero(motors[j]) > 1:
+        terms += _motor_friction(robot, blank, motors[j])
+    if not robot.joints[j].rotor_inertia:
+        return terms
+    single = np.count_nonzero(motors, axis=1) == 1  # motors that turn with one joint only
+    others = [i for i in range(robot.n) if i != j and single[i] and robot.joints[i].rotor_inertia]
+    return [
+        replace(
+            _through_matrix(blank, "Ia", "rotor", np.outer(motors[j], motors[j]), others),
+            unit=inertia_unit(robot, j),
+        ),
+        *terms,
+    ]
 
-    def through_matrix(
-        name: str,
-        unit: str,
-        kind: Literal["rotor", "viscous"],
-        whole: Array,
-        taken: Sequence[int] = (),
-        side: int = 0,
-    ) -> JointTerm:
-        matrix = whole.copy()
-        matrix[list(taken), list(taken)] = 0.0
-        given_away = np.diag(whole - matrix)
-        return replace(
-            blank,
-            name=f"{name}{j + 1}",
-            unit=unit,
-            kind=kind,
-            matrix=matrix,
-            given_away=given_away,
-            side=side,
-        )
 
-    def along(kind: Kind, name: str, direction: Array, side: int = 0) -> JointTerm:
-        unit = FRICTION[kind].unit.format(effort=effort, length=length)
-        speed = joint.si("stribeck_speed") or np.inf
-        return replace(
-            blank,
-            name=f"{name}{j + 1}",
-            unit=unit,
-            kind=kind,
-            direction=direction,
-            side=side,
-            speed=speed,
-        )
-
-    terms: list[JointTerm] = []
-    if joint.rotor_inertia:
-        taken = [i for i in range(n) if i != j and single[i] and robot.joints[i].rotor_inertia]
-        terms.append(through_matrix("Ia", inertia_unit(robot, j), "rotor", np.outer(r, r), taken))
+def _joint_friction(robot: Robot, blank: JointTerm) -> Iterator[JointTerm]:
+    joint, own = robot.joints[blank.joint], np.eye(robot.n)[blank.joint]
     for side, mark in ((1, "p"), (-1, "n")) if joint.one_sided else ((0, ""),):
         if "viscous" in joint.terms:
-            terms.append(
-                through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side=side)
+            yield replace(
+                _through_matrix(blank, f"Fv{mark}", "viscous", np.outer(own, own)),
+                unit=_viscous_unit(robot, blank.joint),
+                side=side,
             )
         if "coulomb" in joint.terms:
-            terms.append(along("coulomb", f"Fc{mark}", own, side))
+            yield replace(_along(robot, blank, "coulomb", f"Fc{mark}", own), side=side)
     if "offset" in joint.terms:
-        terms.append(replace(blank, name=f"Off{j + 1}", unit=effort, direction=own))
-    terms += [along(kind, FRICTION[kind].name, own) for kind in SHAPES if kind in joint.terms]
-    if coupled and "viscous" in joint.terms:
-        taken = [
+        yield replace(
+            blank, name=f"Off{blank.joint + 1}", unit=robot.effort_units[blank.joint], direction=own
+        )
+    for kind in SHAPES:
+        if kind in joint.terms:
+            yield _along(robot, blank, kind, FRICTION[kind].name, own)
+
+
+def _motor_friction(robot: Robot, blank: JointTerm, row: Array) -> Iterator[JointTerm]:
+    """Friction of a motor that turns with several joints, at the speed row·dq."""
+    joint = robot.joints[blank.joint]
+    if "viscous" in joint.terms:
+        others = [
             i
             for i, other in enumerate(robot.joints)
             if "viscous" in other.terms and not other.one_sided
         ]
-        terms.append(through_matrix("Fvm", viscous_unit, "viscous", np.outer(r, r), taken))
-    of_motors = [
-        (kind, friction.motor_name)
-        for kind, friction in FRICTION.items()
-        if coupled and friction.motor_name
-    ]
-    terms += [along(kind, name, r) for kind, name in of_motors if kind in joint.terms]
-    return terms
+        yield replace(
+            _through_matrix(blank, "Fvm", "viscous", np.outer(row, row), others),
+            unit=_viscous_unit(robot, blank.joint),
+        )
+    for kind, friction in FRICTION.items():
+        if friction.motor_name and kind in joint.terms:
+            yield _along(robot, blank, kind, friction.motor_name, row)
+
+
+def _viscous_unit(robot: Robot, j: int) -> str:
+    return f"{robot.effort_units[j]} s/{robot.joints[j].position_unit}"
+
+
+def _through_matrix(
+    blank: JointTerm,
+    name: str,
+    kind: Literal["rotor", "viscous"],
+    whole: Array,
+    others: Sequence[int] = (),
+) -> JointTerm:
+    """A term of a matrix, whose diagonal at `others` belongs to parameters of these joints."""
+    matrix = whole.copy()
+    matrix[list(others), list(others)] = 0.0
+    return replace(
+        blank,
+        name=f"{name}{blank.joint + 1}",
+        kind=kind,
+        matrix=matrix,
+        given_away=np.diag(whole - matrix),
+    )
+
+
+def _along(robot: Robot, blank: JointTerm, kind: Kind, name: str, direction: Array) -> JointTerm:
+    joint, effort = robot.joints[blank.joint], robot.effort_units[blank.joint]
+    return replace(
+        blank,
+        name=f"{name}{blank.joint + 1}",
+        unit=FRICTION[kind].unit.format(effort=effort, length=joint.position_unit),
+        kind=kind,
+        direction=direction,
+        speed=joint.si("stribeck_speed") or np.inf,
+    )
 
 
 def corner_speeds(directions: Array) -> Array:

@@ -15,6 +15,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from acquisition.robot import Capsule
+
 from ..arrays import Array
 from ..errors import BadInputError
 from .inverse import InverseModel
@@ -73,48 +75,50 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     out: their distance depends on the shapes, not on the motion. Raises `BadInputError`:
     a mesh cannot be read.
     """
-    robot, model, geometry, missing = (
-        dynamics.robot,
-        dynamics.model,
-        pin.GeometryModel(),
-        list[str](),
-    )
+    robot, geometry, missing = dynamics.robot, pin.GeometryModel(), list[str]()
     if robot.ground_m is not None:
         g = robot.gravity
-        half = coal.Halfspace(
-            -g / np.linalg.norm(g) if g.any() else np.array([0.0, 0.0, 1.0]), float(robot.ground_m)
-        )
-        geometry.addGeometryObject(pin.GeometryObject("ground_0", 0, pin.SE3.Identity(), half))
-    capsules = [
-        ("base", robot.base_capsule),
-        *((f"link of {j.name}", j.capsule) for j in robot.joints),
-    ]
-    for link, (name, capsule) in enumerate(capsules):
-        if capsule is not None:
-            start, along = np.array(capsule.from_m), np.array(capsule.to_m) - capsule.from_m
-            turn = pin.Quaternion.FromTwoVectors(
-                np.array([0.0, 0.0, 1.0]), along
-            ).toRotationMatrix()
-            solid = coal.Capsule(capsule.radius_m, float(np.linalg.norm(along)))
-            geometry.addGeometryObject(
-                pin.GeometryObject(f"{name}_0", link, pin.SE3(turn, start + along / 2), solid)
+        up = -g / np.linalg.norm(g) if g.any() else np.array([0.0, 0.0, 1.0])
+        geometry.addGeometryObject(
+            pin.GeometryObject(
+                "ground_0", 0, pin.SE3.Identity(), coal.Halfspace(up, float(robot.ground_m))
             )
-    if robot.urdf is not None and not any(capsule for _, capsule in capsules):
+        )
+    links = ["base", *(f"link of {joint.name}" for joint in robot.joints)]
+    capsules = [robot.base_capsule, *(joint.capsule for joint in robot.joints)]
+    for link, (name, capsule) in enumerate(zip(links, capsules, strict=True)):
+        if capsule is not None:
+            _add_capsule(geometry, link, name, capsule)
+    if robot.urdf is not None and not any(capsules):
         _add_urdf_shapes(dynamics, geometry, find, missing)
     geometry.addAllCollisionPairs()
-    every = Obstacles(model=model, geometry=geometry, near=(), missing=tuple(missing))
-    apart, near = every.distances(poses).max(axis=0), list[str]()
-    pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
-    for (i, k), name, largest in zip(pairs, every.names, apart, strict=True):
-        a, b = (geometry.geometryObjects[x].parentJoint for x in (i, k))
-        adjacent = geometry.geometryObjects[i].name != "ground_0" and (
-            model.parents[a] == b or model.parents[b] == a
-        )
-        if largest <= margin_m and not adjacent:
+    every = Obstacles(model=dynamics.model, geometry=geometry, near=(), missing=tuple(missing))
+    is_near = every.distances(poses).max(axis=0) <= margin_m
+    near, pairs = list[str](), [(pair.first, pair.second) for pair in geometry.collisionPairs]
+    for pair, name, near_always in zip(pairs, every.names, is_near, strict=True):
+        adjacent = _are_adjacent(dynamics, geometry, *pair)
+        if near_always and not adjacent:
             near.append(name)
-        if adjacent or largest <= margin_m:
-            geometry.removeCollisionPair(pin.CollisionPair(i, k))
+        if adjacent or near_always:
+            geometry.removeCollisionPair(pin.CollisionPair(*pair))
     return replace(every, near=tuple(dict.fromkeys(near)))
+
+
+def _add_capsule(geometry: Any, link: int, name: str, capsule: Capsule) -> None:
+    start, along = np.array(capsule.from_m), np.array(capsule.to_m) - capsule.from_m
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
+    solid = coal.Capsule(capsule.radius_m, float(np.linalg.norm(along)))
+    geometry.addGeometryObject(
+        pin.GeometryObject(f"{name}_0", link, pin.SE3(turn, start + along / 2), solid)
+    )
+
+
+def _are_adjacent(dynamics: InverseModel, geometry: Any, i: int, k: int) -> bool:
+    """Whether a joint connects the links of two shapes, of which the first may be the ground."""
+    a, b = (geometry.geometryObjects[x].parentJoint for x in (i, k))
+    parents = dynamics.model.parents
+    is_ground = geometry.geometryObjects[i].name == "ground_0"
+    return not is_ground and bool(parents[a] == b or parents[b] == a)
 
 
 def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing: list[str]) -> None:
@@ -132,15 +136,19 @@ def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing:
                 else:
                     mesh.set("filename", f"file://{file}")
     try:
-        text = ET.tostring(root, encoding="unicode")
-        pin.buildGeomFromUrdfString(dynamics.model, text, pin.GeometryType.COLLISION, geometry)
+        pin.buildGeomFromUrdfString(
+            dynamics.model,
+            ET.tostring(root, encoding="unicode"),
+            pin.GeometryType.COLLISION,
+            geometry,
+        )
         for shape in geometry.geometryObjects:
             if hasattr(shape.geometry, "buildConvexHull"):
                 shape.geometry.buildConvexHull(True, "Qt")
                 shape.geometry = shape.geometry.convex
     except (RuntimeError, ValueError) as error:
-        problem = f"a collision shape cannot be read: {error}"
-        expected = "one that coal reads, or capsules in robot.toml"
         raise BadInputError(
-            problem, place=f"robot {dynamics.robot.name}: URDF", expected=expected
+            f"a collision shape cannot be read: {error}",
+            place=f"robot {dynamics.robot.name}: URDF",
+            expected="one that coal reads, or capsules in robot.toml",
         ) from error

@@ -32,13 +32,18 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
         }
         if payload.frame not in links:
             place, joint = f"robot {model.robot.name}", model.robot.joints[-1].name
-            expected = f"a link that {joint} carries: {listed(list(links))}"
             raise BadInputError(
-                place=place, key="payload.frame", value=payload.frame, expected=expected
+                place=place,
+                key="payload.frame",
+                value=payload.frame,
+                expected=f"a link that {joint} carries: {listed(list(links))}",
             )
         placement = links[payload.frame]
-    ball = 0.4 * payload.mass_kg * BALL_RADIUS_M**2 * np.eye(3)
-    body = pin.Inertia(payload.mass_kg, np.array(payload.center_of_mass_m or (0.0, 0.0, 0.0)), ball)
+    body = pin.Inertia(
+        payload.mass_kg,
+        np.array(payload.center_of_mass_m or (0.0, 0.0, 0.0)),
+        0.4 * payload.mass_kg * BALL_RADIUS_M**2 * np.eye(3),
+    )
     return np.asarray(placement.act(body).toDynamicParameters())[list(FROM_PINOCCHIO)]
 
 

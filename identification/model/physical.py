@@ -140,12 +140,14 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
     without these terms, also of a joint's or motor's own; else there is no condition
     here, and the power is checked.
     """
-    found, (terms, A) = list[tuple[Array, JointTerm, str]](), own_shares(idm)
+    terms, A = own_shares(idm)
     alone = {j for joints in _groups(idm, shaped=False) if len(joints) == 1 for j in joints}
     alone |= {j for joints in _groups(idm, shaped=True) if shaped for j in joints}
-    for term, row in zip(terms.values(), A, strict=True):
-        if term.kind == "rotor" or alone.issuperset(term.rows.tolist()):
-            found.append(_single(idm, row))
+    found = [
+        _single(idm, row)
+        for term, row in zip(terms.values(), A, strict=True)
+        if term.kind == "rotor" or alone.issuperset(term.rows.tolist())
+    ]
     for joints in _groups(idm, shaped=False):
         if len(joints) > 1:
             viscous, coulomb = (_terms(idm, (kind,), joints) for kind in ("viscous", "coulomb"))
@@ -154,10 +156,14 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
                 matrix = np.zeros((len(across), len(across), idm.p))
                 for c, term in viscous.items():
                     matrix[..., c] = across @ term.matrix @ across.T
-                text = (
-                    f"viscous friction of {' and '.join(idm.robot.joints[j].name for j in joints)}"
+                found.append(
+                    (
+                        matrix,
+                        next(iter(viscous.values())),
+                        "viscous friction of "
+                        + " and ".join(idm.robot.joints[j].name for j in joints),
+                    )
                 )
-                found.append((matrix, next(iter(viscous.values())), text))
             for speeds in (
                 corner_speeds(np.array([term.direction for term in coulomb.values()]))
                 if coulomb
@@ -226,8 +232,9 @@ def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
     joined = np.eye(idm.robot.n)
     for term in _terms(idm, DISSIPATING).values():
         joined[np.ix_(term.rows, term.rows)] = 1.0
-    closed = np.linalg.matrix_power(joined, idm.robot.n)
-    groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
+    groups = dict.fromkeys(
+        tuple(np.flatnonzero(row).tolist()) for row in np.linalg.matrix_power(joined, idm.robot.n)
+    )
     # If joints share motors, one-sided terms count as further terms.
     one_sided = {term.joint for term in idm.terms.values() if term.side}
     further = {
@@ -290,9 +297,11 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     """
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:
-        where, expected = f"prior {prior.robot.name}", ", ".join(j.type for j in joints)
         raise BadInputError(
-            place=where, key="joints", value=", ".join(j.type for j in others), expected=expected
+            place=f"prior {prior.robot.name}",
+            key="joints",
+            value=", ".join(j.type for j in others),
+            expected=", ".join(j.type for j in joints),
         )
     q = np.random.default_rng(SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
     (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)

@@ -1,5 +1,9 @@
 """Simulated robots with known parameters: recordings, Monte-Carlo studies, the
 demo; fits of whole fleets.
+
+It owns everything that makes or repeats many fits, and the tables of these; it alone imports
+pyarrow. It may use fits, their regression, the simulation and the model. Only `demo` uses the bus
+and sessions of `acquisition`, to record simulated drives.
 """
 
 from .demo import (

@@ -60,13 +60,14 @@ def record_simulated_session(
     period_s = robot.bus.sync_period_s
     t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)
-    tau = model.torque(q_ref, dq_ref, ddq_ref)
     plant = RigidBodyPlant(
         true_model(robot, payload),
         q_ref[0],
         speed_scale=np.abs(dq_ref).max(axis=0),
         step_s=period_s / SUBSTEPS,
-        disturbance=0.01 * noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
+        disturbance=0.01
+        * noise_percent
+        * np.sqrt(np.mean(model.torque(q_ref, dq_ref, ddq_ref) ** 2, axis=0)),
         seed=SEED if payload is None else SEED + 1,
     )
     mechanism = DrivenPlant(
@@ -142,14 +143,15 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     rows: list[Row] = []
     for i, name in enumerate(fits[0].base.names):
         form = value_form(float(min(half[i] for half in halves)) / 2)
-        cells: list[Number] = []
-        for fit, half in zip(fits, halves, strict=True):
-            off = float((fit.beta[i] - true[i]) / half[i]) if half[i] > 0 else None
-            cells += [
+        cells = (
+            cell
+            for fit, half in zip(fits, halves, strict=True)
+            for cell in (
                 Number(float(fit.beta[i]), form),
                 Number(float(half[i]), form),
-                Number(off, "+.2f"),
-            ]
+                Number(float((fit.beta[i] - true[i]) / half[i]) if half[i] > 0 else None, "+.2f"),
+            )
+        )
         rows.append((name, Number(float(true[i]), form), *cells))
     lines = []
     for fit, half in zip(fits, halves, strict=True):
@@ -165,8 +167,9 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
         table=Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows)),
         lines=tuple(lines),
     )
-    essential = np.isin(fits[-1].base.names, fits[-1].essential_names)
-    largest = np.lexsort((-np.abs(true), ~essential)).tolist()
+    largest = np.lexsort(
+        (-np.abs(true), ~np.isin(fits[-1].base.names, fits[-1].essential_names))
+    ).tolist()
     return Document(
         title=f"{robot}: {len(true)} estimated parameters and their true values",
         sections=(section.with_short_table(largest),),
@@ -177,12 +180,12 @@ def gains_document(fit: Fit, true: Sequence[float]) -> Document:
     """Identified drive gains beside those described and the true ones, each with
     its error in half-widths.
     """
-    rows, within = list[Row](), 0
-    for one, of_drive in zip(fit.gains, true, strict=True):
-        half, off = one.half_width, one.value - of_drive
-        form, within = value_form(half / 2), within + (abs(off) <= half)
-        values = (Number(x, form) for x in (one.described, of_drive, one.value, half))
-        rows.append((one.motor, *values, Number(off / half, "+.2f"), one.unit))
+    rows, off = list[Row](), [x.value - y for x, y in zip(fit.gains, true, strict=True)]
+    within = sum(abs(x) <= one.half_width for x, one in zip(off, fit.gains, strict=True))
+    for one, of_drive, x in zip(fit.gains, true, off, strict=True):
+        form, numbers = value_form(one.half_width / 2), (one.described, of_drive, one.value)
+        values = (Number(number, form) for number in (*numbers, one.half_width))
+        rows.append((one.motor, *values, Number(x / one.half_width, "+.2f"), one.unit))
     names = ", ".join(one.problem.signals.recording for one in fit.recordings)
     loaded = fit.recordings[-1].problem.signals
     lines = (

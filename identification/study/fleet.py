@@ -96,8 +96,11 @@ def run_fleet(
         )
         name = store / f"{hashlib.sha256(repr(made_from).encode()).hexdigest()[:32]}.json"
         try:
-            stored = msgspec.json.decode(name.read_bytes(), type=FleetRow)
-            rows.append(msgspec.structs.replace(stored, file=str(path)))
+            rows.append(
+                msgspec.structs.replace(
+                    msgspec.json.decode(name.read_bytes(), type=FleetRow), file=str(path)
+                )
+            )
         except (OSError, msgspec.DecodeError):  # none, damaged, or of another version
             tasks[name] = str(path), sources, method
     for name, row in zip(tasks, work.run(fit_row, list(tasks.values())), strict=True):
@@ -172,15 +175,18 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
     kinds = {"start": pyarrow.timestamp("us", tz="UTC"), "torque_error_percent": pyarrow.float64()}
     names = [name for name in FleetRow.__struct_fields__ if name not in ("format", "parameters")]
     fields = [pyarrow.field(name, kinds.get(name, pyarrow.string())) for name in names]
-    for name, unit in {name: x.unit for row in rows for name, x in row.parameters.items()}.items():
-        fields += [
-            pyarrow.field(name + end, pyarrow.float64(), metadata={"unit": unit})
-            for end in ("", "_half_width")
-        ]
-    cells = [msgspec.structs.asdict(row) for row in rows]
-    for cell, row in zip(cells, rows, strict=True):
-        for name, x in row.parameters.items():
-            cell |= {name: x.value, f"{name}_half_width": x.half}
+    units = {name: x.unit for row in rows for name, x in row.parameters.items()}
+    fields += [
+        pyarrow.field(name + end, pyarrow.float64(), metadata={"unit": unit})
+        for name, unit in units.items()
+        for end in ("", "_half_width")
+    ]
+    cells = [
+        msgspec.structs.asdict(row)
+        | {name: x.value for name, x in row.parameters.items()}
+        | {f"{name}_half_width": x.half for name, x in row.parameters.items()}
+        for row in rows
+    ]
     with atomic_write(path) as partial:
         (csv.write_csv if path.suffix == ".csv" else parquet.write_table)(
             pyarrow.Table.from_pylist(cells, schema=pyarrow.schema(fields)), partial

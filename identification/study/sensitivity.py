@@ -97,12 +97,15 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
 def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     """Both fits of a variant; the noise of all variants has one seed."""
     signals = source.load()
-    noise = np.random.default_rng(0).standard_normal(signals.q.shape)
-    signals = replace(signals, q=signals.q + variant.noise * noise)
+    signals = replace(
+        signals,
+        q=signals.q + variant.noise * np.random.default_rng(0).standard_normal(signals.q.shape),
+    )
     iteration = Iteration(gain_update=variant.gain_update)
     if variant.start is not None:
-        inertias = np.full(signals.robot.n, variant.start)
-        iteration = replace(iteration, start="regular", inertias=inertias)
+        iteration = replace(
+            iteration, start="regular", inertias=np.full(signals.robot.n, variant.start)
+        )
     try:
         fit = identify_iv(signals, variant.overrides, iteration)
     except RobotIdimError as error:
@@ -114,7 +117,6 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     )
     base, model = fit.base, fit.problem.model
     described = described_parameters(model, base).tolist() if signals.robot.parameters else ()
-    known = "true" if signals.provenance.startswith("simulated") else "described"
     return VariedFit(
         variant=variant,
         ended=fit.status,
@@ -122,7 +124,10 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
         values=values,
         essential=fit.essential_names,
         units=dict(zip(base.names, base.units, strict=True)),
-        known=(known, dict(zip(base.names, described, strict=False))),
+        known=(
+            "true" if signals.provenance.startswith("simulated") else "described",
+            dict(zip(base.names, described, strict=False)),
+        ),
     )
 
 
@@ -136,6 +141,11 @@ def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
     return np.asarray(np.c_[moved / half, moved / values[:, [1, 3]]])
 
 
+def _numbers(values: Values) -> list[Number]:
+    """The values with the digits that the interval of IV leaves."""
+    return [Number(x, value_form(values[3] / 2)) for x in values]
+
+
 def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     """The largest moves of both methods by variant, and all values; the title says where
     least squares moves most.
@@ -144,16 +154,18 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     # (parameters, fits, both methods twice)
     moves = np.nan_to_num([moves_of(fits, name) for name in names])
     largest, of = moves.max(axis=0), moves.argmax(axis=0)
-    rows, values = list[Row](), list[Row]()
-    for k, fit in enumerate(fits):
+    rows = list[Row]()
+    for k, fit in list(enumerate(fits))[1:]:
         what = (fit.variant.changed, fit.variant.to)
         shown = [Number(x if fit.values else None, ".2g") for x in largest[k]]
         cells = [x for m in (0, 1) for x in (shown[m], names[of[k, m]], shown[m + 2])]
-        rows += [(*what, *cells, Number(fit.passes or None, "d"), fit.ended)] if k else []
-        for name in names:
-            if name in fit.values:
-                form = value_form(fit.values[name][3] / 2)
-                values.append((name, *what, *(Number(x, form) for x in fit.values[name])))
+        rows.append((*what, *cells, Number(fit.passes or None, "d"), fit.ended))
+    values: list[Row] = [
+        (name, fit.variant.changed, fit.variant.to, *_numbers(fit.values[name]))
+        for fit in fits
+        for name in names
+        if name in fit.values
+    ]
     worst = fits[k := int(largest[:, 0].argmax())].variant
     ls, iv = (f"{x:.2g}" for x in largest[k, :2])
     title = (

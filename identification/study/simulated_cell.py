@@ -106,8 +106,9 @@ def periodic_reference(
     """A random exciting reference of whole periods, each of about `period_s`, at
     rest after `duration_s`.
     """
-    periods = max(1, round(duration_s / period_s))
-    return fourier_reference(robot, period_s=duration_s / periods, seed=seed)
+    return fourier_reference(
+        robot, period_s=duration_s / max(1, round(duration_s / period_s)), seed=seed
+    )
 
 
 def random_reference(

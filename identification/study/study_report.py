@@ -134,10 +134,11 @@ def border_line(robot: Robot) -> tuple[str, ...]:
     nothing if all have values.
     """
     model = InverseModel(robot)
-    zero = model.of_links | (known_parameters(model) != 0)
     names = [
         name
-        for name, skip in zip(model.names, zero, strict=True)
+        for name, skip in zip(
+            model.names, model.of_links | (known_parameters(model) != 0), strict=True
+        )
         if not skip and not name.startswith("Off")
     ]
     return (
@@ -149,8 +150,10 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
     """The JSON file of base parameters, whose names end with a joint's number from 1, with the
     `true` values (b,) if known.
     """
-    rows = zip(base.names, base.expressions, base.units, strict=True)
-    parameters = [dict(zip(("name", "expression", "unit"), row, strict=True)) for row in rows]
+    parameters = [
+        dict(zip(("name", "expression", "unit"), row, strict=True))
+        for row in zip(base.names, base.expressions, base.units, strict=True)
+    ]
     for parameter, value in zip(parameters, () if true is None else true.tolist(), strict=False):
         parameter["value"] = value
     return {
@@ -172,11 +175,12 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
         columns=columns("number", "joint", "type"),
         rows=tuple((str(j + 1), joint.name, joint.type) for j, joint in enumerate(robot.joints)),
     )
-    sums_first = sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k])
     return Document(
         title=f"{robot.name}: {base.b} base parameters",
         sections=(
-            Section(table=table).with_short_table(sums_first, 20),
+            Section(table=table).with_short_table(
+                sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k]), 20
+            ),
             Section(title="joints, by the number at the end of a name", table=joints),
         ),
     )

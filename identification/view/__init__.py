@@ -1,6 +1,8 @@
 """Pictures of recordings, fits and studies, as Rerun files or HTML.
 
-The only room that imports rerun, to write its files.
+It owns what a picture shows, as plain data (`panels`), and the renderers that draw it; it alone
+imports rerun. It may use every room below `commands`, and makes no fits itself. Only
+`commands` and the notebook use it.
 """
 
 from typing import TYPE_CHECKING

@@ -8,23 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..design import Excitation
-from ..model import friction_alone
-from ..regression import base_name, rigid_torque_at_rows
 from ..report import Level, ParameterSet, differences
-from ..results import Fit
 from ..study import Run, VariedFit, moves_of
-from ..trust import Trust
+from ..trust import Trust, TrustLine
 from .axes import Axis, decades, linear, logarithmic
-from .colors import COMPARED, GREEN, GREY, LIGHT, ORANGE, PREDICTED, PURPLE, SKY, VERMILLION, Color
+from .colors import COMPARED, GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color
 from .panels import Column, Curve, Graph, Mark, Rows, Shape
 
 MAX_ROWS, MAX_COLUMNS = 30, 4  # of a chart
 MAX_HALF_WIDTHS_SHOWN = 3.0  # larger differences are drawn at the edge of their chart
 MAX_TRUSTED_SIGMAS = 3.0  # limit of a difference
-# percentiles of the load that curves of friction are drawn at
-LOADS = {10.0: SKY, 50.0: ORANGE, 90.0: VERMILLION}
-SPEEDS = np.linspace(0.02, 1.0, 80)  # of these curves in each direction, relative to the peak
-MAX_DOTS = 400  # of a friction chart
 STUDY_ROWS = 5  # that the runs of a study by one method are spread over
 LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE, "ok": SKY}
 
@@ -33,74 +26,77 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
     """Every parameter: its 95 % interval in percent of the value, and other sets, in
     half-widths of this interval.
     """
-    names, charts = list(own.parameters), []
-    percent, labels = logarithmic(0.01, 100.0, 4), " and ".join(values.label for values in others)
-    ends = MAX_HALF_WIDTHS_SHOWN
-    far = Axis(
-        low=-ends,
-        high=ends,
-        ticks={x: f"{x:+g}" if x else "0" for x in (-ends, -1.0, 0.0, 1.0, ends)},
-    )
-    off = [{d.name: d.off_sigma or 0.0 for d in differences(own, values)} for values in others]
-    exact = [all(p.sigma == 0 for p in values.parameters.values()) for values in others]
-    legend = [
-        ("● essential", ORANGE),
-        ("○ not essential", GREY),
-        *(
-            (f"{'|' if is_exact else '×'} {values.label}", color)
-            for values, is_exact, color in zip(others, exact, COMPARED, strict=False)
-        ),
-        *([("beyond 3 σ", VERMILLION)] if others else []),
-    ]
-    for part in _parts(names, MAX_ROWS):
-        heads, halves, marks = list[tuple[str, Color]](), list[Mark](), list[Mark]()
-        for row, name in enumerate(part):
-            p = own.parameters[name]
-            color, shape = _look(p.essential)
-            heads.append((name, color))
-            halves.append(
-                Mark(
-                    row=row,
-                    value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
-                    color=color,
-                    shape="bar",
-                )
-            )
-            marks.append(Mark(row=row, value=0.0, half=float(p.half > 0), color=color, shape=shape))
-            for k, other in enumerate(others):
-                if (q := other.parameters.get(name)) is not None:
-                    at, shape = (row + 0.28, "cross") if q.sigma else (row, "tick")
-                    scale, color = p.half or q.half or 1.0, COMPARED[k]
-                    color = VERMILLION if abs(off[k].get(name, 0.0)) > MAX_TRUSTED_SIGMAS else color
-                    marks.append(
-                        Mark(
-                            row=at,
-                            value=(q.value - p.value) / scale,
-                            half=q.half / scale,
-                            color=color,
-                            shape=shape,
-                        )
-                    )
-        columns = [Column(head="± 95 %, % of value", axis=percent, marks=halves)]
+    charts, legend = [], [("● essential", ORANGE), ("○ not essential", GREY)]
+    for values, color in zip(others, COMPARED, strict=False):
+        is_exact = all(p.sigma == 0 for p in values.parameters.values())
+        legend.append((f"{'|' if is_exact else '×'} {values.label}", color))
+    if others:
+        legend.append(("beyond 3 σ", VERMILLION))
+    for part in _parts(list(own.parameters), MAX_ROWS):
+        columns = [_width_column(own, part)]
         if others:
-            columns.append(
-                Column(
-                    head=f"{labels} minus {own.label}, in ± 95 %",
-                    axis=far,
-                    marks=marks,
-                    lines=(-1.0, 0.0, 1.0),
-                )
-            )
+            columns.append(_difference_column(own, others, part))
         charts.append(
             Rows(
                 path=("deviations", part[0]),
                 title=f"parameters of {own.label}, {part[0]} to {part[-1]}",
-                names=heads,
+                names=[(name, _look(own.parameters[name].essential)[0]) for name in part],
                 columns=columns,
                 legend=legend,
             )
         )
     return charts
+
+
+def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
+    """Half-widths of the parameters in percent of their values."""
+    marks = [
+        Mark(
+            row=row,
+            value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
+            color=_look(p.essential)[0],
+            shape="bar",
+        )
+        for row, p in enumerate(own.parameters[name] for name in names)
+    ]
+    return Column(head="± 95 %, % of value", axis=logarithmic(0.01, 100.0, 4), marks=marks)
+
+
+def _difference_column(
+    own: ParameterSet, others: Sequence[ParameterSet], names: Sequence[str]
+) -> Column:
+    """Other sets minus the own parameters, in half-widths of the own intervals."""
+    marks, ends = list[Mark](), MAX_HALF_WIDTHS_SHOWN
+    far = [
+        {d.name for d in differences(own, x) if abs(d.off_sigma or 0.0) > MAX_TRUSTED_SIGMAS}
+        for x in others
+    ]
+    for row, name in enumerate(names):
+        p = own.parameters[name]
+        color, shape = _look(p.essential)
+        marks.append(Mark(row=row, value=0.0, half=float(p.half > 0), color=color, shape=shape))
+        for k, other in enumerate(others):
+            if (q := other.parameters.get(name)) is not None:
+                scale = p.half or q.half or 1.0
+                marks.append(
+                    Mark(
+                        row=row + 0.28 if q.sigma else row,
+                        value=(q.value - p.value) / scale,
+                        half=q.half / scale,
+                        color=VERMILLION if name in far[k] else COMPARED[k],
+                        shape="cross" if q.sigma else "tick",
+                    )
+                )
+    return Column(
+        head=f"{' and '.join(x.label for x in others)} minus {own.label}, in ± 95 %",
+        axis=Axis(
+            low=-ends,
+            high=ends,
+            ticks={x: f"{x:+g}" if x else "0" for x in (-ends, -1.0, 0.0, 1.0, ends)},
+        ),
+        marks=marks,
+        lines=(-1.0, 0.0, 1.0),
+    )
 
 
 def _parts(names: Sequence[str], most: int) -> list[Sequence[str]]:
@@ -115,113 +111,35 @@ def _look(known: bool) -> tuple[Color, Shape]:
 
 def trust_charts(trust: Trust) -> list[Rows]:
     """Figures of the tests by joint or block, with expected values."""
-    charts = list[Rows]()
-    for line in trust.lines:
-        if line.figures:
-            color = LEVEL_COLORS.get(line.level, GREY)
-            marks = [
-                *(
-                    Mark(row=k, value=expected, color=GREEN, shape="tick")
-                    for k, (*_, expected) in enumerate(line.figures)
-                ),
-                *(
-                    Mark(row=k, value=value, half=half, color=color)
-                    for k, (_, value, half, _) in enumerate(line.figures)
-                ),
-            ]
-            head = "● value ± 95 %" if any(mark.half for mark in marks) else "● value"
-            legend = ((head, color), ("| expected", GREEN))
-            charts.append(
-                Rows(
-                    path=("tests", line.test),
-                    title=f"{line.test}: {line.level}",
-                    names=[(name, LIGHT) for name, *_ in line.figures],
-                    columns=[Column(head=line.unit, axis=_around(marks), marks=marks)],
-                    legend=legend,
-                )
-            )
-    return charts
+    return [_trust_chart(line) for line in trust.lines if line.figures]
+
+
+def _trust_chart(line: TrustLine) -> Rows:
+    color = LEVEL_COLORS.get(line.level, GREY)
+    marks = [
+        *(
+            Mark(row=k, value=expected, color=GREEN, shape="tick")
+            for k, (*_, expected) in enumerate(line.figures)
+        ),
+        *(
+            Mark(row=k, value=value, half=half, color=color)
+            for k, (_, value, half, _) in enumerate(line.figures)
+        ),
+    ]
+    head = "● value ± 95 %" if any(mark.half for mark in marks) else "● value"
+    return Rows(
+        path=("tests", line.test),
+        title=f"{line.test}: {line.level}",
+        names=[(name, LIGHT) for name, *_ in line.figures],
+        columns=[Column(head=line.unit, axis=_around(marks), marks=marks)],
+        legend=((head, color), ("| expected", GREEN)),
+    )
 
 
 def _around(marks: Sequence[Mark]) -> Axis:
     ends = [mark.value + side * mark.half for mark in marks for side in (-1, 1)]
     margin = max(0.06 * (max(ends) - min(ends)), 1e-9)
     return linear(min(ends) - margin, max(ends) + margin, 4)
-
-
-def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
-    """Friction of each joint over its speed: rows as dots, the identified curve with its 95 %
-    interval; a color per load.
-
-    Dots are the measured torque minus all other predicted torque, the offset too, in the rows of
-    all recordings; in the first rows of a long one. If recordings have parameters of their own,
-    dots use each recording's and curves their means.
-    """
-    problem, estimate, charts, found = fit.problem, fit.estimate, list[Graph](), []
-    model, robot = problem.model, problem.signals.robot
-    columns = problem.base.columns[
-        [fit.base.names.index(base_name(name)) for name in estimate.names]
-    ]
-    applies = np.array(
-        [[n in one.arm.names for n in estimate.names] for one in fit.recordings], dtype=float
-    )
-    for one, own in zip(fit.recordings, applies, strict=True):
-        dq, rigid = rigid_torque_at_rows(one.problem.for_errors, one.arm.values(estimate))
-        found.append(
-            (
-                dq,
-                np.abs(rigid),
-                (one.tau - one.tau_predicted)[: len(dq)],
-                np.tile(own, (len(dq), 1)),
-            )
-        )
-    moved, loads, residuals, own = (np.concatenate(x) for x in zip(*found, strict=True))
-    for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
-        peak = np.abs(moved[:, j]).max(initial=0.0)
-        rows = np.flatnonzero(np.abs(moved[:, j]) > 0.02 * peak)
-        at, looks = [0.0], [(PREDICTED, GREY, "identified")]
-        if "load" in joint.terms and len(rows):
-            at = np.percentile(loads[rows, j], list(LOADS)).tolist()
-            looks = [
-                (color, color, f"load {x:.3g} {unit}")
-                for x, color in zip(at, LOADS.values(), strict=True)
-            ]
-        rows = rows[:: max(1, len(rows) // MAX_DOTS)]
-        v, load, curves, dots = moved[rows, j], loads[rows, j], list[Curve](), []
-        torque = (
-            friction_alone(model, columns, j, v, load) * own[rows]
-        ) @ estimate.beta + residuals[rows, j]
-        nearest = np.abs(load[:, None] - at).argmin(axis=1)
-        for k, (color, of_dots, name) in enumerate(looks):
-            dots.append((np.stack([v, torque], axis=1)[nearest == k], of_dots))
-            for fastest in (-peak, peak) if peak > 0 else ():
-                speed = fastest * SPEEDS
-                G = friction_alone(
-                    model, columns, j, speed, np.full(len(speed), at[k])
-                ) * applies.mean(axis=0)
-                variance = np.sum((G @ fit.intervals.covariance) * G, axis=1)
-                half = fit.intervals.reach * np.sqrt(np.maximum(variance, 0.0))
-                for side, text in ((0, name), (-1, "95 % interval"), (1, "95 % interval")):
-                    curves.append(
-                        Curve(
-                            key=f"{k}{len(curves):02}",
-                            name=text,
-                            color=color,
-                            line=(speed, G @ estimate.beta + side * half),
-                            width=1.0 if side else 2.5,
-                            dashed=bool(side),
-                        )
-                    )
-        charts.append(
-            Graph(
-                path=("friction", joint.name, *([of] if of else [])),
-                title=f"friction {joint.name}{of and f', {of}'} [{unit}] over speed "
-                f"[{joint.position_unit}/s]",
-                curves=tuple(curves),
-                dots=dots,
-            )
-        )
-    return charts
 
 
 def interval_charts(excitation: Excitation) -> list[Rows]:
@@ -232,27 +150,26 @@ def interval_charts(excitation: Excitation) -> list[Rows]:
     halves = {
         name: (float(e.half[i]), float(e.plain_half[i])) for i, name in enumerate(e.base.names)
     }
-    axis, legend = (
-        decades(list(halves.values()), 5),
-        (("this reference", ORANGE), ("plain reference", GREY)),
-    )
-    charts = []
-    for part in _parts(list(halves), MAX_ROWS):
-        marks = [
+    axis = decades(list(halves.values()), 5)
+    looks = ((-0.16, ORANGE), (0.16, GREY))  # shift and color of this reference and the plain one
+
+    def marks_of(names: Sequence[str]) -> list[Mark]:
+        return [
             Mark(row=row + shift, value=half, color=color, shape="bar")
-            for row, name in enumerate(part)
-            for half, shift, color in zip(halves[name], (-0.16, 0.16), (ORANGE, GREY), strict=True)
+            for row, name in enumerate(names)
+            for half, (shift, color) in zip(halves[name], looks, strict=True)
         ]
-        charts.append(
-            Rows(
-                path=("intervals", part[0]),
-                title=f"expected ± 95 %, {part[0]} to {part[-1]}",
-                names=[(name, LIGHT) for name in part],
-                columns=[Column(head="SI", axis=axis, marks=marks)],
-                legend=legend,
-            )
+
+    return [
+        Rows(
+            path=("intervals", part[0]),
+            title=f"expected ± 95 %, {part[0]} to {part[-1]}",
+            names=[(name, LIGHT) for name in part],
+            columns=[Column(head="SI", axis=axis, marks=marks_of(part))],
+            legend=(("this reference", ORANGE), ("plain reference", GREY)),
         )
-    return charts
+        for part in _parts(list(halves), MAX_ROWS)
+    ]
 
 
 def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
@@ -276,9 +193,13 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
             marks += [
                 Mark(row=k + 0.2, value=x[2], half=x[3], color=ORANGE) for k, x in found.items()
             ]
-            lines = found[0][2] - found[0][3], found[0][2] + found[0][3]
             columns.append(
-                Column(head=f"{name} ± 95 %", axis=_around(marks), marks=marks, lines=lines)
+                Column(
+                    head=f"{name} ± 95 %",
+                    axis=_around(marks),
+                    marks=marks,
+                    lines=(found[0][2] - found[0][3], found[0][2] + found[0][3]),
+                )
             )
         charts.append(
             Rows(
@@ -306,20 +227,15 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
     noisy.sort(key=lambda fit: fit.variant.noise)
     x = 1e6 * np.array([fit.variant.noise for fit in noisy])
     ls, ls_half, iv, iv_half = np.array([fit.values[name] for fit in noisy]).T
-    curves = list[Curve]()
-    for label, color, values, half in (("LS", PURPLE, ls, ls_half), ("IV", ORANGE, iv, iv_half)):
-        ends = np.stack([values - half, values + half], axis=1)
-        lines = [(x, values), *((np.full(2, at), both) for at, both in zip(x, ends, strict=True))]
-        for line in lines:
-            curves.append(
-                Curve(
-                    key=f"{len(curves):03}",
-                    name=f"{label} ± 95 %",
-                    color=color,
-                    line=line,
-                    width=2.0,
-                )
-            )
+    lines = [
+        (label, color, line)
+        for label, color, y, half in (("LS", PURPLE, ls, ls_half), ("IV", ORANGE, iv, iv_half))
+        for line in ((x, y), *zip(np.c_[x, x], np.c_[y - half, y + half], strict=True))
+    ]
+    curves = [
+        Curve(key=f"{k:03}", name=f"{label} ± 95 %", color=color, line=line, width=2.0)
+        for k, (label, color, line) in enumerate(lines)
+    ]
     known, described = fits[0].known
     if name in described:
         curves.append(
@@ -371,12 +287,21 @@ def study_chart(runs: Sequence[Run]) -> Rows:
                 Mark(row=top + k, value=median, color=LIGHT, shape="tick")
                 for k in range(STUDY_ROWS)
             ]
-    axis = decades([mark.value for mark in marks] or [1.0, 100.0], 6)
-    legend = (("× LS", PURPLE), ("● IV converged", ORANGE), ("○ IV not", GREY), ("| median", LIGHT))
     return Rows(
         path=("study",),
         title=f"total error of {len(runs)} runs, of the true values",
         names=names,
-        columns=[Column(head="%", axis=axis, marks=marks)],
-        legend=legend,
+        columns=[
+            Column(
+                head="%",
+                axis=decades([mark.value for mark in marks] or [1.0, 100.0], 6),
+                marks=marks,
+            )
+        ],
+        legend=(
+            ("× LS", PURPLE),
+            ("● IV converged", ORANGE),
+            ("○ IV not", GREY),
+            ("| median", LIGHT),
+        ),
     )

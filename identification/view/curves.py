@@ -52,19 +52,25 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
         else _decimate(signals, settings, fit.problem.motion if fit else FilteredMotion(signals))
     )
     lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}
-    for quantity, joints in _decimate(signals, None, FilteredMotion(signals)).items():
-        if quantity in ("q", "torque") or not filtered:
-            lines["measured", quantity] = joints
+    lines |= {
+        ("measured", quantity): joints
+        for quantity, joints in _decimate(signals, None, FilteredMotion(signals)).items()
+        if quantity in ("q", "torque") or not filtered
+    }
     if signals.q_ref is not None:
-        for quantity, x in (("q", signals.q_ref), ("error", signals.q_ref - signals.q)):
-            lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
+        of_reference = {"q": signals.q_ref, "error": signals.q_ref - signals.q}
+        lines |= _lines("reference", signals.t_s, of_reference)
     simulated = None if fit is None else fit.recordings[0].simulated
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         # m.t_s is index / rate
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]
-        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("error", simulated.error)):
-            lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
+        of_robot = {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": simulated.error}
+        lines |= _lines("simulated", t_s, of_robot)
     return lines
+
+
+def _lines(source: str, t_s: Array, series: Mapping[str, Array]) -> Lines:
+    return {(source, key): [_line(t_s, column) for column in x.T] for key, x in series.items()}
 
 
 def _line(t_s: Array, x: Array) -> Line:
@@ -125,8 +131,12 @@ def extremes(x: Array, step: int) -> Ints:
     buckets, first = x[:whole].reshape(-1, step), np.arange(0, whole, step)
     both = np.stack([first + buckets.argmin(axis=1), first + buckets.argmax(axis=1)], axis=1)
     both.sort(axis=1)
-    twice = np.flatnonzero(both[:, 0] == both[:, 1]) * 2
-    return np.concatenate([np.delete(both.reshape(-1), twice), np.arange(whole, len(x))])
+    return np.concatenate(
+        [
+            np.delete(both.reshape(-1), np.flatnonzero(both[:, 0] == both[:, 1]) * 2),
+            np.arange(whole, len(x)),
+        ]
+    )
 
 
 def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
@@ -136,17 +146,21 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
     joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
         return [_plot(signals, lines, "q", j) for j in range(len(joints))]
-    peaks: dict[str, float] = defaultdict(float)  # joints of one type share a unit, for comparison
-    for of_joints in errors:
-        for joint, (_, x) in zip(joints, of_joints, strict=True):
-            peaks[joint.position_unit] = max(peaks[joint.position_unit], float(np.abs(x).max()))
-    plots = []
+    peaks = [
+        max(float(np.abs(x).max()) for _, x in of_joint) for of_joint in zip(*errors, strict=True)
+    ]
+    units, plots = [joint.position_unit for joint in joints], []
     for j, joint in enumerate(joints):
-        factor, unit = readable_unit(peaks[joint.position_unit], joint.position_unit)
+        # joints of one type share a unit, for comparison
+        peak = max(x for x, unit in zip(peaks, units, strict=True) if unit == units[j])
+        factor, unit = readable_unit(peak, units[j])
         plot = _plot(signals, lines, "error", j)
-        curves = [replace(c, line=(c.line[0], factor * c.line[1])) for c in plot.curves]
         plots.append(
-            replace(plot, title=f"position error {joint.name} [{unit}]", curves=tuple(curves))
+            replace(
+                plot,
+                title=f"position error {joint.name} [{unit}]",
+                curves=tuple(replace(c, line=(c.line[0], factor * c.line[1])) for c in plot.curves),
+            )
         )
     return plots
 
@@ -158,10 +172,10 @@ def torque_plots(signals: Signals, lines: Lines) -> list[Plot]:
 
 def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
     """Position, speed and acceleration of joint j; no position if the first page has it."""
-    errors = any(quantity == "error" for _, quantity in lines)
     return [
         _plot(signals, lines, quantity, j, alone=True)
-        for quantity in (("q",) if errors else ()) + ("dq", "ddq")
+        for quantity in (("q",) if any(quantity == "error" for _, quantity in lines) else ())
+        + ("dq", "ddq")
     ]
 
 
@@ -185,8 +199,12 @@ def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool 
             )
     unit = joint.position_unit
     units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
-    title = f"{quantity} {joint.name} [{units.get(quantity, unit)}]"
-    return Plot(path=(quantity, joint.name), title=title, curves=tuple(curves), legend=legend)
+    return Plot(
+        path=(quantity, joint.name),
+        title=f"{quantity} {joint.name} [{units.get(quantity, unit)}]",
+        curves=tuple(curves),
+        legend=legend,
+    )
 
 
 def row_plots(
@@ -242,8 +260,10 @@ def column_plots(signals: Signals) -> list[Plot]:
         ),
     ):
         if values is not None:
-            lines = {name: _line(signals.t_s, x) for name, x in zip(names, values.T, strict=True)}
-            unit, curves = curves_of(lines, units)
+            unit, curves = curves_of(
+                {name: _line(signals.t_s, x) for name, x in zip(names, values.T, strict=True)},
+                units,
+            )
             plots.append(Plot(path=("column", key), title=title + unit, curves=curves))
     return plots
 

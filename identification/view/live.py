@@ -289,10 +289,9 @@ class LivePage:
                 ]
                 # Of six joints each has 30 letters.
                 title = shown_text(f"{title} {joint.name} {', '.join(told)} [{unit}]")
-                origin = f"{name}/{j + 1}"
                 views.append(
                     rrb.TimeSeriesView(
-                        origin=origin,
+                        origin=f"{name}/{j + 1}",
                         name=title,
                         time_ranges=[window],
                         plot_legend=rrb.PlotLegend(visible=False),
@@ -315,11 +314,13 @@ class LivePage:
     def _style(self, path: str, names: list[str], colors: list[Color]) -> None:
         if names:
             # it lies behind the position
-            widths = [3.0 if one == "target" else 1.0 for one in names]
             self._recording.log(
                 path,
                 rr.SeriesLines(
-                    names=names, colors=colors, widths=widths, aggregation_policy="MinMax"
+                    names=names,
+                    colors=colors,
+                    widths=[3.0 if one == "target" else 1.0 for one in names],
+                    aggregation_policy="MinMax",
                 ),
                 static=True,
             )
@@ -328,9 +329,9 @@ class LivePage:
         """The state, red where the file has stopped growing in the session."""
         begin_ns, planned_s = self._left_from
         left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
-        old = ["THE FILE HAS STOPPED GROWING: what is shown is old"]
+        is_old = stalled and not self.over
         words = [
-            *(old if stalled and not self.over else []),
+            *(["THE FILE HAS STOPPED GROWING: what is shown is old"] if is_old else []),
             f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}",
             *(
                 f"{name.replace('kernel_drops', 'dropped')} {count:g}"
@@ -338,25 +339,33 @@ class LivePage:
             ),
             *([f"no rows: {problem}"] if problem else []),
         ]
-        color = GREY if self.over else RED if stalled else GREEN
         self._recording.log(
             "state/bar",
             rr.LineStrips2D(
-                [[(0.0, -12.0), (1400.0, -12.0)]], colors=color, radii=rr.Radius.ui_points(4.0)
+                [[(0.0, -12.0), (1400.0, -12.0)]],
+                colors=GREY if self.over else RED if stalled else GREEN,
+                radii=rr.Radius.ui_points(4.0),
             ),
             static=True,
         )
-        text, hidden = shown_text("   |   ".join(words)), rr.Radius.ui_points(0.1)
         self._recording.log(
             "state/text",
-            rr.Points2D([(700.0, -9.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True),
+            rr.Points2D(
+                [(700.0, -9.0)],
+                labels=shown_text("   |   ".join(words)),
+                colors=LIGHT,
+                radii=rr.Radius.ui_points(0.1),
+                show_labels=True,
+            ),
             static=True,
         )
 
 
 def _ranges(robot: Robot) -> list[Lines]:
-    ranges = [joint.si("position") for joint in robot.joints]
-    return [{} if x is None else {"from": (RED, x[0]), "to": (RED, x[1])} for x in ranges]
+    return [
+        {} if x is None else {"from": (RED, x[0]), "to": (RED, x[1])}
+        for x in [joint.si("position") for joint in robot.joints]
+    ]
 
 
 def _effort_levels(robot: Robot) -> list[Lines]:

@@ -15,6 +15,7 @@ from ..regression import Overrides, Settings, make_settings, with_bandwidth
 from ..report import Document, ParameterSet, Section, comparison_section
 from ..study import Run, VariedFit
 from . import charts, curves
+from .friction_charts import friction_charts
 from .panels import Page, Panel, Picture, Plot
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, spectrum_charts
@@ -205,7 +206,7 @@ def _signal_pages(
 
 def _friction_page(fits: Mapping[str, results.Fit]) -> Page:
     """Friction of each joint over its speed, for one fit or several fits side by side."""
-    of_fits = [charts.friction_charts(fit, name) for name, fit in fits.items()]
+    of_fits = [friction_charts(fit, name) for name, fit in fits.items()]
     of_joints = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
     groups: Mapping[str, Sequence[Panel]] = of_joints if len(fits) > 1 else {"friction": of_fits[0]}
     return Page(name="friction", groups=groups)
@@ -216,10 +217,15 @@ def join_pictures(pictures: Sequence[Picture]) -> Picture:
     signals of the others.
     """
     first, *others = pictures
-    of_others = [
-        replace(page, name=f"{page.name}: {one.name}")
-        for one in others
-        for page in one.pages
-        if page.name in ("overview", "residual", "signal", "motion")
-    ]
-    return replace(first, pages=(*first.pages, *of_others))
+    return replace(
+        first,
+        pages=(
+            *first.pages,
+            *[
+                replace(page, name=f"{page.name}: {one.name}")
+                for one in others
+                for page in one.pages
+                if page.name in ("overview", "residual", "signal", "motion")
+            ],
+        ),
+    )

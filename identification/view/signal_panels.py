@@ -85,10 +85,10 @@ def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
         ),
         ("effort", signals.effort, robot.effort_units, "decimation", decimation),
     ):
-        lines = {
-            joint.name: _spectrum(x[start:stop, j], fs) for j, joint in enumerate(robot.joints)
-        }
-        unit, curves = curves_of(lines, [f"{unit}/√Hz" for unit in units])
+        unit, curves = curves_of(
+            {joint.name: _spectrum(x[start:stop, j], fs) for j, joint in enumerate(robot.joints)},
+            [f"{unit}/√Hz" for unit in units],
+        )
         curves = tuple(curve for curve in curves if len(curve.line[0]))
         marks = (
             {}

@@ -279,6 +279,7 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
             "fit a --cluster=tcp://host:1",
             "error: --cluster is gone: use --workers tcp://HOST:8786",
         ),
+        (identify, "sensitivity a.mcap", "error: sensitivity is gone: use study LOG.mcap"),
         (identify, "study a --rrd s.rrd", "error: study --rrd is gone: use --report FILE.html"),
     ],
 )

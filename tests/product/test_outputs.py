@@ -24,7 +24,7 @@ OUTPUTS = [
     (IDENTIFY, f"excite {SCARA} -o made.csv", "-o --rrd --report"),
     (IDENTIFY, f"friction {SESSION}", "--json --report"),
     (IDENTIFY, f"study {SCARA}", "--json --report"),
-    (IDENTIFY, f"sensitivity {SESSION}", "--report"),
+    (IDENTIFY, f"study {SESSION}", "--report"),
     (IDENTIFY, f"fleet {REPLAY / 'scara'}", "-o"),
     (IDENTIFY, f"view {SESSION}", "-o"),
     (ACQUIRE, f"export {SESSION}", "-o"),

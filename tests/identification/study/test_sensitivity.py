@@ -20,8 +20,6 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 
 class Tasks:
-    remote = False
-
     def __init__(self, values):
         self.variants, self.values = [], values
 
@@ -192,8 +190,24 @@ def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
 
 def test_the_command_prints_one_line_of_conclusion_and_draws(tmp_path, capsys):
     out = tmp_path / "a.html"
-    assert main(["sensitivity", str(SCARA), "--position-noise", "1e-4", "--report", str(out)]) == 0
+    assert main(["study", str(SCARA), "--position-noise", "1e-4", "--report", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("session.mcap: LS moves by up to ")
     assert len(lines) <= 40
     assert "ZZ1R ± 95 %" in out.read_text()
+
+
+@pytest.mark.parametrize(
+    ("file", "option", "said"),
+    [
+        ("session.mcap", "--seed 1", "--seed has no effect on a recording: expected ROBOT.toml"),
+        ("session.mcap", "--json a", "--json has no effect on a recording: expected ROBOT.toml"),
+        ("session.mcap", "--position-noise 0,1", "expected numbers above 0 with LOG.mcap"),
+        ("robot.toml", "--all", "--all has no effect on a simulated robot: expected LOG.mcap"),
+        ("robot.toml", "--position-noise 1,2", "expected one with ROBOT.toml"),
+    ],
+)
+def test_options_of_the_other_kind_of_study_are_refused(file, option, said, capsys):
+    assert main(["study", str(SCARA.with_name(file)), *option.split()]) == 1
+    err = capsys.readouterr().err
+    assert (said in err, err.count("\n")) == (True, 1)

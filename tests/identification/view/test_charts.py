@@ -11,7 +11,7 @@ from pictured_fits import FS, fitted, made_up, values
 
 from identification.study import Run, RunFit
 from identification.trust import Trust, TrustLine
-from identification.view import charts
+from identification.view import friction_charts
 from identification.view.axes import decades, linear, logarithmic
 from identification.view.charts import STUDY_ROWS, deviation_charts, study_chart, trust_charts
 from identification.view.colors import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION
@@ -186,14 +186,14 @@ def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit():
 
 
 def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
-    rows = charts.rigid_torque_at_rows
+    rows = friction_charts.rigid_torque_at_rows
     monkeypatch.setattr(
-        charts,
+        friction_charts,
         "rigid_torque_at_rows",
         # of a recording that is too long to be held
         lambda of, beta: tuple(x * [1.0, 0.0] for x in rows(of.without_samples, beta)),
     )
-    _, still = charts.friction_charts(fitted(made_up()))
+    _, still = friction_charts.friction_charts(fitted(made_up()))
     assert sum(len(dots) for dots, _ in still.dots) == 0
     assert "nan" not in draw_graph(still)
 

@@ -149,7 +149,7 @@ RUNS = {
     "validate": "validate fit.json log.mcap",
     "compare": "compare fit.json truth.json",
     "friction": "friction log.mcap",
-    "sensitivity": "sensitivity log.mcap --position-noise 1e-4",
+    "sensitivity": "study log.mcap --position-noise 1e-4",
     "study": "study robot.toml --runs 2 --duration-s 3 --workers 1",
     "excite": "excite robot.toml -o ref.csv --harmonics=2 --periods=1 --period=3",
 }
