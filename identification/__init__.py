@@ -44,7 +44,6 @@ if TYPE_CHECKING:  # type checkers follow names that a module imports only to th
     from .data import RecordingFile, Recordings, Signals, Work, load_signals
     from .design import ExcitationSettings, select_friction
     from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
-    from .fits import StoredFit
     from .methods import Iteration
     from .notebook import *
     from .regression import Overrides
@@ -63,7 +62,6 @@ __all__ = [
     "Recordings",
     "RobotIdimError",
     "Signals",
-    "StoredFit",
     "Study",
     "Work",
     "design_reference",

@@ -1,19 +1,35 @@
-"""Fits from Python: what a fit in memory and a stored one have in common, by the
-content of the JSON file.
-"""
+"""Fits from Python: one that was made, or one that was read, by the content of its JSON file."""
 
 import os
 import warnings
-from functools import cached_property
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from msgspec import UnsetType
 from numpy.typing import ArrayLike
 
+from acquisition.files import write_text
+
 from . import export, report, results
 from .arrays import Array
-from .report import Assumed, Difference, FitFile, Number, Parameter, Verdict
+from .data import Signals, load_signals
+from .errors import BadInputError
+from .model import BaseParameters, InverseModel, base_parameters
+from .options import Overrides
+from .report import (
+    Assumed,
+    Difference,
+    Document,
+    FitFile,
+    Number,
+    Parameter,
+    TorqueResidual,
+    TrustLineFile,
+    ValidationFile,
+    Verdict,
+)
 
 File = str | os.PathLike[str]
 Out = File | None
@@ -31,16 +47,31 @@ class Parameters(tuple[Parameter, ...]):
         }
 
 
-class AnyFit:
-    """A fit: `file` has all keys of its JSON file, `place` is its name in errors
-    and in what is exported.
+class Fit:
+    """Base parameters of a robot with their tests, and what can be written of them.
+
+    Attributes:
+        file: all keys of the JSON file.
+        place: its name in errors, and in what is exported.
+        evidence: what it was made from, with the passes, the rows and the simulated robot; None of
+            a fit that was read from a file.
     """
 
-    file: cached_property[FitFile]
-    place: cached_property[str]
+    def __init__(self, file: FitFile, place: str, evidence: results.Fit | None = None) -> None:
+        self.file, self.place, self.evidence = file, place, evidence
+
+    @classmethod
+    def of(cls, evidence: results.Fit) -> "Fit":
+        """The fit that was just made."""
+        return cls(results.fit_file(evidence), evidence.problem.signals.recording, evidence)
+
+    @classmethod
+    def read(cls, path: File) -> "Fit":
+        """The fit of a JSON file. Raises `BadInputError` as `report.read_fit`."""
+        return cls(report.read_fit(path), str(path))
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.file.summary})"
+        return f"Fit({self.file.summary})"
 
     @property
     def verdict(self) -> Verdict | UnsetType:
@@ -55,11 +86,58 @@ class AnyFit:
         return tuple(self.file.assumed or ())
 
     @property
+    def trust(self) -> tuple[TrustLineFile, ...]:
+        """The tests, worst first: `test`, `level`, `value`, `text`."""
+        return tuple(self.file.trust or ())
+
+    @property
+    def status(self) -> str:
+        """How the method ended; `solved` or `converged` if well."""
+        return self.file.status or ""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was doubtful in the recording or its settings."""
+        return tuple(self.file.warnings)
+
+    @property
+    def errors(self) -> tuple[TorqueResidual, ...]:
+        """Torque errors of the joints and, last, of all together."""
+        return self.file.errors
+
+    @property
     def parameters(self) -> Parameters:
         """The fitted parameters: `name`, `value`, 95 % interval `low` to `high`, `unit`,
         `expression`, `essential`.
         """
         return Parameters(self.file.parameters)
+
+    @property
+    def base(self) -> BaseParameters:
+        """All base parameters of the robot."""
+        if self.evidence is not None:
+            return self.evidence.base
+        return base_parameters(InverseModel(results.stored_robot(self.file, self.place)))
+
+    @property
+    def beta(self) -> Array:
+        """(b,) values of all base parameters, in the order of `base.names`, zero if left out; of
+        parameters of single recordings those of the first, or their means in a fit that was read.
+        """
+        if self.evidence is not None:
+            return self.evidence.beta
+        return results.stored_beta(self.file, self.base, self.place)
+
+    @property
+    def t_s(self) -> Array:
+        """(rows,) instants of the rows of all recordings, in their order, s."""
+        return np.concatenate([one.t_s for one in self._recordings()])
+
+    def residuals(self) -> Array:
+        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`,
+        those that do not count too.
+        """
+        return np.concatenate([one.tau - one.tau_predicted for one in self._recordings()])
 
     def predict(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """(rows, n) torque, N m or N, of the model without payload along q, dq, ddq
@@ -67,7 +145,7 @@ class AnyFit:
         """
         return results.stored_torque(self.file, self.place, q, dq, ddq)
 
-    def compare(self, other: "AnyFit") -> tuple[Difference, ...]:
+    def compare(self, other: "Fit") -> tuple[Difference, ...]:
         """The differences of the parameters from those of another fit: `name`, `off`,
         `off_percent`, `off_sigma`.
 
@@ -82,6 +160,20 @@ class AnyFit:
                 report.ParameterSet.of_file(other.file, "the other"),
             )
         )
+
+    def validate(
+        self, recording: Signals | File, overrides: Overrides | None = None
+    ) -> ValidationFile:
+        """The torque errors on another recording of the robot, as of `identification.validate`."""
+        pair = (
+            (recording, Path())
+            if isinstance(recording, Signals)
+            else (load_signals(recording), Path(recording))
+        )
+        each, errors, lines = results.predict_recordings(
+            self.file, "the fit", [pair], overrides or Overrides(), chosen=pair[1] == Path()
+        )
+        return results.validation_file(each, "the fit", errors, lines)
 
     def export(
         self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False
@@ -98,27 +190,90 @@ class AnyFit:
             export.export_fit(self.file, self.place, untrusted=allow_untrusted, **paths)
         )
 
+    def consistent(self, prior: File | None = None) -> "Fit":
+        """The fit with the nearest physically possible parameters of all links.
 
-class StoredFit(AnyFit):
-    """A fit read from its JSON file `place`."""
+        `prior`: a robot.toml or a URDF with a-priori link parameters; default: the
+            description of the fit.
+        Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there
+            are no such parameters; or the fit was read from a file.
+        """
+        evidence = self._made()
+        robot = evidence.problem.signals.robot
+        found = None if prior is None else results.read_prior(Path(prior), robot)
+        return Fit.of(results.with_consistent(evidence, found))
 
-    def __init__(self, path: File) -> None:
-        self.file, self.place = report.read_fit(path), str(path)
+    @property
+    def document(self) -> Document:
+        """The report. Raises `BadInputError` for known values, which have none."""
+        if self.file.provenance is None:
+            raise BadInputError(
+                "has parameters only", place=self.place, expected="a fit of a recording"
+            )
+        return results.fit_document(self.file)
+
+    def to_json(self, path: File) -> None:
+        """Write the file of `robot-identify fit --json`; `read_fit` reads it."""
+        report.write_json(Path(path), self.file)
+
+    def write_report(self, path: File, log: File | None = None) -> None:
+        """Write the whole report: .md the tables, .html also the pictures; curves of a fit that was
+        read are those of the recording `log`.
+        """
+        path, document = Path(path), self.document
+        if path.suffix == ".md":
+            write_text(path, report.to_markdown(document))
+        elif path.suffix == ".html":
+            from .view import draw_fit, join_pictures, write_html
+
+            recordings = self._recordings(log) if log is not None or self.evidence else (None,)
+            write_html(path, join_pictures([draw_fit(self.file, one) for one in recordings]))
+        else:
+            raise BadInputError(
+                place=str(path), key="ending", value=path.suffix, expected=".md or .html"
+            )
+
+    def write_rrd(self, path: File, log: File | None = None) -> None:
+        """Write trajectories and fit as a Rerun file; of several recordings one file
+        each, numbered from 1; of a fit that was read those of the recording `log`.
+        """
+        from .view import draw_fit, write_rrd
+
+        path, recordings = Path(path), self._recordings(log)
+        for number, one in enumerate(recordings, start=1):
+            own = path.with_stem(f"{path.stem}_{number}") if len(recordings) > 1 else path
+            write_rrd(own, draw_fit(self.file, one))
+
+    def _recordings(self, log: File | None = None) -> Sequence[results.FitOnRecording]:
+        """The recordings of the fit, or the fit on a `log`."""
+        if log is None:
+            return self._made().recordings
+        pair = load_signals(log), Path(log)
+        return results.predict_recordings(self.file, self.place, [pair], Overrides())[0]
+
+    def _made(self) -> results.Fit:
+        if self.evidence is None:
+            raise BadInputError(
+                "was read from a file", place=self.place, expected="a fit in memory, or its log"
+            )
+        return self.evidence
 
     def _repr_html_(self) -> str:
-        from .view import deviation_charts, notebook_figure
+        from .view import deviation_charts, draw_fit, notebook_figure
 
+        if self.evidence is not None:
+            torque = draw_fit(self.file, self.evidence.recordings[0]).first
+            return report.to_html(
+                self.document.short, figures=notebook_figure(torque) if torque else ""
+            )
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
         rows = [
             (p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g"))
             for p in best
         ]
-        doubts = tuple(
-            line.text for line in self.file.trust or () if line.level in ("do not use", "caution")
-        )
         shown = report.Section(
             title=f"the {len(rows)} best known parameters",
-            warnings=doubts,
+            warnings=tuple(x.text for x in self.trust if x.level in ("do not use", "caution")),
             table=report.Table(
                 columns=report.columns("name", "unit", numbers=("value", "±95%")),
                 rows=tuple(rows),

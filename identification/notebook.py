@@ -27,7 +27,7 @@ from .data import (
 )
 from .design import Excitation, ExcitationSettings, select_friction
 from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
-from .fits import AnyFit, File, StoredFit
+from .fits import File, Fit
 from .methods import Iteration
 from .regression import Overrides
 from .report import ValidationFile
@@ -36,81 +36,11 @@ from .study import Noise, Run, Study
 P = ParamSpec("P")
 
 
-class Fit(AnyFit, results.Fit):
-    """Base parameters of a robot with their tests, and what can be written of them;
-    attributes as of `results.Fit`.
-    """
-
-    file = cached_property(results.fit_file)
-    place = cached_property[str](lambda fit: fit.problem.signals.recording)
-
-    def residuals(self) -> Array:
-        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`,
-        those that do not count too.
-        """
-        return self.tau - self.tau_predicted
-
-    def to_json(self, path: File) -> None:
-        """Write the file of `robot-identify fit --json`; `read_fit` reads it."""
-        report.write_json(Path(path), self.file)
-
-    def write_report(self, path: File) -> None:
-        """Write the whole report: .md the tables, .html also the pictures."""
-        path = Path(path)
-        if path.suffix == ".md":
-            write_text(path, report.to_markdown(results.fit_document(self.file)))
-        elif path.suffix == ".html":
-            from .view import draw_fit, join_pictures, write_html
-
-            write_html(
-                path,
-                join_pictures([draw_fit(self.on(one)) for one in self.recordings]),
-            )
-        else:
-            raise BadInputError(
-                place=str(path), key="ending", value=path.suffix, expected=".md or .html"
-            )
-
-    def write_rrd(self, path: File) -> None:
-        """Write trajectories and fit as a Rerun file; of several recordings one file
-        each, numbered from 1.
-        """
-        from .view import draw_fit, write_rrd
-
-        path, several = Path(path), len(self.recordings) > 1
-        for number, one in enumerate(self.recordings, start=1):
-            own = path.with_stem(f"{path.stem}_{number}") if several else path
-            write_rrd(own, draw_fit(self.on(one)))
-
-    def consistent(self, prior: File | None = None) -> "Fit":
-        """The fit with the nearest physically possible parameters of all
-        links, in `consistent_set`.
-
-        `prior`: a robot.toml or a URDF with a-priori link parameters; default: the
-            description of the fit.
-        Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there
-            are no such parameters.
-        """
-        found = (
-            None if prior is None else results.read_prior(Path(prior), self.problem.signals.robot)
-        )
-        return Fit(**vars(results.with_consistent(self, found)))
-
-    def _repr_html_(self) -> str:
-        from .view import draw_fit, notebook_figure
-
-        document = results.fit_document(self.file).short
-        torque = draw_fit(self.on(self.recordings[0])).first
-        return report.to_html(document, figures=notebook_figure(torque) if torque else "")
-
-
 def _of_user(found: results.Fit) -> Fit:
     """The fit as users have it; called by what users call, so that the warning names their line."""
-    fit = Fit(**vars(found))
-    if fit.distrust:
-        warnings.warn(
-            f"do not use {fit!r}: {'; '.join(fit.distrust)}", DoNotUseWarning, stacklevel=3
-        )
+    fit = Fit.of(found)
+    if refused := [line.text for line in fit.trust if line.level == "do not use"]:
+        warnings.warn(f"do not use {fit!r}: {'; '.join(refused)}", DoNotUseWarning, stacklevel=3)
     return fit
 
 
@@ -125,12 +55,12 @@ def _for_users(identify: Callable[P, results.Fit]) -> Callable[P, Fit]:
 identify_ls, identify_iv = _for_users(results.identify_ls), _for_users(results.identify_iv)
 
 
-def read_fit(path: File) -> StoredFit:
+def read_fit(path: File) -> Fit:
     """The fit of a JSON file, or known values.
 
     Raises `BadInputError`: it cannot be read, or is no fit of this format.
     """
-    return StoredFit(path)
+    return Fit.read(path)
 
 
 def read_robot(
@@ -302,7 +232,7 @@ fit.__annotations__ = {"return": Fit}
 
 
 def validate(
-    fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None
+    fit: Fit, recording: Signals | File, overrides: Overrides | None = None
 ) -> ValidationFile:
     """Torque errors of a fit on another recording of the robot, as those of a fit:
     `relative_error_percent`, `joints`, `warnings`; and how far the fit predicts the motion `ahead`.
@@ -310,19 +240,7 @@ def validate(
     `overrides` replace the settings of the fit. Raises `BadInputError`: the
     recording is of another robot.
     """
-    path = Path() if isinstance(recording, Signals) else Path(recording)
-    signals = recording if isinstance(recording, Signals) else load_signals(recording)
-    signals, notes = results.signals_as_fitted(
-        signals, path, fit.file, "the fit", chosen=path == Path()
-    )
-    settings, of_lag = results.stored_settings(fit.file, signals, overrides or Overrides())
-    each, errors = results.validate_all([(signals, settings)], fit.file, "the fit")
-    return results.validation_file(
-        each,
-        "the fit",
-        errors,
-        (*each[0].problem.settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit")),
-    )
+    return fit.validate(recording, overrides)
 
 
 def design_reference(

@@ -79,11 +79,12 @@ def _identify(options: argparse.Namespace) -> None:
             "ls": ls,
             "iv": identify_iv(signals, Overrides(law=ls.law), Iteration(), say=progress.say),
         }
-        reports = [fit_document(fit_file(fit)) for fit in fits.values()]
-        for name, fit in fits.items():
-            write_json(out / f"{name}.json", fit_file(fit))
+        files = {name: fit_file(fit) for name, fit in fits.items()}
+        reports = [fit_document(file) for file in files.values()]
+        for name, file in files.items():
+            write_json(out / f"{name}.json", file)
         progress.say("writing the Rerun file")
-        write_rrd(out / "demo.rrd", draw_fit(fits["iv"], truth=true))
+        write_rrd(out / "demo.rrd", draw_fit(files["iv"], fits["iv"].recordings[0], true))
     compared = truth_document(robot.name, list(fits.values()), true)
     if options.all:
         print_results(*reports, compared)

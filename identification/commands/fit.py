@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
         options,
         fit_document(file := fit_file(fit)),
         lambda: file,
-        lambda view: [view.draw_fit(fit.on(one)) for one in fit.recordings],
+        lambda view: [view.draw_fit(file, one) for one in fit.recordings],
         pictures,
     )
     lines = [f"report with charts: --report {options.recordings[0].stem}.html"]

@@ -11,8 +11,7 @@ from ..options import Overrides, above_zero
 from . import arguments as shared
 
 if TYPE_CHECKING:
-    from ..data import Signals
-    from ..report import FitFile, TorqueResidual
+    from ..report import TorqueResidual
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -61,14 +60,20 @@ def run(options: argparse.Namespace) -> int:
 
         place, name, stored = str(options.fit), options.fit.name, read_fit(options.fit)
         consistent = results.consistent_fit(stored, place) if options.consistent else None
-        recordings, notes = _recordings(options, stored)
+        pairs = [
+            (source.load(), path)
+            for path, source in zip(options.recordings, shared.sources(options), strict=True)
+        ]
+        given, chosen = from_options(Overrides, options), options.robot is not None
         progress.say("predicting")
-        validated, errors = results.validate_all(recordings, stored, place)
+        validated, errors, warnings = results.predict_recordings(
+            stored, place, pairs, given, chosen=chosen
+        )
         of_set: tuple[TorqueResidual, ...] = ()
         if consistent is not None:
-            _, of_set = results.validate_all(recordings, consistent, place, ahead=False)
-    of_settings = dict.fromkeys(text for one in validated for text in one.problem.settings.warnings)
-    warnings = (*of_settings, *dict.fromkeys(notes), *stored.warnings_of(place))
+            _, of_set, _ = results.predict_recordings(
+                consistent, place, pairs, given, chosen=chosen, ahead=False
+            )
     document = results.validation_document(validated, name, errors, warnings, of_set)
     digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
     shared.show_results(
@@ -78,25 +83,6 @@ def run(options: argparse.Namespace) -> int:
         lambda view: [view.draw_validation(validated, document, digests)],
     )
     return _status(options, (of_set or errors)[-1].relative_error_percent)
-
-
-def _recordings(
-    options: argparse.Namespace, stored: "FitFile"
-) -> tuple[list[tuple["Signals", Overrides]], list[str]]:
-    """Read the recordings as those of the fit, each with its settings; lines on both."""
-    from .. import results
-
-    recordings, notes = [], list[str]()
-    for path, source in zip(options.recordings, shared.sources(options), strict=True):
-        signals, lines = results.signals_as_fitted(
-            source.load(), path, stored, str(options.fit), chosen=options.robot is not None
-        )
-        overrides, of_lag = results.stored_settings(
-            stored, signals, from_options(Overrides, options)
-        )
-        recordings.append((signals, overrides))
-        notes += lines + of_lag
-    return recordings, notes
 
 
 def _status(options: argparse.Namespace, error: float | None) -> int:

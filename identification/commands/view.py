@@ -1,4 +1,4 @@
-"""`robot-identify view`: draw a recording in Rerun, before a fit."""
+"""`robot-identify view`: draw a recording before a fit, or a fit that was stored."""
 
 import argparse
 import os
@@ -14,14 +14,22 @@ from .arguments import add_recordings, print_results, refuse_outputs, sources
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_recordings(parser.add_argument_group("inputs"))
+    inputs = parser.add_argument_group("inputs")
+    add_recordings(inputs)
+    add_path(
+        inputs,
+        "--log",
+        "LOG.mcap",
+        "with FIT.json in place of a recording: the recording to draw the fit on; without it the "
+        "page has no curves",
+    )
     add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz")
     add_path(
         parser.add_argument_group("outputs"),
         "-o --out",
         "VIEW.rrd",
         "file to write, with .html a page with spectra (default: LOG.rrd, or a viewer with "
-        "--follow)",
+        "--follow); of a fit also .md (default: FIT.html)",
     )
     live = parser.add_argument_group("while another terminal records")
     add_flag(
@@ -40,6 +48,12 @@ def run(options: argparse.Namespace) -> None:
             key="--out",
             value=str(options.out),
             expected="no --out: LOG.rrd each",
+        )
+    if options.recordings[0].suffix == ".json":
+        return _fit(options)
+    if options.log:
+        raise BadInputError(
+            "has no effect", key="--log", value=str(options.log), expected="FIT.json before it"
         )
     is_page = options.out is not None and options.out.suffix == ".html"
     if options.follow and is_page:
@@ -70,6 +84,30 @@ def run(options: argparse.Namespace) -> None:
         if is_page
         else f"open the plots: rerun --bind 127.0.0.1 {names}"
     )
+
+
+def _fit(options: argparse.Namespace) -> None:
+    """Write the report of a stored fit, with its curves on the recording `--log`."""
+    others = ("robot", "payload", "cutoff_hz", "follow", "fit")
+    for name in others:
+        if getattr(options, name):
+            option = f"--{name.replace('_', '-')}"
+            raise BadInputError("has no effect on a fit", place=option, expected="a recording")
+    path, out = options.recordings[0], options.out
+    out = out or path.with_suffix(".html")
+    refuse_outputs([path, options.log], out)
+    if out.suffix not in (".html", ".md", ".rrd"):
+        raise BadInputError(key="--out", value=str(out), expected="FILE.html, FILE.md or FILE.rrd")
+    if out.suffix == ".rrd" and options.log is None:
+        raise BadInputError("has no curves", place=str(path), expected="--log LOG.mcap for a .rrd")
+    with Progress("reading") as progress:
+        from ..fits import Fit
+
+        fit = Fit.read(path)
+        progress.say("drawing")
+        (fit.write_rrd if out.suffix == ".rrd" else fit.write_report)(out, options.log)
+    how = "open the plots: rerun --bind 127.0.0.1" if out.suffix == ".rrd" else "open the report:"
+    print_results(f"{how} {out}")
 
 
 def _follow(options: argparse.Namespace) -> None:

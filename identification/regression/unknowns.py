@@ -11,7 +11,7 @@ own.
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -85,14 +85,9 @@ class Arm:
         """(b,) base parameters by an estimate, in which unknowns that it lacks are zero."""
         return self.beta(estimate.values_of(self.unknowns))
 
-    def settled(self, estimate: Estimate) -> "Arm":
-        """The same with all of the payload known, by an estimate."""
-        if self.payload is None:
-            return self
-        carried, of_arm = self.payload.values(estimate), np.isin(self.unknowns, self.names)
-        return replace(
-            self, P=self.P * of_arm, known=carried, payload=replace(self.payload, known=carried)
-        )
+    def carried(self, estimate: Estimate) -> Array:
+        """(b,) the payload's share of the base parameters, by an estimate."""
+        return self.payload.values(estimate) if self.payload else np.zeros(len(self.names))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,13 +13,15 @@ from .consistent import (
     urdf_prior,
     with_consistent,
 )
-from .fit import Fit, FittedRecording
+from .fit import Fit
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
 from .make_fit import identify, identify_iv, identify_ls
+from .on_recording import FitOnRecording
 from .parameters import (
     consistent_fit,
     fitted_parameters,
+    predict_recordings,
     prior_file,
     signals_as_fitted,
     stored_beta,
@@ -32,7 +34,6 @@ from .parameters import (
     with_stored_gains,
 )
 from .recording_report import (
-    Validated,
     half_width_percents,
     main_figures,
     recording_document,

@@ -26,7 +26,7 @@ from ..model import BaseParameters, InverseModel, expected_links, physical_param
 from ..regression import recorded_power
 from ..report import ConsistentFile, StandardParameter
 from .fit import Fit
-from .recording_report import errors_on, validated
+from .on_recording import errors_on, validated
 
 # of the variance by the prior alone: above, the value is more from the prior than the recording
 MIN_PRIOR_SHARE = 0.5
@@ -68,18 +68,15 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     `prior` describes the a-priori links; None: the fitted description. Raises `BadInputError`: a
     drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
-    problem, full, own = fit.problem, fit.full, fit.recordings[0].arm.names
+    problem, full, own = fit.problem, fit.full, fit.recordings[0].names
     # of own parameters those of one recording
     covariance = covariance_of_all(own, fit.estimate, fit.intervals, full)
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
-    alike = [one.problem for one in fit.recordings if one.arm.names == own]
+    alike = [one.problem for one in fit.recordings if one.names == own]
     power = recorded_power(alike, fit.beta)
     found, standard = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
     beta = np.array([one.value for one in found.base_parameters or ()])
-    carried = ((one.problem, one.arm.payload) for one in fit.recordings)
-    errors = errors_on(
-        [validated(of, beta + (payload.known if payload else 0.0)) for of, payload in carried]
-    )
+    errors = errors_on([validated(one.problem, beta + one.carried) for one in fit.recordings])
     error = errors[-1].relative_error_percent
     found = msgspec.structs.replace(found, relative_error_percent=error)
     return replace(fit, consistent_set=found, standard_parameters=standard)

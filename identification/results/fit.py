@@ -14,7 +14,7 @@ from ..control import ControllerKind, FoundLaw
 from ..estimation import Estimate, Intervals
 from ..methods import Pass, Solution, direct_errors, largest
 from ..model import BaseParameters
-from ..regression import Arm, Problem, Settings, base_places
+from ..regression import Problem, Settings, base_places
 from ..report import (
     ConsistentFile,
     DirectModelResidual,
@@ -26,36 +26,8 @@ from ..report import (
     Status,
     TorqueResidual,
 )
-from ..simulation import Simulated
-from ..trust import FitData, HeldOut, Trust
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FittedRecording:
-    """One of the recordings of a fit.
-
-    Attributes:
-        problem: recording, settings and model; without samples if the recordings
-            are too long to be held.
-        arm: its base parameters in those of the fit.
-        t_s: (rows,) instants of decimated rows, s, behind filters that depend on the motion only;
-            those of the fit are in its `data`.
-        tau, tau_predicted: (rows, n) torques there; `counts`: whether the joint moves, as in rows
-            of a fit.
-        errors: its torque errors, one entry per joint and, last, all joints together.
-        held_out: its torque predicted by the fit of the other recordings; None if there are none.
-        simulated: the robot simulated in it with the estimate; None after least squares.
-    """
-
-    problem: Problem
-    arm: Arm
-    t_s: Array
-    tau: Array
-    tau_predicted: Array
-    counts: Bools
-    errors: tuple[TorqueResidual, ...]
-    held_out: HeldOut | None
-    simulated: Simulated | None
+from ..trust import FitData, Trust
+from .on_recording import FitOnRecording
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -76,7 +48,7 @@ class Fit:
 
     solution: Solution
     data: FitData
-    recordings: tuple[FittedRecording, ...]
+    recordings: tuple[FitOnRecording, ...]
     errors: tuple[TorqueResidual, ...]
     warnings: tuple[str, ...]
     trust: Trust
@@ -85,10 +57,6 @@ class Fit:
     payloads: tuple[PayloadOfFit, ...] = ()
     consistent_set: ConsistentFile | None = None
     standard_parameters: tuple[StandardParameter, ...] = ()
-
-    def on(self, one: FittedRecording) -> "Fit":
-        """The fit restricted to one of its recordings: rows, errors and simulated robot."""
-        return replace(self, recordings=(one,), errors=one.errors)
 
     @property
     def method(self) -> Method:
@@ -208,7 +176,7 @@ class Fit:
     @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero if left out."""
-        return self.estimate.values_of(self.recordings[0].arm.names)
+        return self.estimate.values_of(self.recordings[0].names)
 
     @property
     def notes(self) -> tuple[str, ...]:

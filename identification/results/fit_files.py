@@ -15,16 +15,17 @@ from ..trust import HeldOut
 from .fit import Fit
 from .gain_results import smallest_cragg_donald
 from .horizon import HORIZONS_S
+from .on_recording import FitOnRecording, errors_on, validated
 from .parameters import fitted_parameters
 from .recorded import on_recording, remarks
-from .recording_report import Validated, errors_on, first_ahead, validated
+from .recording_report import first_ahead
 
 
 def fit_file(fit: Fit) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
     e, signals, lines = fit.estimate, fit.problem.signals, fit.trust.lines
     full = fit.full
-    each = [_recording(one.problem, one.errors[-1], one.held_out) for one in fit.recordings]
+    each = [_recording(one.problem, errors_on([one])[-1], one.held_out) for one in fit.recordings]
     return report.FitFile(
         **on_recording(fit.problem, fit.errors, fit.warnings),
         own_parameters=fit.own or UNSET,
@@ -131,7 +132,7 @@ def _law(law: FoundLaw, robot: Robot) -> report.LawFile:
 
 
 def validation_file(
-    recordings: Sequence[Validated],
+    recordings: Sequence[FitOnRecording],
     fit: str,
     errors: tuple[report.TorqueResidual, ...],
     warnings: tuple[str, ...],
@@ -175,7 +176,7 @@ def _recording(
 def _error_by_ls(fit: Fit) -> float | None:
     """The torque error of least squares, percent."""
     each = [
-        validated(one.problem, one.arm.values(fit.least_squares.estimate)) for one in fit.recordings
+        validated(one.problem, one.values(fit.least_squares.estimate)) for one in fit.recordings
     ]
     return errors_on(each)[-1].relative_error_percent
 

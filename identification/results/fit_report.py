@@ -258,7 +258,7 @@ def _rows_line(fit: FitFile) -> str:
         if percent is None
         else f"{percent:g} % of the peak speed"
     )
-    line = f"{fit.rows} of {fit.recorded_rows} rows"
+    line = f"{fit.rows} of {fit.recorded_rows} rows" if fit.recorded_rows else f"{fit.rows} rows"
     if percent == 0:
         return line
     if fit.ramp_rows == ROWS:

@@ -14,15 +14,15 @@ from ..estimation import (
     one_thread,
     relative_residual,
     spans_of,
-    torque_errors,
 )
 from ..methods import Iteration, Model, Say, Solution, solve
 from ..regression import ROWS, Overrides, Problem, base_name, sample_weights
 from ..report import FTest, Method
 from ..trust import MIN_FIRST_STAGE_F, trust_in, with_predictions
-from .fit import Fit, FittedRecording
+from .fit import Fit
 from .gain_results import gains_of, payloads_of
-from .recording_report import gain_warnings, names_and_units
+from .on_recording import FitOnRecording, errors_on
+from .recording_report import gain_warnings
 
 SURROGATE = (
     "surrogate reference: none recorded, the measured position is used instead; the instruments "
@@ -81,31 +81,31 @@ def identify_iv(
 def fit_of(solution: Solution) -> Fit:
     """The fit of a solution: its torque errors, its tests, its warnings, gains and payloads."""
     model, x, z = solution.model, solution.x, solution.simulated
-    joints = names_and_units(model.problem.signals)
     data, (tau, predicted, counts, t_s) = with_predictions(
         solution.evidence, partial(model.torques, x, judged=True)
     )
-    parts = zip(data.problems, spans_of([*map(len, t_s)]), strict=True)
+    parts = zip(data.problems, model.unknowns.arms, spans_of([*map(len, t_s)]), strict=True)
     fitted = [
-        FittedRecording(
+        FitOnRecording(
             problem=problem,
-            arm=model.unknowns.arms[k].settled(data.estimate),
+            names=arm.names,
+            carried=arm.carried(data.estimate),
+            beta=arm.values(data.estimate),
             t_s=t_s[k],
             tau=tau[part],
             tau_predicted=predicted[part],
             counts=counts[part],
-            errors=torque_errors(tau[part], predicted[part], counts[part], joints),
             held_out=data.by_others[k] if data.by_others else None,
             simulated=z[k] if z else None,
         )
-        for k, (problem, part) in enumerate(parts)
+        for k, (problem, arm, part) in enumerate(parts)
     ]
     payloads, far = payloads_of(model, data)
     return Fit(
         solution=solution,
         data=data,
         recordings=tuple(fitted[k] for k in model.order),
-        errors=torque_errors(tau, predicted, counts, joints),
+        errors=errors_on(fitted),
         trust=trust_in(data),
         own=own_test(model, x, data.least_squares),
         gains=gains_of(model, data),

@@ -32,7 +32,7 @@ from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit
 from .horizon import errors_ahead
-from .recording_report import Validated, errors_on, validated
+from .on_recording import FitOnRecording, errors_on, validated
 
 
 def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
@@ -293,7 +293,7 @@ def validate_all(
     place: str,
     *,
     ahead: bool = True,
-) -> tuple[tuple[Validated, ...], tuple[TorqueResidual, ...]]:
+) -> tuple[tuple[FitOnRecording, ...], tuple[TorqueResidual, ...]]:
     """The torque of a stored fit on recordings of one robot, each with what replaces its settings,
     and the errors of all together, as `errors_on`; nothing is fitted.
 
@@ -308,3 +308,28 @@ def validate_all(
         for one, beta in zip(problems, betas, strict=True)
     )
     return each, errors_on(each)
+
+
+def predict_recordings(
+    stored: FitFile,
+    place: str,
+    recordings: Sequence[tuple[Signals, Path]],
+    overrides: Overrides,
+    *,
+    chosen: bool = False,
+    ahead: bool = True,
+) -> tuple[tuple[FitOnRecording, ...], tuple[TorqueResidual, ...], tuple[str, ...]]:
+    """The torque of a stored fit on recordings, read from their paths, as of `validate_all`; and
+    warnings of their settings, of what differs from the fit, and of the fit itself.
+
+    `overrides` replace the settings of the fit; `chosen`: the user gave the description.
+    """
+    each, notes = list[tuple[Signals, Overrides]](), list[str]()
+    for source, path in recordings:
+        signals, of_robot = signals_as_fitted(source, path, stored, place, chosen=chosen)
+        settings, of_lag = stored_settings(stored, signals, overrides)
+        each.append((signals, settings))
+        notes += of_robot + of_lag
+    found, errors = validate_all(each, stored, place, ahead=ahead)
+    of_settings = dict.fromkeys(text for one in found for text in one.problem.settings.warnings)
+    return found, errors, (*of_settings, *dict.fromkeys(notes), *stored.warnings_of(place))

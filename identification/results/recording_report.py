@@ -3,14 +3,13 @@ fit on other recordings.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Array, Bools
+from ..arrays import Array
 from ..data import ON_GRID, Signals
-from ..estimation import torque_errors
-from ..regression import Problem, Settings, equation_alone, torque_of_recording
+from ..regression import Settings
 from ..report import (
     Document,
     FitFile,
@@ -25,6 +24,7 @@ from ..report import (
     columns,
 )
 from .horizon import HORIZONS_S
+from .on_recording import FitOnRecording, errors_on
 from .recorded import on_recording, with_settings
 
 
@@ -64,46 +64,13 @@ def recording_document(
     )
 
 
-@dataclass(frozen=True)
-class Validated:
-    """A recording, with rows (T, n) of measured and modelled torque, and which count; and how far
-    the motion is predicted `ahead`, as of `errors_ahead`.
-    """
-
-    problem: Problem
-    tau: Array
-    tau_predicted: Array
-    counts: Bools
-    ahead: Array | None = None
-
-
-def validated(problem: Problem, beta: Array) -> Validated:
-    """The torque of base parameters (b,), with the payload, on a recording."""
-    torques = torque_of_recording(*equation_alone(problem), [beta], judged=True)
-    tau, (predicted,), counts, *_ = torques
-    return Validated(problem.for_errors, tau, predicted, counts)
-
-
-def first_ahead(recordings: Sequence[Validated]) -> Array | None:
+def first_ahead(recordings: Sequence[FitOnRecording]) -> Array | None:
     """How far the motion is predicted ahead, in the first of the recordings that shows it."""
     return next((one.ahead for one in recordings if one.ahead is not None), None)
 
 
-def errors_on(recordings: Sequence[Validated]) -> tuple[TorqueResidual, ...]:
-    """Torque errors of recordings together: one per joint and, last, that of all joints."""
-    rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
-    tau, predicted, counts = map(np.concatenate, zip(*rows, strict=True))
-    return torque_errors(tau, predicted, counts, names_and_units(recordings[0].problem.signals))
-
-
-def names_and_units(signals: Signals) -> list[tuple[str, str]]:
-    """Of the joints, as of `torque_errors`."""
-    names = [joint.name for joint in signals.robot.joints]
-    return list(zip(names, signals.robot.effort_units, strict=True))
-
-
 def validation_document(
-    recordings: Sequence[Validated],
+    recordings: Sequence[FitOnRecording],
     fit: str,
     errors: tuple[TorqueResidual, ...],
     warnings: tuple[str, ...],
@@ -139,7 +106,7 @@ def validation_document(
     )
 
 
-def _ahead_section(recordings: Sequence[Validated]) -> list[Section]:
+def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
     """Errors of the positions that the direct model predicts, by joint, as of `first_ahead`."""
     if (found := first_ahead(recordings)) is None:
         return []

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..design import Excitation
-from ..report import Level, ParameterSet, differences
+from ..report import Level, ParameterSet, TrustLineFile, differences
 from ..study import Run, VariedFit, moves_of
-from ..trust import Trust, TrustLine
 from .axes import Axis, decades, linear, logarithmic
 from .colors import COMPARED, GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color
 from .panels import Column, Curve, Graph, Mark, Rows, Shape
@@ -109,21 +108,23 @@ def _look(known: bool) -> tuple[Color, Shape]:
     return (ORANGE, "dot") if known else (GREY, "ring")
 
 
-def trust_charts(trust: Trust) -> list[Rows]:
+def trust_charts(tests: Sequence[TrustLineFile]) -> list[Rows]:
     """Figures of the tests by joint or block, with expected values."""
-    return [_trust_chart(line) for line in trust.lines if line.figures]
+    return [_trust_chart(line) for line in tests if line.figures]
 
 
-def _trust_chart(line: TrustLine) -> Rows:
+def _trust_chart(line: TrustLineFile) -> Rows:
     color = LEVEL_COLORS.get(line.level, GREY)
     marks = [
         *(
             Mark(row=k, value=expected, color=GREEN, shape="tick")
             for k, (*_, expected) in enumerate(line.figures)
+            if expected is not None
         ),
         *(
-            Mark(row=k, value=value, half=half, color=color)
+            Mark(row=k, value=value, half=half or 0.0, color=color)
             for k, (_, value, half, _) in enumerate(line.figures)
+            if value is not None
         ),
     ]
     head = "● value ± 95 %" if any(mark.half for mark in marks) else "● value"

@@ -12,7 +12,7 @@ from ..arrays import Array, Ints
 from ..data import Signals
 from ..design import Excitation
 from ..regression import FilteredMotion, Motion, Settings
-from ..results import Fit
+from ..results import FitOnRecording
 from .colors import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION
 from .panels import Curve, Line, Plot
 
@@ -38,7 +38,7 @@ NAMES = {  # key and name of some of them
 }
 
 
-def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Lines:
+def lines_of(signals: Signals, settings: Settings | None, fit: FitOnRecording | None) -> Lines:
     """Decimated curves of a recording; `settings` are those of the filter.
 
     `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted span, in
@@ -60,7 +60,7 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
     if signals.q_ref is not None:
         of_reference = {"q": signals.q_ref, "error": signals.q_ref - signals.q}
         lines |= _lines("reference", signals.t_s, of_reference)
-    simulated = None if fit is None else fit.recordings[0].simulated
+    simulated = None if fit is None else fit.simulated
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         # m.t_s is index / rate
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]

@@ -1,13 +1,15 @@
 """Charts of identified friction over the speed of each joint."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..model import friction_alone
+from ..model import InverseModel, friction_alone
 from ..regression import base_name, rigid_torque_at_rows
-from ..results import Fit
+from ..report import FitFile
+from ..results import FitOnRecording
 from .colors import GREY, ORANGE, PREDICTED, SKY, VERMILLION
 from .panels import Curve, Graph
 
@@ -18,18 +20,37 @@ MAX_DOTS = 400  # of a friction chart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Rows:
-    """Rows of all recordings: speeds `dq`, sizes of the links' torques `load` and residual
-    torques, each (K, n); `own` (K, b) is 1 for the parameters that a row's recording has.
+class _Friction:
+    """The fitted friction, and the rows of all recordings that show it.
+
+    Attributes:
+        model, columns: the robot, and the standard parameters of the fitted ones.
+        beta, covariance: (b,) and (b, b) of the fitted parameters, and `reach`: deviations in half
+            a 95 % interval.
+        share: (b,) of the recordings that have a parameter.
+        dq, load, residual: speeds, sizes of the links' torques and residual torques, each (K, n).
+        own: (K, b) is 1 for the parameters that a row's recording has.
     """
 
+    model: InverseModel
+    columns: Ints
+    beta: Array
+    covariance: Array
+    reach: float
+    share: Array
     dq: Array
     load: Array
     residual: Array
     own: Array
 
+    def alone(self, j: int, speed: Array, load: Array) -> Array:
+        """(k, b) columns of the friction of joint j."""
+        return friction_alone(self.model, self.columns, j, speed, load)
 
-def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
+
+def friction_charts(
+    fit: FitFile, recordings: Sequence[FitOnRecording], of: str = ""
+) -> list[Graph]:
     """Friction of each joint over its speed: rows as dots, the identified curve with its 95 %
     interval; a color per load.
 
@@ -37,21 +58,34 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
     all recordings; in the first rows of a long one. If recordings have parameters of their own,
     dots use each recording's and curves their means.
     """
-    names = [base_name(name) for name in fit.estimate.names]
-    columns = fit.problem.base.columns[[fit.base.names.index(name) for name in names]]
+    problem, names = recordings[0].problem, [p.name for p in fit.parameters]
+    places = [problem.base.names.index(base_name(name)) for name in names]
+    has = np.array([[name in one.names for name in names] for one in recordings], dtype=float)
     found = []
-    for one in fit.recordings:
-        dq, rigid = rigid_torque_at_rows(one.problem.for_errors, one.arm.values(fit.estimate))
+    for one, of_one in zip(recordings, has, strict=True):
+        dq, rigid = rigid_torque_at_rows(one.problem.for_errors, one.beta)
         residual = (one.tau - one.tau_predicted)[: len(dq)]
-        has = [float(name in one.arm.names) for name in fit.estimate.names]
-        found.append((dq, np.abs(rigid), residual, np.tile(has, (len(dq), 1))))
+        found.append((dq, np.abs(rigid), residual, np.tile(of_one, (len(dq), 1))))
     dq, load, residual, own = (np.concatenate(x) for x in zip(*found, strict=True))
-    rows = _Rows(dq=dq, load=load, residual=residual, own=own)
-    return [_friction_chart(fit, columns, rows, j, of) for j in range(fit.problem.signals.robot.n)]
+    covariance = np.array(fit.covariance.values) if fit.covariance else np.zeros((len(names),) * 2)
+    half, sigma = np.array([p.half for p in fit.parameters]), np.sqrt(np.diag(covariance))
+    friction = _Friction(
+        model=problem.model,
+        columns=problem.base.columns[places],
+        beta=np.array([p.value for p in fit.parameters]),
+        covariance=covariance,
+        reach=float(np.median(half[sigma > 0] / sigma[sigma > 0])) if sigma.any() else 0.0,
+        share=has.mean(axis=0),
+        dq=dq,
+        load=load,
+        residual=residual,
+        own=own,
+    )
+    return [_friction_chart(friction, j, of) for j in range(problem.signals.robot.n)]
 
 
-def _friction_chart(fit: Fit, columns: Ints, rows: _Rows, j: int, of: str) -> Graph:
-    robot, curves = fit.problem.signals.robot, list[Curve]()
+def _friction_chart(rows: _Friction, j: int, of: str) -> Graph:
+    robot, curves = rows.model.robot, list[Curve]()
     joint, unit = robot.joints[j], robot.effort_units[j]
     peak = np.abs(rows.dq[:, j]).max(initial=0.0)
     moving = np.flatnonzero(np.abs(rows.dq[:, j]) > 0.02 * peak)
@@ -64,12 +98,12 @@ def _friction_chart(fit: Fit, columns: Ints, rows: _Rows, j: int, of: str) -> Gr
         ]
     shown = moving[:: max(1, len(moving) // MAX_DOTS)]
     v, load = rows.dq[shown, j], rows.load[shown, j]
-    own = friction_alone(fit.problem.model, columns, j, v, load) * rows.own[shown]
-    points = np.stack([v, own @ fit.estimate.beta + rows.residual[shown, j]], axis=1)
+    own = rows.alone(j, v, load) * rows.own[shown]
+    points = np.stack([v, own @ rows.beta + rows.residual[shown, j]], axis=1)
     nearest = np.abs(load[:, None] - loads).argmin(axis=1)
     for k, (color, _, name) in enumerate(looks):
         for speed in (-peak * SPEEDS, peak * SPEEDS) if peak > 0 else ():
-            middle, half = _friction_curve(fit, columns, j, speed, loads[k])
+            middle, half = _friction_curve(rows, j, speed, loads[k])
             for side, text in ((0, name), (-1, "95 % interval"), (1, "95 % interval")):
                 curves.append(
                     Curve(
@@ -90,13 +124,8 @@ def _friction_chart(fit: Fit, columns: Ints, rows: _Rows, j: int, of: str) -> Gr
     )
 
 
-def _friction_curve(
-    fit: Fit, columns: Ints, j: int, speed: Array, load: float
-) -> tuple[Array, Array]:
+def _friction_curve(rows: _Friction, j: int, speed: Array, load: float) -> tuple[Array, Array]:
     """Friction of joint j at speeds (k,) and a load, and half-widths of its 95 % interval."""
-    share = np.mean(
-        [[name in one.arm.names for name in fit.estimate.names] for one in fit.recordings], axis=0
-    )
-    G = friction_alone(fit.problem.model, columns, j, speed, np.full(len(speed), load)) * share
-    variance = np.sum((G @ fit.intervals.covariance) * G, axis=1)
-    return G @ fit.estimate.beta, fit.intervals.reach * np.sqrt(np.maximum(variance, 0.0))
+    G = rows.alone(j, speed, np.full(len(speed), load)) * rows.share
+    variance = np.sum((G @ rows.covariance) * G, axis=1)
+    return G @ rows.beta, rows.reach * np.sqrt(np.maximum(variance, 0.0))

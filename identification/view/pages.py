@@ -12,7 +12,8 @@ from ..data import Signals
 from ..design import Excitation
 from ..errors import RobotIdimError
 from ..regression import Overrides, Settings, make_settings, with_bandwidth
-from ..report import Document, ParameterSet, Section, comparison_section
+from ..report import Document, FitFile, ParameterSet, Section, comparison_section
+from ..results import FitOnRecording
 from ..study import Run, VariedFit
 from . import charts, curves
 from .friction_charts import friction_charts
@@ -21,8 +22,9 @@ from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, spectrum_charts
 
 
-def draw_fit(fit: results.Fit, *, truth: Array | None = None) -> Picture:
-    """A fit on one of its recordings. A fit by IV is shown together with its least squares.
+def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = None) -> Picture:
+    """A fit on one of its recordings; None: without its curves. A fit by IV is shown together with
+    its least squares; `truth`: known values of the base parameters.
 
     Times are seconds from the recording's first sample, on the timeline `time`. Measured curves
     cover the recording, filtered and predicted ones the fitted span. Entities are
@@ -31,51 +33,67 @@ def draw_fit(fit: results.Fit, *, truth: Array | None = None) -> Picture:
     the plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`,
     `column/<quantity>`, `events`, `health`, `report`.
     """
-    signals, own = fit.problem.signals, results.fitted_parameters(fit)
-    others = [results.fitted_parameters(fit, by_ls=True)] if fit.passes else []
-    others += [results.true_parameters(fit.base, truth)] if truth is not None else []
-    document = results.fit_document(results.fit_file(fit)).followed_by(
+    label = {"iv": "IV", "wls": "LS", "ols": "OLS"}.get(fit.method or "", "fit")
+    own, others = ParameterSet.of_file(fit, label), list[ParameterSet]()
+    if fit.least_squares:
+        others = [ParameterSet(label="LS", parameters={p.name: p for p in fit.least_squares})]
+    if truth is not None and one is not None:
+        others.append(results.true_parameters(one.problem.base, truth))
+    document = results.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )
-    torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
-    overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
+    trust = Page(name="trust", groups={"tests": charts.trust_charts(fit.trust or ())})
+    charted = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, others)})
+    assert fit.provenance is not None
+    if one is None:
+        return Picture(
+            name=f"{fit.provenance.robot}, {fit.provenance.recording}, {label}",
+            document=document,
+            pages=(trust, charted),
+            sha256={fit.provenance.recording: fit.provenance.sha256},
+        )
+    signals = one.signals
+    torque, residual = curves.row_plots(signals.robot, one.t_s, one.tau, one.tau_predicted)
+    overview, *of_signals = _signal_pages(signals, one.problem.settings, one, residual)
     each = [error.relative_error_percent or 0.0 for error in fit.errors[:-1]]
     j = each.index(max(each))
     unit = signals.robot.effort_units[j]
     largest = f"torque of {signals.robot.joints[j].name}, which has the largest error [{unit}]"
     return Picture(
-        name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
+        name=f"{signals.robot.name}, {signals.recording}, {str(fit.method).upper()}",
         first=replace(torque[j], title=largest),
         document=document,
         pages=(
             overview,
-            Page(name="trust", groups={"tests": charts.trust_charts(fit.trust)}),
-            Page(name="parameters", groups={"deviations": charts.deviation_charts(own, others)}),
+            trust,
+            charted,
             Page(name="residual", groups={"residual": residual}),
-            _friction_page({"": fit}),
+            _friction_page({"": fit}, {"": [one]}),
             *of_signals,
         ),
-        sha256={
-            one.problem.signals.recording: one.problem.signals.sha256 for one in fit.recordings
-        },
+        sha256={signals.recording: signals.sha256},
     )
 
 
 def draw_friction(before: results.Fit, after: results.Fit, document: Document) -> Picture:
     """The fits with the usual and with the recommended friction terms."""
-    recording = ", ".join(one.problem.signals.recording for one in before.recordings)
+    recording = ", ".join(one.signals.recording for one in before.recordings)
+    fits = {"usual": before, "recommended": after}
     return Picture(
         name=f"{before.problem.signals.robot.name}, {recording}, friction",
         document=document,
-        pages=(_friction_page({"usual": before, "recommended": after}),),
-        sha256={
-            one.problem.signals.recording: one.problem.signals.sha256 for one in before.recordings
-        },
+        pages=(
+            _friction_page(
+                {name: results.fit_file(fit) for name, fit in fits.items()},
+                {name: fit.recordings for name, fit in fits.items()},
+            ),
+        ),
+        sha256={one.signals.recording: one.signals.sha256 for one in before.recordings},
     )
 
 
 def draw_validation(
-    validated: Sequence[results.Validated], document: Document, sha256: Mapping[str, str]
+    validated: Sequence[FitOnRecording], document: Document, sha256: Mapping[str, str]
 ) -> Picture:
     """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the
     model, and the residual.
@@ -83,9 +101,7 @@ def draw_validation(
     pages = []
     for one in validated:
         signals = one.problem.signals
-        torque, residual = curves.row_plots(
-            signals.robot, one.problem.row_times_s(), one.tau, one.tau_predicted
-        )
+        torque, residual = curves.row_plots(signals.robot, one.t_s, one.tau, one.tau_predicted)
         pages.append(Page(name=signals.recording, groups={"torque": torque, "residual": residual}))
     return Picture(
         name=f"{validated[0].problem.signals.robot.name} validation",
@@ -170,7 +186,10 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
 
 
 def _signal_pages(
-    signals: Signals, settings: Settings | None, fit: results.Fit | None, residuals: Sequence[Plot]
+    signals: Signals,
+    settings: Settings | None,
+    fit: FitOnRecording | None,
+    residuals: Sequence[Plot],
 ) -> list[Page]:
     """The pages of a recording with or without a fit and its residuals: overview,
     signal quality, motion.
@@ -204,9 +223,11 @@ def _signal_pages(
     ]
 
 
-def _friction_page(fits: Mapping[str, results.Fit]) -> Page:
+def _friction_page(
+    fits: Mapping[str, FitFile], recordings: Mapping[str, Sequence[FitOnRecording]]
+) -> Page:
     """Friction of each joint over its speed, for one fit or several fits side by side."""
-    of_fits = [friction_charts(fit, name) for name, fit in fits.items()]
+    of_fits = [friction_charts(fit, recordings[name], name) for name, fit in fits.items()]
     of_joints = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
     groups: Mapping[str, Sequence[Panel]] = of_joints if len(fits) > 1 else {"friction": of_fits[0]}
     return Page(name="friction", groups=groups)

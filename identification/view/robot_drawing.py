@@ -18,7 +18,7 @@ from ..data import Signals
 from ..design import Excitation
 from ..export import make_urdf
 from ..model import InverseModel
-from ..results import Fit
+from ..results import FitOnRecording
 from .panels import Moving, Scene
 
 POSES_PER_S = 50.0  # close to the frame rate of a screen
@@ -26,13 +26,13 @@ MAX_POSES = 15_000  # five minutes; a longer recording has fewer poses per secon
 MIN_VIEW_M = 0.7  # approximate size of the picture, since a single joint moves close to its base
 
 
-def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
+def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
     """The measured robot and, if the fit simulated it, the simulated one as a ghost."""
     dynamics = fit.problem.model if fit else InverseModel(signals.robot)
     fs, N = signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
     robots = [Moving(key="measured", t_s=signals.t_s[k], q=signals.q[k])]
-    simulated = None if fit is None else fit.recordings[0].simulated
+    simulated = None if fit is None else fit.simulated
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         k = np.arange(0, len(m.t_s), pose_stride(len(m.t_s), 1 / (m.t_s[1] - m.t_s[0])))
         t_s = signals.t_s[np.rint(m.t_s[k] * fs).astype(int)]

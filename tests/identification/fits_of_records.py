@@ -6,10 +6,14 @@ Not for a test that patches the method: others would be given its fit.
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from identification.data import Signals, load_signals
 from identification.methods import Iteration
 from identification.regression import Overrides
-from identification.results import Fit, identify_iv, identify_ls
+from identification.results import Fit, fit_file, identify_iv, identify_ls
+from identification.view import draw_fit
+from identification.view.panels import Picture
 
 
 @cache
@@ -25,3 +29,7 @@ def ls_of(path: Path) -> Fit:
 @cache
 def iv_of(path: Path) -> Fit:
     return identify_iv(signals_of(path), Overrides(), Iteration())
+
+
+def picture_of(fit: Fit, **truth: np.ndarray) -> Picture:
+    return draw_fit(fit_file(fit), fit.recordings[0], **truth)

@@ -69,7 +69,7 @@ def fill_in(path: str, **values: str) -> None:
     Path(path).write_text("\n".join([*lines, ""]))
 
 
-def true_to(arm: Arm, fit: identification.StoredFit, most_percent: float = MOST_PERCENT) -> bool:
+def true_to(arm: Arm, fit: identification.Fit, most_percent: float = MOST_PERCENT) -> bool:
     """Whether the torques of a fit and of the exported model are those of the arm."""
     torques = fit.predict, mujoco_torque("robot.xml")
     return max(arm.errors_percent(torque).max() for torque in torques) < most_percent

@@ -70,16 +70,16 @@ def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     from identification.study import study_truth
 
     base, true = study_truth(signals.robot)
-    assert (by_iv.status, by_iv.base.names, by_iv.reference) == (
+    assert (by_iv.status, by_iv.base.names, by_iv.file.reference) == (
         "converged",
         base.names,
         "recorded",
     )
     assert np.linalg.norm(by_iv.beta - true) < 0.01 * np.linalg.norm(true)
     without = identification.fit(signals.q, signals.effort, 1000.0, signals.robot)
-    assert (by_iv.method, without.method) == ("iv", "wls")
+    assert (by_iv.file.method, without.file.method) == ("iv", "wls")
     asked = identification.fit(signals.q, signals.effort, 1000.0, signals.robot, method="iv")
-    assert asked.reference == "surrogate"
+    assert asked.file.reference == "surrogate"
 
 
 def test_arrays_are_copied_and_tell_recordings_apart(signals):
@@ -197,7 +197,7 @@ def test_positions_that_are_missing_are_told():
 def test_a_velocity_is_compared_with_the_derivative(signals):
     arrays, speed = (signals.q, signals.effort, 1000.0, SCARA), np.gradient(signals.q, 1e-3, axis=0)
     fit = identification.fit(*arrays, method="wls", velocity=0.8 * speed)
-    np.testing.assert_array_equal(fit.problem.signals.velocity, 0.8 * speed)
+    np.testing.assert_array_equal(fit.evidence.problem.signals.velocity, 0.8 * speed)
     assert [text.split(", ")[0] for text in fit.warnings if "velocity" in text] == [
         f"recording: velocity of joint {name} = 0.8 x the derivative of its position"
         for name in ("shoulder", "elbow")
@@ -209,7 +209,7 @@ def test_a_velocity_is_compared_with_the_derivative(signals):
 
 
 def test_results_say_in_a_line_what_they_are(signals, by_iv):
-    error, essential = by_iv.errors[-1].relative_error_percent, len(by_iv.essential_names)
+    error, essential = by_iv.errors[-1].relative_error_percent, len(by_iv.evidence.essential_names)
     assert (
         repr(by_iv)
         == f"Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, {essential} "
@@ -298,8 +298,8 @@ def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
 
 
 def test_a_fit_tells_its_verdict_and_its_parameters(by_iv, tmp_path):
-    assert by_iv.verdict == by_iv.trust.verdict == "trust"
-    assert by_iv.assumed == by_iv.trust.assumed != ()
+    assert by_iv.verdict == by_iv.evidence.trust.verdict == "trust"
+    assert by_iv.assumed == by_iv.evidence.trust.assumed != ()
     by_iv.to_json(tmp_path / "fit.json")
     for fit in (by_iv, identification.read_fit(tmp_path / "fit.json")):
         columns = fit.parameters.to_dict()
@@ -315,9 +315,9 @@ def test_a_fit_tells_its_verdict_and_its_parameters(by_iv, tmp_path):
         ]
         assert columns["name"] == list(by_iv.base.names)
         assert columns["value"] == pytest.approx(by_iv.beta)
-        assert columns["half_width"] == pytest.approx(by_iv.intervals.half)
+        assert columns["half_width"] == pytest.approx(by_iv.evidence.intervals.half)
         assert columns["unit"] == list(by_iv.base.units)
-    rho, tau = (x[by_iv.counts] for x in (by_iv.residuals(), by_iv.tau))
+    rho, tau = (x[by_iv.evidence.counts] for x in (by_iv.residuals(), by_iv.evidence.tau))
     whole = 100 * np.linalg.norm(rho) / np.linalg.norm(tau)
     assert whole == pytest.approx(by_iv.errors[-1].relative_error_percent)
 
@@ -329,14 +329,14 @@ def test_settings_are_plain_keywords(signals):
 
     settings = fitted(
         cutoff_hz=37.0, decimation=7, low_speed_percent=3.0, torque_lag_s=0.002
-    ).settings
+    ).evidence.settings
     assert (settings.cutoff_hz, settings.decimation, settings.torque_lag_s) == (37.0, 7, 0.002)
     assert settings.low_speed.ls == 3.0
-    assert fitted(cutoff_hz=0.0).settings.cutoff_hz is None
+    assert fitted(cutoff_hz=0.0).evidence.settings.cutoff_hz is None
     noise = np.random.default_rng(1).normal(scale=20.0, size=signals.effort.shape)
     noisy = replace(signals, effort=signals.effort + noise)
     few = identification.fit(noisy.q, noisy.effort, 1000.0, SCARA, method="wls", essential=True)
-    assert len(few.estimate.names) < 8 == len(few.beta)
+    assert len(few.parameters) < 8 == len(few.beta)
 
 
 @pytest.mark.parametrize("by", ["arrays", "recording"])
@@ -442,7 +442,7 @@ def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
         "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, "
         "torque error 0.688 %)"
     )
-    assert (repr(stored), repr(stored.file)) == (f"StoredFit{expected}", f"FitFile{expected}")
+    assert (repr(stored), repr(stored.file)) == (f"Fit{expected}", f"FitFile{expected}")
     shown = stored._repr_html_()
     assert (len(shown) < 20_000, shown.count("<iframe")) == (True, 1)
     frame, page = Page(html.unescape(shown.split('srcdoc="')[1].split('"')[0])), Page(shown)
@@ -493,14 +493,17 @@ def test_recordings_are_lists_of_arrays(signals, tmp_path):
     both = slice(0, 2000), slice(2000, 4001)
     q, tau, q_ref = ([x[part] for part in both] for x in (signals.q, signals.effort, signals.q_ref))
     fit = identification.fit(q, tau, 1000.0, SCARA, q_ref)
-    assert [one.problem.signals.recording for one in fit.recordings] == ["arrays 1", "arrays 2"]
-    for one, k in zip(fit.recordings, range(2), strict=True):
+    assert [one.problem.signals.recording for one in fit.evidence.recordings] == [
+        "arrays 1",
+        "arrays 2",
+    ]
+    for one, k in zip(fit.evidence.recordings, range(2), strict=True):
         np.testing.assert_array_equal(one.problem.signals.q, q[k])
         np.testing.assert_array_equal(one.problem.signals.q_ref, q_ref[k])
     fit.write_rrd(tmp_path / "fit.rrd")
     assert {path.name for path in tmp_path.iterdir()} == {"fit_1.rrd", "fit_2.rrd"}
     slow = [q[0], q[1][::2]], [tau[0], tau[1][::2]], [1000.0, 500.0]
-    rates = identification.fit(*slow, SCARA, method="wls", payload=[None, "2"]).recordings
+    rates = identification.fit(*slow, SCARA, method="wls", payload=[None, "2"]).evidence.recordings
     assert [one.problem.signals.sample_rate_hz for one in rates] == [1000.0, 500.0]
     assert [
         one.problem.signals.payload and one.problem.signals.payload.mass_kg for one in rates

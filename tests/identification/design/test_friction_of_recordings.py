@@ -26,7 +26,7 @@ from identification.regression import (
     weights_at,
     with_common_band,
 )
-from identification.results import identify_ls
+from identification.results import fit_file, identify_ls
 from identification.study import write_signals
 from identification.view import friction_charts
 
@@ -267,11 +267,11 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
                 g[:, i] = shapes[name] / (len(labels) if label else 1)
         return g
 
-    def rows_of(fit, labels):
+    def rows_of(recordings, labels):
         """Points (2, k) of the rows of the shoulder, whose curves and intervals are
         those of the parameters.
         """
-        shoulder, _ = friction_charts.friction_charts(fit)
+        shoulder, _ = friction_charts.friction_charts(fit_file(fit), recordings)
         assert len(shoulder.curves) == 6 * (3 if "load" in terms else 1)
         for curve, *edges in zip(*[iter(shoulder.curves)] * 3, strict=True):
             v, torque = curve.line
@@ -284,9 +284,9 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
                 np.testing.assert_allclose(edge.line[1] - torque, side * half, rtol=0.02)
         return np.concatenate([points for points, _ in shoulder.dots]).T
 
-    whole, each = rows_of(fit, ["r1", "r2", "r3"]), []
+    whole, each = rows_of(fit.recordings, ["r1", "r2", "r3"]), []
     for fitted, label in zip(fit.recordings, ("r1", "r2", "r3"), strict=True):
-        dots = rows_of(fit.on(fitted), [label])
+        dots = rows_of([fitted], [label])
         *_, speed, _, _ = torque_of_recording(*equation_alone(fitted.problem.for_errors))
         v, rho = speed[:, 0], (fitted.tau - fitted.tau_predicted)[:, 0]
         rows = np.abs(v) > 0.02 * np.abs(v).max()

@@ -17,7 +17,7 @@ from identification.design import select_friction
 from identification.regression import Overrides, make_problem
 from identification.results import fit_document, fit_file, identify_ls, validate_all
 from identification.results.horizon import HORIZONS_S, errors_ahead
-from identification.results.recording_report import validated
+from identification.results.on_recording import validated
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

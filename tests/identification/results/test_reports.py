@@ -14,7 +14,6 @@ from fits_of_records import iv_of, ls_of, signals_of
 from identification.methods import essential_names
 from identification.report import Section
 from identification.results import (
-    Validated,
     fit_document,
     fit_file,
     recording_document,
@@ -149,8 +148,7 @@ def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_
 
 def test_a_validation_and_a_recording_say_what_they_are():
     signals, fit = signals_of(SCARA), ls_of(SCARA)
-    validated = [Validated(fit.problem, fit.tau, fit.tau_predicted, fit.counts)]
-    document = validation_document(validated, "fit.json", fit.errors, ("another robot",))
+    document = validation_document(fit.recordings, "fit.json", fit.errors, ("another robot",))
     assert document.title.startswith("fit.json on session.mcap: ")
     assert document.sections[0].warnings == ("another robot",)
     assert [row[0] for row in document.sections[1].table.rows] == ["shoulder", "elbow", "all"]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from pictured_fits import FS, fitted, made_up, values
 
+from identification.report import TrustLineFile
+from identification.results import fit_file
 from identification.study import Run, RunFit
-from identification.trust import Trust, TrustLine
 from identification.view import friction_charts
 from identification.view.axes import decades, linear, logarithmic
 from identification.view.charts import STUDY_ROWS, deviation_charts, study_chart, trust_charts
@@ -99,11 +100,13 @@ def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected()
         ("shoulder", 1.2, 0.2, -0.5),
         ("elbow", -0.5, 0.0, 0.0),
     )
-    lag = TrustLine("lag", "caution", "torque late", 1.2, unit="samples", figures=figures)
-    made = TrustLine("ends", "ok", "no outlier", -5.0)
-    (of_lag,) = trust_charts(Trust(lines=(lag, made)))
+    lag = TrustLineFile(
+        test="lag", level="caution", text="late", value=1.2, unit="samples", figures=[*figures]
+    )
+    made = TrustLineFile(test="ends", level="ok", text="no outlier", value=-5.0)
+    (of_lag,) = trust_charts([lag, made])
     assert of_lag.legend == (("● value ± 95 %", ORANGE), ("| expected", GREEN))
-    (of_blocks,) = trust_charts(Trust(lines=(replace(lag, figures=figures[1:]),)))
+    (of_blocks,) = trust_charts([msgspec.structs.replace(lag, figures=[*figures[1:]])])
     assert of_blocks.legend[0] == ("● value", ORANGE), "without intervals none is named"
     assert of_lag.title == "lag: caution"
     assert of_lag.names == [("shoulder", LIGHT), ("elbow", LIGHT)]
@@ -193,7 +196,8 @@ def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
         # of a recording that is too long to be held
         lambda of, beta: tuple(x * [1.0, 0.0] for x in rows(of.without_samples, beta)),
     )
-    _, still = friction_charts.friction_charts(fitted(made_up()))
+    fit = fitted(made_up())
+    _, still = friction_charts.friction_charts(fit_file(fit), fit.recordings)
     assert sum(len(dots) for dots, _ in still.dots) == 0
     assert "nan" not in draw_graph(still)
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from browser import MISSING, browser
 from conftest import REPLAY
-from fits_of_records import iv_of, ls_of, signals_of
+from fits_of_records import iv_of, ls_of, picture_of, signals_of
 from pictured_fits import Written
 from scipy import signal
 
 from identification.commands import main
-from identification.view import draw_fit, join_pictures, write_html, write_rrd
+from identification.view import join_pictures, write_html, write_rrd
 from identification.view.panels import Graph, Log, Plot, Rows, Scene
 from identification.view.signal_panels import _welch
 
@@ -54,7 +54,7 @@ class Page(html.parser.HTMLParser):
 
 @cache
 def picture(record):
-    return draw_fit(iv_of(record))
+    return picture_of(iv_of(record))
 
 
 def page_of(picture, tmp_path):
@@ -128,7 +128,7 @@ def test_rerun_shows_what_is_over_time_and_html_all_but_the_robot(tmp_path):
 
 def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
     drawn = picture(SCARA)
-    both = join_pictures([drawn, draw_fit(ls_of(SCARA))])
+    both = join_pictures([drawn, picture_of(ls_of(SCARA))])
     names = [page.name for page in both.pages]
     assert names[: len(drawn.pages)] == [page.name for page in drawn.pages]
     more = {name.split(":")[0] for name in names[len(drawn.pages) :]}

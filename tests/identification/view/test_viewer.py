@@ -7,18 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fits_of_records import picture_of
 from pictured_fits import FS, Written, fitted, fitted_iv, made_up, scara
 
 from identification.model import InverseModel
 from identification.regression import Decimation, FilteredMotion, differentiate, predicted_torque
-from identification.view import curves, draw_fit, rerun_panels, write_rrd
+from identification.view import curves, rerun_panels, write_rrd
 from identification.view.curves import extremes
 
 
 @pytest.fixture
 def written(tmp_path):
     def write(signals, fit=None, name="fit.rrd", **others):
-        write_rrd(tmp_path / name, draw_fit(fit or fitted(signals), **others))
+        write_rrd(tmp_path / name, picture_of(fit or fitted(signals), **others))
         return Written(tmp_path / name)
 
     return write
@@ -220,6 +221,6 @@ def test_each_fit_is_an_application_of_its_own(written):
 def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(rerun_panels, "_arrange", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
-        write_rrd(tmp_path / "fit.rrd", draw_fit(fitted(made_up())))
+        write_rrd(tmp_path / "fit.rrd", picture_of(fitted(made_up())))
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from command_runs import refused, run
 from conftest import REPLAY, robot_named
+from fits_of_records import picture_of
 from pictured_fits import Written, fitted, fitted_iv, made_up, scara, urdf_robot, values
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +21,7 @@ from identification.errors import BadInputError
 from identification.model import InverseModel
 from identification.regression import Overrides
 from identification.report import Parameter, ParameterSet, comparison_section, differences
-from identification.view import draw_fit, draw_recording, write_rrd
+from identification.view import draw_recording, write_rrd
 from identification.view.curves import column_plots
 from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
@@ -144,7 +145,7 @@ def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(
 def test_both_robots_stand_where_their_data_says(tmp_path):
     signals = scara()
     fit = fitted_iv(signals)
-    file, motion = written(tmp_path, draw_fit(fit)), fit.recordings[0].simulated.motion
+    file, motion = written(tmp_path, picture_of(fit)), fit.recordings[0].simulated.motion
     for key, t_s, q in (("measured", signals.t_s, signals.q), ("simulated", motion.t_s, motion.q)):
         first, second = (file.moving[f"/robot/{key}/joints/{j}"] for j in (1, 2))
         at = np.array([t.total_seconds() for t in first["time"]])
@@ -173,7 +174,7 @@ def test_events_and_counters_of_a_session_are_shown(tmp_path):
         "lost": (t_s, t_s * np.nan),
     }
     signals = replace(made_up(), events=tuple(events), health=health)
-    file = written(tmp_path, draw_fit(fitted(signals)))
+    file = written(tmp_path, picture_of(fitted(signals)))
     assert file.is_complete()
     assert "TextLog" in {kind for kind, _ in file.views.values()}
     (log,), (plot,) = event_logs(signals), health_plots(signals)
@@ -277,7 +278,7 @@ def test_text_has_only_characters_of_the_viewers_font(tmp_path):
         msgspec.structs.replace(j, name=f"関節 {k}") for k, j in enumerate(signals.robot.joints)
     )
     signals = replace(signals, robot=replace(signals.robot, joints=tuple(joints)))
-    file = written(tmp_path, draw_fit(fitted_iv(signals)))
+    file = written(tmp_path, picture_of(fitted_iv(signals)))
     texts = [title for _, title in file.views.values()]
     texts += file.static["/report"]["TextDocument:text"]
     for columns in file.static.values():
