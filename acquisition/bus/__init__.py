@@ -1,5 +1,8 @@
-"""The bus as frames and times, and the CANopen master on it: requests, listening, heartbeat, the
-one stop of all drives.
+"""The bus as frames and times, and the CANopen master on it.
+
+It owns the link to an adapter, requests and answers, listening, the heartbeat, what is checked
+before motion, and the one stop of all drives, with the package can. It may use `recording`,
+`robot`, `protocol` and `files`.
 """
 
 from .before_motion import (

@@ -1,4 +1,8 @@
-"""The command line: one file per command, and the parts that both packages share."""
+"""The command line: one file per command, and the parts that both packages share.
+
+It owns options, what is printed and the exit status, and leaves the work to the
+other rooms, all of which it may use.
+"""
 
 from .command_line import (
     STATUSES,

@@ -1,4 +1,8 @@
-"""Files: their kinds, atomic writing, tables, MAT files, meshes of a URDF, arrays on disk."""
+"""Files: their kinds, atomic writing, tables (CSV, MAT), meshes of a URDF, arrays on disk.
+
+It owns how bytes get from and to the disk, whole or not at all, and knows nothing of robots.
+It may use `errors` and `arrays`.
+"""
 
 from .atomic import atomic_write, refuse_clash, write_text
 from .kinds import NAMES, is_recording, kind_of, read_bytes

@@ -1,5 +1,8 @@
-"""Imports tables, ROS 2 bags, CAN logs and recordings, whose frames it
-decodes; exports recordings.
+"""Recordings from what others have measured: tables, ROS 2 bags, CAN logs, EtherCAT captures.
+
+It owns the formats of others, their units and their times. It also decodes the frames of a
+recording again, and exports recordings as tables. It may use `session`, `bus`, `recording`,
+`robot`, `protocol` and `files`, and the package rosbags.
 """
 
 from .bags import BagOptions, import_bag, is_bag

@@ -1,4 +1,8 @@
-"""The recording: reads and writes the MCAP file, decodes its frames to rows on the SYNC grid."""
+"""The recording: one MCAP file with the robot, its frames and its joint samples.
+
+It writes the file, reads it and follows it while it grows, with the package mcap, and decodes CAN
+frames to rows on the SYNC grid. It may use `robot`, `protocol` and `files`.
+"""
 
 from .decoding import Decoded, decode, joint_samples, refuse_period
 from .following import RecordingFollower

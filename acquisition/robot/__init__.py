@@ -1,5 +1,7 @@
-"""The robot's description: joints, motors, limits, bus and drives; the
-references that it may follow.
+"""The robot's description (robot.toml): joints, motors, limits, payload, bus and drives.
+
+It owns the keys of the file and their checks, the rule from motors to joints, the PDOs and codecs
+of the drives, and the reference motions within the limits. It may use `protocol` and `files`.
 """
 
 from .bus import (

@@ -1,5 +1,8 @@
-"""The session: record, enable, track, stop; its guards; the recorder and the second
-stop in another process.
+"""The session: record, enable, track, stop.
+
+It owns the loop that sends, its guards, and the recorder with the second stop in another process.
+Every way out of motion leaves the drives disabled. It may use `simulated`, `bus`, `recording`,
+`robot` and `protocol`.
 """
 
 from .logs import InlineLog

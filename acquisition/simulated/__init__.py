@@ -1,4 +1,8 @@
-"""Simulated CiA 402 drives, the plants they move, and dry runs of a session."""
+"""Simulated CiA 402 drives, the plants that they move, and dry runs of a session.
+
+It owns what stands in for hardware, and no rule of a session. It may use `bus`, `recording`,
+`robot` and `protocol`.
+"""
 
 from .drives import LockStepLink, SimulatedDrives, serve
 from .mechanism import (
