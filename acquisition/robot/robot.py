@@ -47,17 +47,26 @@ _OTHER_FILES = {  # by their first byte
 _MESH = "mesh:"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """What does not move: a shape about the base, and the height of the ground in its frame,
+    against gravity; None: not stated.
+    """
+
+    capsule: Capsule | None = None
+    ground_m: float | None = None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
     """A validated robot. `n` joints and as many motors.
 
     Attributes:
         R: motor matrix (n, n): motor speed = R · joint speed, joint torque = Rᵀ · motor torque.
-        zero: (n,) added to inv(R) q_motor, rad or m.
         gravity: (3,) m/s², in the base frame.
         parameters: a-priori standard parameters by name, SI; may be empty.
         payload: how the numbers of a payload are meant.
-        base_capsule, ground_m: a shape about the base; the height of the ground, against gravity.
+        base: what does not move.
         identified_gain: (n,) drive gains, motor torque per unit of recorded effort, that
             replace those of the motors.
         bus: `[bus]` of the file, None without it; `resolve` makes the drives.
@@ -71,15 +80,13 @@ class Robot:
     controller: Controller
     identification: Identification
     R: Array
-    zero: Array
     gravity: Array
     parameters: Mapping[str, float]
     payload: PayloadFile
     bus: BusFile | None
     files: Mapping[str, bytes]
     urdf: str | None
-    base_capsule: Capsule | None = None
-    ground_m: float | None = None
+    base: Base = Base()
     identified_gain: Array | None = None
 
     def __repr__(self) -> str:
@@ -96,6 +103,11 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @cached_property
+    def zero(self) -> Array:
+        """Positions (n,) added to inv(R) q_motor, rad or m."""
+        return np.broadcast_to([j.si("zero") or 0.0 for j in self.joints], self.n)  # read-only
 
     @cached_property
     def bandwidth_hz(self) -> float:
@@ -281,11 +293,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
             at.refuse("payload.frame", f.payload.frame, "a link of the URDF")
     ratios = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     R = ratios if f.motor_matrix is None else np.array(f.motor_matrix, dtype=float)
-    zero, gravity = (
-        np.array([j.si("zero") or 0.0 for j in f.joint]),
-        np.array(f.gravity_m_s2, dtype=float),
-    )
-    for array in (R, zero, gravity):
+    gravity = np.array(f.gravity_m_s2, dtype=float)
+    for array in (R, gravity):
         array.flags.writeable = False
     names = [
         "robot.toml",
@@ -302,15 +311,13 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         controller=f.controller,
         identification=f.identification,
         R=R,
-        zero=zero,
         gravity=gravity,
         parameters=f.parameters,
         payload=f.payload,
         bus=f.bus,
         files={name: files[name] for name in names if name in files},
         urdf=urdf,
-        base_capsule=f.base_capsule,
-        ground_m=f.ground_m,
+        base=Base(capsule=f.base_capsule, ground_m=f.ground_m),
     )
 
 

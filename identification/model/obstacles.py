@@ -76,16 +76,16 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     a mesh cannot be read.
     """
     robot, geometry, missing = dynamics.robot, pin.GeometryModel(), list[str]()
-    if robot.ground_m is not None:
+    if robot.base.ground_m is not None:
         g = robot.gravity
         up = -g / np.linalg.norm(g) if g.any() else np.array([0.0, 0.0, 1.0])
         geometry.addGeometryObject(
             pin.GeometryObject(
-                "ground_0", 0, pin.SE3.Identity(), coal.Halfspace(up, float(robot.ground_m))
+                "ground_0", 0, pin.SE3.Identity(), coal.Halfspace(up, float(robot.base.ground_m))
             )
         )
     links = ["base", *(f"link of {joint.name}" for joint in robot.joints)]
-    capsules = [robot.base_capsule, *(joint.capsule for joint in robot.joints)]
+    capsules = [robot.base.capsule, *(joint.capsule for joint in robot.joints)]
     for link, (name, capsule) in enumerate(zip(links, capsules, strict=True)):
         if capsule is not None:
             _add_capsule(geometry, link, name, capsule)
