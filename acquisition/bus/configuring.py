@@ -277,13 +277,13 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
         )
     )
     low, high = cia.signed(low, 32), cia.signed(high, 32)
-    least, most = drive.position_range or (0.0, 0.0)
+    least, most = drive.motion.position or (0.0, 0.0)
     # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
     span = most - least if low < high and not home else 0.0
-    fastest = drive.rpm_limit if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
+    fastest = drive.motion.rpm if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
     wider = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
     ramp, faster = stop_ramp(master, drive)
-    joints, ratio = "the joints' limits x ratio", drive.ratio or 0.0
+    joints, ratio = "the joints' limits x ratio", drive.motion.ratio or 0.0
     known = f"the ratio of its motor in robot.toml, {ratio:g}"
     for stated, name, found, expected, ok in (
         (

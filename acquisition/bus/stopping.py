@@ -83,14 +83,14 @@ class _Stopping:
             return elapsed_s >= self.longest_s
         first, last = self.seen[: self.window + 1], self.seen[-self.window - 1 :]
         speed, noise = _speed(last), STANDSTILL_COUNTS * 1e9 / (last[-1][0] - last[0][0])
-        if speed <= max(STANDSTILL_SHARE * (drive.speed_limit or 0.0), noise):
+        if speed <= max(STANDSTILL_SHARE * (drive.motion.speed or 0.0), noise):
             return True
         between_s = (last[0][0] + last[-1][0] - first[0][0] - first[-1][0]) / 2e9
         if elapsed_s >= FALL_S and between_s:
             slope = (speed - _speed(first)) / between_s
             unknown = self.ramp is None and len(self.watch.ramp_objects) == len(RAMP_OBJECTS)
             rises = (
-                slope >= FALL_SLOPE * (drive.acceleration_limit or 0.0) and speed >= then - noise
+                slope >= FALL_SLOPE * (drive.motion.acceleration or 0.0) and speed >= then - noise
             )
             if rises or (unknown and speed >= FALL_SHARE * then):
                 return True
@@ -107,8 +107,8 @@ class _Stopping:
         with a margin, and CAP_S.
         """
         drive = self.watch.drive
-        speed = self.speed_then if self.speed_then is not None else drive.speed_limit or 0.0
-        slowing = self.ramp / RAMP_SHARE if self.ramp else drive.acceleration_limit
+        speed = self.speed_then if self.speed_then is not None else drive.motion.speed or 0.0
+        slowing = self.ramp / RAMP_SHARE if self.ramp else drive.motion.acceleration
         return CAP_S + (speed / slowing if slowing else 0.0)
 
 

@@ -188,13 +188,13 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     for index in cia.RAMP_OBJECTS:
         watch.ramp_objects[index] = read_if_there(master, drive, index + axis_of(drive))
     ramp = cia.quick_stop_ramp(watch.ramp_objects, drive.position_codec)
-    scale, unit = drive.counts_per_joint
+    scale, unit = drive.motion.counts_per_joint
     if ramp is None:
         return (
             "unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s",
             "",
         )
-    speed, min_ramp = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
+    speed, min_ramp = drive.motion.speed, MIN_RAMP_SHARE * (drive.motion.acceleration or 0.0)
     rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
     enough = ramp >= min_ramp - 1  # drives state whole counts
     return (

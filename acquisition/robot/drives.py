@@ -17,47 +17,74 @@ FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs hav
 POSITION_TYPE = "I32"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """The limits of the joints that a motor moves, at the motor; None if one of them states none.
+
+    Attributes:
+        speed, acceleration: counts/s and counts/s².
+        position: lowest and highest counts.
+        rpm: the speed; None also if the motor slides.
+        counts_per_joint: counts of the motor per degree or metre of its joints, and that unit.
+        ratio: of the motor to its joint, without sign; None if it moves several.
+    """
+
+    speed: float | None
+    acceleration: float | None
+    position: tuple[float, float] | None
+    rpm: float | None
+    counts_per_joint: tuple[float, str]
+    ratio: float | None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
     """A drive with its objects, PDOs and codecs.
 
     Attributes:
+        file: its `[[bus.drive]]`.
         effort: codec of the effort in samples: the reference, or the actual value if no
             reference is described.
-        rated: required raw values of objects of the drive, by index.
         tpdos, rpdos: from the drive, to the drive.
         extras: further objects in the PDOs.
         dictionary: None if the description states the objects.
         types: of objects by the description, the dictionary and the standards.
-        speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the
-            joints that it moves; None if one of them states none.
-        counts_per_joint: counts of the motor per degree or metre of the joints that
-            it moves, and that unit.
-        position_range, rpm_limit: limits of the joints at the motor, counts and rpm; None if one
-            of them states none, the second also if the motor slides.
-        ratio: of the motor to its joint, without sign; None if it moves several.
     """
 
+    file: DriveFile
     name: str
-    node: int
     status: cia.ObjectEntry
     control: cia.ObjectEntry
     position: cia.ObjectEntry
     target: cia.ObjectEntry
     position_codec: cia.PositionCodec
     effort: cia.EffortCodec
-    rated: Mapping[int, int]
     tpdos: tuple[cia.Pdo, ...]
     rpdos: tuple[cia.Pdo, ...]
     extras: tuple[cia.ObjectEntry, ...]
     dictionary: cia.ObjectDictionary | None
     types: Mapping[tuple[int, int], str]
-    speed_limit: float | None = None
-    acceleration_limit: float | None = None
-    counts_per_joint: tuple[float, str] = (1.0, "counts")
-    position_range: tuple[float, float] | None = None
-    rpm_limit: float | None = None
-    ratio: float | None = None
+    motion: Motion
+
+    @property
+    def node(self) -> int:
+        """Its node id."""
+        return self.file.node
+
+    @property
+    def rated(self) -> Mapping[int, int]:
+        """Required raw values of objects of the drive, by index."""
+        file = self.file
+        torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
+        rated = {
+            cia.RATED_CURRENT: (file.rated_current_a, file.rated_current_unit),
+            cia.RATED_TORQUE: (torque, file.rated_torque_unit),
+        }
+        return {
+            index: round(value / cia.RATED_UNITS[unit])
+            for index, (value, unit) in rated.items()
+            if value is not None
+        }
 
     @property
     def entries(self) -> Mapping[tuple[int, int], cia.DictionaryEntry]:
@@ -160,34 +187,27 @@ def refuse_pdos(bus: Bus, place: str) -> None:
             "sync_can_id", sync, f"0x{USUAL_SYNC:X}, or {free}", shown=f"0x{sync:X}"
         )
     used = {sync: "SYNC"}
-    for i, (file, drive) in enumerate(zip(bus.file.drive, bus.drives, strict=True)):
-        for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
-            numbers: set[int] = set()
-            for pdo in pdos:
-                at = Place(
-                    f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})"
-                )
-                if pdo.number in numbers:
-                    at.refuse(
-                        text=f"number = {pdo.number} is used twice", expected="one of its own"
-                    )
-                numbers.add(pdo.number)
-                if pdo.bits > cia.MAX_PDO_BITS:
-                    at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
-                name = f"identifier 0x{pdo.can_id:03X}"
-                if (
-                    not cia.LOWEST_CAN_ID <= pdo.can_id <= cia.HIGHEST_CAN_ID
-                    and pdo.can_id not in FREE_CAN_IDS
-                ):
-                    at.refuse(
-                        text=name,
-                        expected=f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}",
-                    )
-                if pdo.can_id in used:
-                    at.refuse(
-                        text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own"
-                    )
-                used[pdo.can_id] = f"a PDO of {drive.name}"
+    ways = (
+        (i, drive, way, pdos)
+        for i, drive in enumerate(bus.drives)
+        for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos))
+    )
+    for i, drive, way, pdos in ways:
+        mapping = f"(mapping = {drive.file.mapping!r})"
+        for k, pdo in enumerate(pdos):
+            at = Place(f"{place}: bus.drive[{i}]: {way} {pdo.number} {mapping}")
+            if pdo.number in [other.number for other in pdos[:k]]:
+                at.refuse(text=f"number = {pdo.number} is used twice", expected="one of its own")
+            if pdo.bits > cia.MAX_PDO_BITS:
+                at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
+            name = f"identifier 0x{pdo.can_id:03X}"
+            usual = range(cia.LOWEST_CAN_ID, cia.HIGHEST_CAN_ID + 1)
+            if pdo.can_id not in usual and pdo.can_id not in FREE_CAN_IDS:
+                expected = f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}"
+                at.refuse(text=name, expected=expected)
+            if pdo.can_id in used:
+                at.refuse(text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own")
+            used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
 def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:

@@ -1,6 +1,26 @@
-"""Resolves `[bus]` and the object dictionaries to PDOs and codecs of every drive."""
+"""Resolves `[bus]` and the object dictionaries to PDOs and codecs of every drive.
 
-from collections.abc import Callable, Mapping
+A drive speaks of objects in raw integers, robot.toml of joints in degrees and metres. Three sources
+say what an object is, each more exactly than the one before:
+
+    CiA 301 and 402     types of the usual objects, usual identifiers of the PDOs
+    dictionary (EDS)    types of all objects of the drive; a DCF also the PDOs that it has
+    robot.toml          objects that are meant, with types of its own; rated values, counts, signs
+
+- **Objects**: where a drive has a dictionary, an object that is neither in it nor in robot.toml is
+  refused, also if it is a usual one. Without its type it cannot be cut out of a frame.
+- **PDOs**: by `mapping`. "table": those of robot.toml, else as few as possible. "dictionary": those
+  that values in the DCF describe. "traffic": those that the drive confirmed to another master; a
+  session, which sees none, has none. A PDO from the drive must carry each object of a sample.
+- **Codecs**: the effort is raw integer x rule x rated value x sign, in the unit of the motor; the
+  position is (counts - zero) x sign / counts per radian or metre.
+- **Limits** of the joints hold for the motors too: a row of the motor matrix R adds up the speeds
+  of the joints that the motor moves, and has its extreme positions in a corner of their ranges.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -8,7 +28,7 @@ from .. import protocol as cia
 from ..errors import Place
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
-from .drives import POSITION_TYPE, Bus, Drive, refuse_counts, refuse_pdos
+from .drives import POSITION_TYPE, Bus, Drive, Motion, refuse_counts, refuse_pdos
 from .robot import Robot
 
 
@@ -45,12 +65,11 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
     """The limit of a motor: the sum over the joints that it moves; None if
     one of them states none.
     """
-    moved = [
-        (abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r
-    ]
-    if any(value is None for _, value in moved):
+    ratios = [abs(r) for r in robot.R[i]]
+    limits = [x.si(quantity) if r else 0.0 for r, x in zip(ratios, robot.joints, strict=True)]
+    if None in limits:
         return None
-    return float(sum(r * value for r, value in moved))
+    return float(sum(r * limit for r, limit in zip(ratios, limits, strict=True)))
 
 
 def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[float, float] | None:
@@ -69,109 +88,141 @@ def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[flo
     return lowest, highest
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Objects:
+    """The objects of a drive: their `types`, those of them that robot.toml may name as `usable`;
+    `at`: the table of the drive, for errors.
+    """
+
+    file: DriveFile
+    dictionary: cia.ObjectDictionary | None
+    types: Mapping[cia.Key, str]
+    usable: Collection[cia.Key]
+    at: Place
+
+    def entry(self, key: str, name: str) -> cia.ObjectEntry:
+        """The object with this name, which a key of the table states."""
+        number = parse_object(name)
+        if number not in self.usable:
+            why = "its type is not known"
+            if self.dictionary is not None:
+                absent = cia.DictionaryEntry(problem=f"{self.file.dictionary} does not contain it")
+                why = self.dictionary.entries.get(number, absent).problem or why
+            self.at.refuse(key, name, "an object of the drive, or one in objects", text=why)
+        return cia.ObjectEntry(index=number[0], sub=number[1], type=self.types[number])
+
+
+def _objects(robot: Robot, file: DriveFile, at: Place) -> _Objects:
+    stated = {parse_object(name): kind for name, kind in file.objects.items()}
+    types = cia.STANDARD | stated
+    if file.dictionary is None:
+        return _Objects(file=file, dictionary=None, types=types, usable=types, at=at)
+    content = robot.files.get(dictionary_label(file.dictionary))
+    if content is None:
+        at.refuse("dictionary", file.dictionary, text="is missing next to the description")
+    dictionary = cia.load_dictionary(content, file.dictionary, file.node)
+    types = cia.STANDARD | {k: e.type for k, e in dictionary.entries.items() if e.type} | stated
+    usable = types.keys() & (dictionary.entries.keys() | stated.keys())
+    return _Objects(file=file, dictionary=dictionary, types=types, usable=usable, at=at)
+
+
 def _drive(
     robot: Robot, i: int, file: DriveFile, place: str, confirmed: cia.Confirmed | None
 ) -> Drive:
-    motor, files, at = robot.motors[i], robot.files, Place(place, f"bus.drive[{i}]")
-    dictionary, types = None, dict(cia.STANDARD)
-    if file.dictionary is not None:
-        label = dictionary_label(file.dictionary)
-        if label not in files:
-            at.refuse("dictionary", file.dictionary, text="is missing next to the description")
-        dictionary = cia.load_dictionary(files[label], file.dictionary, file.node)
-        types |= {key: entry.type for key, entry in dictionary.entries.items() if entry.type}
-    written = {parse_object(name): kind for name, kind in file.objects.items()}
-    types |= written
-
-    def entry(key: str, name: str) -> cia.ObjectEntry:
-        number = parse_object(name)
-        listed = dictionary is None or number in dictionary.entries or number in written
-        if number not in types or not listed:
-            found = dictionary.entries.get(number) if dictionary is not None else None
-            why = (found and found.problem) or "its type is not known"
-            why = why if found or dictionary is None else f"{file.dictionary} does not contain it"
-            at.refuse(key, name, "an object of the drive, or one in objects", text=why)
-        return cia.ObjectEntry(index=number[0], sub=number[1], type=types[number])
-
+    at = Place(place, f"bus.drive[{i}]")
+    objects = _objects(robot, file, at)
     word = "reference" if file.reference is not None else "actual"
-    effort = _effort(file, word, entry(word, getattr(file, word)), motor, at)
-    status, control = entry("status", file.status), entry("control", file.control)
-    position, target = entry("position", file.position), entry("target", file.target)
+    effort = _effort(file, word, objects.entry(word, getattr(file, word)), robot.motors[i], at)
+    status, control, position, target = (
+        objects.entry(key, getattr(file, key))
+        for key in ("status", "control", "position", "target")
+    )
     for key, found in (("position", position), ("target", target)):
         if found.type != POSITION_TYPE:
             at.refuse(key, getattr(file, key), POSITION_TYPE, text=f"is {found.type}")
-    extras = tuple(entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
+    extras = tuple(objects.entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
     measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
-    source = confirmed.values if confirmed is not None and file.mapping == "traffic" else {}
-    if file.mapping == "table":
-        tpdos = _pdos("tpdo", file, tuple(dict.fromkeys((status, *measured))), entry, at)
-        rpdos = _pdos("rpdo", file, (control, target), entry, at)
-    else:
-        if file.mapping == "dictionary" and dictionary is not None:
-            read = ((key, e.problem or e.value) for key, e in dictionary.entries.items())
-            source = {key: value for key, value in read if value is not None}
-        tpdos, rpdos = (
-            cia.pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo")
-        )
+    mapped = _mapped(objects, confirmed)
     codec = cia.PositionCodec(
         counts_per_unit=file.counts_per_unit, sign=file.sign, zero_counts=file.zero_counts
     )
-    speed, acceleration = (_limit(robot, i, quantity) for quantity in ("speed", "acceleration"))
-    slides = robot.joints[int(np.argmax(np.abs(robot.R[i])))].type == "prismatic"
-    per_joint = float(np.abs(robot.R[i]).sum() * file.counts_per_unit)
     drive = Drive(
-        name=motor.name,
-        node=file.node,
+        file=file,
+        name=robot.motors[i].name,
         status=status,
         control=control,
         position=position,
         target=target,
         position_codec=codec,
         effort=effort,
-        rated=_rated_values(file),
-        tpdos=tpdos,
-        rpdos=rpdos,
+        tpdos=_pdos("tpdo", objects, mapped, tuple(dict.fromkeys((status, *measured)))),
+        rpdos=_pdos("rpdo", objects, mapped, (control, target)),
         extras=extras,
-        dictionary=dictionary,
-        types=types,
-        speed_limit=None if speed is None else speed * file.counts_per_unit,
-        acceleration_limit=None if acceleration is None else acceleration * file.counts_per_unit,
-        counts_per_joint=(per_joint, "m") if slides else (per_joint * np.pi / 180, "deg"),
-        position_range=_position_range(robot, i, codec),
-        rpm_limit=None if speed is None or not file.counts_per_turn else 30 / np.pi * speed,
-        ratio=float(np.abs(robot.R[i]).max()) if np.count_nonzero(robot.R[i]) == 1 else None,
+        dictionary=objects.dictionary,
+        types=objects.types,
+        motion=_motion(robot, i, file, codec),
     )
-    for needed in measured:
-        unmapped = confirmed is None and file.mapping == "traffic"  # that is seen in a log
-        if not unmapped and drive.carrier(needed, "tpdo") is None:
-            unknown = [
-                f": {index:04X}:{sub} {text}"
-                for (index, sub), text in source.items()
-                if isinstance(text, str) and 0x1800 <= index < 0x1C00
-            ]
-            refused = confirmed.refused if confirmed is not None else ""
-            why = next(iter(unknown), refused and f": {refused}")
-            problem = f"{at.table}.mapping: no PDO from the drive carries {needed}{why}"
-            Place(at.name).refuse(text=problem, expected=f"one ({file.mapping})")
+    absent = [entry for entry in measured if drive.carrier(entry, "tpdo") is None]
+    # What another master maps is only seen in its traffic.
+    if absent and (confirmed is not None or file.mapping != "traffic"):
+        refused = confirmed.refused if confirmed is not None else ""
+        _refuse_unmapped(absent[0], mapped, refused, at.at("mapping"), file.mapping)
     return drive
 
 
+def _refuse_unmapped(
+    entry: cia.ObjectEntry, mapped: cia.Values, refused: str, at: Place, mapping: str
+) -> NoReturn:
+    unknown = [
+        f": {index:04X}:{sub} {text}"
+        for (index, sub), text in mapped.items()
+        if isinstance(text, str) and 0x1800 <= index < 0x1C00
+    ]
+    why = next(iter(unknown), refused and f": {refused}")
+    problem = f"{at.table}: no PDO from the drive carries {entry}{why}"
+    Place(at.name).refuse(text=problem, expected=f"one ({mapping})")
+
+
+def _mapped(objects: _Objects, confirmed: cia.Confirmed | None) -> cia.Values:
+    """Values of the parameters of PDOs, from the source that `mapping` names; none for a table."""
+    if objects.file.mapping == "traffic" and confirmed is not None:
+        return confirmed.values
+    if objects.file.mapping != "dictionary" or objects.dictionary is None:
+        return {}
+    read = ((key, e.problem or e.value) for key, e in objects.dictionary.entries.items())
+    return {key: value for key, value in read if value is not None}
+
+
+def _motion(robot: Robot, i: int, file: DriveFile, codec: cia.PositionCodec) -> Motion:
+    """The limits of the joints that motor `i` moves, at the motor."""
+    ratios = np.abs(robot.R[i])
+    per_joint = float(ratios.sum() * file.counts_per_unit)
+    slides = robot.joints[int(np.argmax(ratios))].type == "prismatic"
+    speed, acceleration = (_limit(robot, i, quantity) for quantity in ("speed", "acceleration"))
+    return Motion(
+        speed=None if speed is None else speed * file.counts_per_unit,
+        acceleration=None if acceleration is None else acceleration * file.counts_per_unit,
+        position=_position_range(robot, i, codec),
+        rpm=None if speed is None or not file.counts_per_turn else 30 / np.pi * speed,
+        counts_per_joint=(per_joint, "m") if slides else (per_joint * np.pi / 180, "deg"),
+        ratio=float(ratios.max()) if np.count_nonzero(ratios) == 1 else None,
+    )
+
+
 def _pdos(
-    way: str,
-    file: DriveFile,
-    default: tuple[cia.ObjectEntry, ...],
-    entry: Callable[[str, str], cia.ObjectEntry],
-    at: Place,
+    way: str, objects: _Objects, mapped: cia.Values, default: tuple[cia.ObjectEntry, ...]
 ) -> tuple[cia.Pdo, ...]:
-    """The PDOs of one direction, as described, else as few as possible with the `default` objects
-    in order; `entry` makes one of a key of the description and an object's name.
+    """The PDOs of one direction, as `mapped` or as described, else as few as possible with the
+    `default` objects in order.
     """
-    pdos = []
-    files: tuple[PdoFile, ...] = getattr(file, way) or _pack(default)
+    pdos, at = [], objects.at
+    if objects.file.mapping != "table":
+        return cia.pdos_of(way, mapped, objects.types, f"{at}: {at.table}.mapping")
+    files: tuple[PdoFile, ...] = getattr(objects.file, way) or _pack(default)
     for k, written in enumerate(files):
-        entries = tuple(entry(f"{way}[{k}].objects", name) for name in written.objects)
+        entries = tuple(objects.entry(f"{way}[{k}].objects", name) for name in written.objects)
         number = written.number or k + 1
-        can_id = written.can_id or cia.usual_can_id(way, number, file.node)
+        can_id = written.can_id or cia.usual_can_id(way, number, objects.file.node)
         if can_id is None:
             at.refuse(
                 f"{way}[{k}].can_id",
@@ -232,16 +283,3 @@ def _effort(
         f"sign {file.effort_sign or file.sign:+d}",
     )
     return cia.EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
-
-
-def _rated_values(file: DriveFile) -> dict[int, int]:
-    torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
-    rated = {
-        cia.RATED_CURRENT: (file.rated_current_a, file.rated_current_unit),
-        cia.RATED_TORQUE: (torque, file.rated_torque_unit),
-    }
-    return {
-        index: round(value / cia.RATED_UNITS[unit])
-        for index, (value, unit) in rated.items()
-        if value is not None
-    }

@@ -24,15 +24,15 @@ def units_and_limits(bus: Bus, i: int) -> dict[tuple[int, int], int]:
         (SUPPORTED_MODES, 0): 1 << Mode.CYCLIC_SYNCHRONOUS_POSITION - 1,
         **{(index, 0): int.from_bytes(text, "little") for index, text in texts},
     }
-    speeds = {velocity: drive.speed_limit or 0.0}
+    speeds = {velocity: drive.motion.speed or 0.0}
     if per_turn:
         for index, units in zip(POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):
             values |= {(index, 1): units.numerator, (index, 2): units.denominator}
-        speeds[motor_speed] = drive.rpm_limit or 0.0
+        speeds[motor_speed] = drive.motion.rpm or 0.0
     values |= {
         (index, 0): int(saturated(np.array(speed), "U32")) for index, speed in speeds.items()
     }
-    if drive.position_range is not None:
-        low, high = saturated(np.array(drive.position_range), "I32").tolist()
+    if drive.motion.position is not None:
+        low, high = saturated(np.array(drive.motion.position), "I32").tolist()
         values |= {(position, 1): low, (position, 2): high}
     return values
