@@ -4,7 +4,7 @@ It writes the file, reads it and follows it while it grows, with the package mca
 frames to rows on the SYNC grid. It may use `robot`, `protocol` and `files`.
 """
 
-from .decoding import Decoded, decode, joint_samples, refuse_period
+from .decoding import Decoded, decode, refuse_period
 from .following import RecordingFollower
 from .mapped import resolve_mapped
 from .marks import add_mark, take_marks
@@ -24,6 +24,7 @@ from .rows import (
     Traffic,
     gaps,
     in_parts,
+    joint_samples,
     sample_dtype,
 )
 from .summary import as_tables, overview

@@ -23,6 +23,7 @@ is pending, and what lies between gives rows only if every PDO came as often as 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from .sync_grid import (
     MAX_ANSWER_PERIODS,
     MAX_RUN_SYNCS,
     Intervals,
+    Syncs,
     interval_of,
     minimum_ahead,
     minimum_behind,
@@ -43,114 +45,188 @@ MAX_LATE_USUAL = 11  # intervals in a row that late drives answer at their usual
 MIN_IN_ORDER, MAX_LATE_IN_ORDER = 3, 8
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answers:
+    """The frames that answer SYNCs, where the order is proven.
+
+    Attributes:
+        answered: (N,) grid indices of the SYNCs whose answers are all known, also SYNCs that were
+            not recorded.
+        late: (N,) whether PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS`
+            makes the row doubtful.
+        rows: for each PDO the (N,) frames that answer.
+        losses: late, duplicate, missing frames of each PDO; missing: where all drives answer.
+        missing_share: the largest share of missing ones of a PDO there.
+    """
+
+    answered: Rows
+    late: Bools
+    rows: list[Rows]
+    losses: list[dict[str, int]]
+    missing_share: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Progress:
+    """How the drives keep up with SYNC.
+
+    Attributes:
+        edges: (k + 1,) SYNCs before each edge between two intervals.
+        behind: for each PDO the (k + 1,) answers that are pending at an edge.
+        uneven: (k,) whether an interval has not as many answers as SYNCs.
+        caught_up: (k + 1,) edges at which a drive is late: it is less behind both before and later.
+        alone: (k,) intervals of one SYNC with one PDO of every drive.
+    """
+
+    edges: Rows
+    behind: list[Rows]
+    uneven: Bools
+    caught_up: Bools
+    alone: Bools
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Stretches:
+    """Stretches: `proven` edges (k + 1,); `cuts` between stretches; which stretches are `whole`;
+    intervals at the beginning in which answers are `pending`.
+    """
+
+    proven: Bools
+    cuts: Rows
+    whole: Bools
+    pending: int
+
+
 def associate(
     pdos: Sequence[Rows],
     repeats: Sequence[Rows],
-    sync_rows: Rows,
+    syncs: Syncs,
     times_of: Callable[[Rows], Ints],
     intervals: Intervals,
-    period: float,
-) -> tuple[Rows, Bools, list[Rows], list[dict[str, int]], float]:
+) -> Answers:
     """Assign the frames of `pdos` to SYNCs where the order is proven.
 
-    Parameters
-    ----------
-    repeats : frames that `without_repeats` left out.
-    times_of : times of frames, ns.
-    period : of SYNC, ns.
-
-    Returns
-    -------
-    (N,) grid indices of the SYNCs whose answers are all known, also SYNCs that were not recorded.
-    (N,) whether PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS` makes the row
-        doubtful.
-    For each PDO the (N,) frames that answer.
-    Late, duplicate, missing frames of each PDO; missing: where all drives answer.
-    The largest share of missing ones of a PDO there.
+    `repeats`: frames that `without_repeats` left out; `times_of`: times of frames, ns.
     """
-    steps, torn, edges = intervals.steps, intervals.torn, _sums(intervals.steps)
+    steps = intervals.steps
+    progress = _progress(pdos, syncs.rows, intervals)
+    stretches = _stretches(progress, intervals)
+    cuts = stretches.cuts
+    # Count what is lost while all drives answer.
+    first, end = np.searchsorted(syncs.rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
+    span = np.clip(cuts, first - 1, max(first - 1, end))
+    grown = np.array([np.diff(x[span]) for x in progress.behind]) * ~stretches.whole
+    losses = [
+        {"duplicate": len(again) - int(x[x < 0].sum()), "missing": int(x[x > 0].sum())}
+        for again, x in zip(repeats, grown, strict=True)
+    ]
+    asked = max(1, int(progress.edges[span[-1]] - progress.edges[span[0]]))
+    # Keep the stretches that are whole and in no doubt.
+    damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
+    again = interval_of(np.concatenate(repeats), syncs.rows)
+    late, doubtful = _late(progress, stretches, intervals, damaged, again)
+    keep = np.repeat(stretches.whole & ~doubtful, np.diff(cuts))
+    late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
+    del progress, stretches, grown, damaged  # large in a long session
+    return Answers(
+        answered=kept(np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)),
+        late=late,
+        rows=_answers(pdos, keep, syncs, times_of, steps, losses),
+        losses=losses,
+        missing_share=max(lost["missing"] for lost in losses) / asked,
+    )
+
+
+def _progress(pdos: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> _Progress:
+    edges = _sums(intervals.steps)
     behind = [
-        kept(edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(steps))))
+        kept(edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(edges) - 1)))
         for pdo in pdos
     ]
-    # not as many answers as SYNCs in an interval
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])
-    # edges at which a drive is late: it is less behind both before and later
     caught_up = np.logical_or.reduce(
         [
             (x > minimum_ahead(x, MAX_RUN_SYNCS)) & (x > minimum_behind(x, MAX_RUN_SYNCS))
             for x in behind
         ]
     )
-    alone = ~uneven & (steps == 1) & ~torn
-    proven = _in_order(alone, caught_up, intervals.unusual)
+    return _Progress(
+        edges=edges,
+        behind=behind,
+        uneven=uneven,
+        caught_up=caught_up,
+        alone=~uneven & (intervals.steps == 1) & ~intervals.torn,
+    )
+
+
+def _stretches(progress: _Progress, intervals: Intervals) -> _Stretches:
+    behind, torn = progress.behind, intervals.torn
+    proven = _in_order(progress, intervals.unusual)
     # The recording may begin while answers are pending: then there are more answers than SYNCs.
-    begin, unknown = int(np.argmax(np.append(proven[:-1], True))), np.zeros(len(edges), np.int32)
+    begin = int(np.argmax(np.append(proven[:-1], True)))
+    unknown = np.zeros(len(proven), np.int32)
     unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
     proven[[0, -1]] = True
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
         # nothing is lost, and some PDOs are late: so may the last ones be
         torn = np.append(torn[:-1], False)
     # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
-    torn = torn | intervals.paused & caught_up[1:]
+    torn = torn | intervals.paused & progress.caught_up[1:]
     # a torn interval is in no stretch
-    cuts, whole = _stretches([*behind, unknown, _sums(torn)], proven)
-    first, end = np.searchsorted(sync_rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
-    span = np.clip(cuts, first - 1, max(first - 1, end))
-    grown = np.array([np.diff(x[span]) for x in behind]) * ~whole
-    losses = [{"duplicate": -int(x[x < 0].sum()), "missing": int(x[x > 0].sum())} for x in grown]
-    share = max(lost["missing"] for lost in losses) / max(1, int(edges[span[-1]] - edges[span[0]]))
-    damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
-    damaged[: begin * unknown[0]] = damaged[cuts[-2] :] = False  # answers are pending
-    # A drive that is late, again and again at its usual time: rather a PDO was lost,
-    # and another came twice.
-    sums = _sums(alone & ~intervals.unusual & caught_up[1:] & caught_up[:-1])
-    damaged[np.flatnonzero(sums[MAX_LATE_USUAL:] - sums[:-MAX_LATE_USUAL] == MAX_LATE_USUAL)] = True
-    damaged[interval_of(np.concatenate(repeats), sync_rows)] = True
-    late, doubtful = (  # of stretches
-        np.logical_or.reduceat(x, cuts[:-1])
-        for x in _late(uneven | intervals.unusual, proven, damaged)
-    )
-    keep = np.repeat(whole & ~doubtful, np.diff(cuts))
-    late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
-    del behind, grown, edges, uneven, proven, damaged  # large in a long session
+    cuts, whole = _cuts([*behind, unknown, _sums(torn)], proven)
+    return _Stretches(proven=proven, cuts=cuts, whole=whole, pending=begin * int(unknown[0]))
+
+
+def _answers(
+    pdos: Sequence[Rows],
+    keep: Bools,
+    syncs: Syncs,
+    times_of: Callable[[Rows], Ints],
+    steps: Rows,
+    losses: Sequence[dict[str, int]],
+) -> list[Rows]:
+    """For each PDO the frames in the intervals to keep; adds the late ones to its losses."""
     # the interval of each of the SYNCs
     asked = kept(np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep]))
     rows = []
     for pdo, lost in zip(pdos, losses, strict=True):
-        interval = interval_of(pdo, sync_rows)
+        interval = interval_of(pdo, syncs.rows)
         used = keep[interval]
         rows.append(kept(pdo[used]))
-        late_rows = np.flatnonzero(interval[used] != asked)
-        came = times_of(rows[-1][late_rows]) - times_of(sync_rows[asked[late_rows]])
+        late = np.flatnonzero(interval[used] != asked)
+        came = times_of(rows[-1][late]) - times_of(syncs.rows[asked[late]])
         # else SYNCs came in a burst, and the drive is in time
-        lost["late"] = int(np.count_nonzero(came > MAX_ANSWER_PERIODS * period))
-    answered = kept(np.flatnonzero(np.repeat(keep, steps)).astype(np.int32))
-    return answered, late, rows, losses, share
+        lost["late"] = int(np.count_nonzero(came > MAX_ANSWER_PERIODS * syncs.period))
+    return rows
 
 
-def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:
-    """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every
-    drive, none of them unusual.
+def _in_order(progress: _Progress, unusual: Bools) -> Bools:
+    """Edges at which no answer is pending: in runs of intervals with one PDO of every drive, none
+    of them unusual.
 
     Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they
     catch up: the longest such run that is seen, and one interval more, proves nothing.
     """
-    late, alone = caught_up.any() or unusual.any(), alone & ~unusual
+    caught_up, alone = progress.caught_up, progress.alone & ~unusual
     both = alone & caught_up[1:] & caught_up[:-1]
     ends = np.flatnonzero(np.diff(both, prepend=False, append=False))
     longest = int((ends[1::2] - ends[::2]).max(initial=0))
-    hidden = min(longest + 1, MAX_LATE_IN_ORDER) if late else 0
-    in_order, sums = np.zeros(len(caught_up), np.bool_), _sums(alone)
-    runs = np.flatnonzero(
-        sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden
-    )
+    is_late = caught_up.any() or unusual.any()
+    hidden = min(longest + 1, MAX_LATE_IN_ORDER) if is_late else 0
+    in_order = np.zeros(len(caught_up), np.bool_)
+    starts = _in_a_row(alone, MIN_IN_ORDER + hidden)
     for k in range(hidden, MIN_IN_ORDER + hidden + 1):
-        in_order[runs + k] = True
+        in_order[starts + k] = True
     return in_order & ~caught_up
 
 
-def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
+def _in_a_row(values: Bools, count: int) -> Ints:
+    """The first of each `count` true ones in a row."""
+    sums = _sums(values)
+    return np.flatnonzero(sums[count:] - sums[:-count] == count)
+
+
+def _cuts(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
     """Edges between stretches, and which stretches have as many PDOs as SYNCs:
     no balance has changed.
     """
@@ -166,21 +242,33 @@ def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
     return cuts, np.logical_and.reduce([np.diff(balance[cuts]) == 0 for balance in balances])
 
 
-def _late(uneven: Bools, proven: Bools, damaged: Bools) -> tuple[Bools, Bools]:
-    """Intervals from the first uneven one between two proven edges to the last, and those within
-    reach of a damaged one.
+def _late(
+    progress: _Progress, stretches: _Stretches, intervals: Intervals, damaged: Bools, again: Rows
+) -> tuple[Bools, Bools]:
+    """Stretches between two proven edges in which PDOs are late, and those of them within reach of
+    an interval (k,) that is `damaged`, or in which a PDO came `again`.
     """
+    damaged[: stretches.pending] = damaged[stretches.cuts[-2] :] = False  # answers are pending
+    # A drive that is late, again and again at its usual time: rather a PDO was lost,
+    # and another came twice.
+    usual = progress.alone & ~intervals.unusual
+    behind = progress.caught_up[1:] & progress.caught_up[:-1]
+    damaged[_in_a_row(usual & behind, MAX_LATE_USUAL)] = True
+    damaged[again] = True
     sums, at = _sums(damaged), np.arange(len(damaged), dtype=np.int32)
     near = (
         sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(damaged))]
         > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
     )
-    starts, sums = np.flatnonzero(proven).astype(np.int32), _sums(uneven)
-    count = np.diff(starts)
+    # from the first uneven interval between two proven edges to the last
+    starts = np.flatnonzero(stretches.proven).astype(np.int32)
+    sums, count = _sums(progress.uneven | intervals.unusual), np.diff(starts)
     late = (sums[1:] > np.repeat(sums[starts[:-1]], count)) & (
         sums[:-1] < np.repeat(sums[starts[1:]], count)
     )
-    return late, late & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
+    doubtful = late & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
+    first = stretches.cuts[:-1]
+    return np.logical_or.reduceat(late, first), np.logical_or.reduceat(doubtful, first)
 
 
 def _sums(values: Bools | Rows | Ints) -> Rows:

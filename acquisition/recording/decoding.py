@@ -1,12 +1,25 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC and sends its PDO afterwards, so a sample has the time of its SYNC.
-`sync_grid` computes the times and assigns each PDO to the SYNC that it answers. Samples are made
-block by block, because those of an hour do not fit in memory.
+A drive samples at SYNC and sends its PDO afterwards, so the stamp of a PDO says little, and a
+sample has the time of its SYNC:
+
+    frames       SYNC  PDO A  PDO B      SYNC  PDO B  PDO A      SYNC  PDO A      SYNC  PDO B ...
+    grid         0                       1                       2                3
+    samples      0                       1                       -                3
+
+1. **SYNC**: frames of SYNC without repeats and with a period (`recorded_syncs`); a step of several
+   periods is SYNCs that were not recorded (`sync_steps`), which have their place on the grid too,
+   and each place its time, without the delays of reception (`sync_times`).
+2. **Answers**: the PDO of each drive that answers a SYNC (`associate`), which may come after the
+   next one. A SYNC without an answer of each drive, or with uncertain ones, gives no sample.
+3. **Targets**: the one that a drive had at SYNC is the last one that was sent before.
+4. **Samples**: the integers of the answers; position counters that wrap count on; codecs make them
+   SI at the motor, and the motor matrix SI at the joint. They are made block by block on demand,
+   because those of an hour do not fit in memory: what is kept is the rows of their frames.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -17,9 +30,10 @@ from ..errors import Place
 from ..files import kept
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
-from .association import associate
-from .rows import SENT, Block, Rows, Traffic, sample_dtype, unwrap
+from .association import Answers, associate
+from .rows import SENT, Block, Rows, Traffic, joint_samples, unwrap
 from .sync_grid import (
+    Syncs,
     SyncTimes,
     counted_steps,
     recorded_syncs,
@@ -146,35 +160,6 @@ class Decoded:
         }
 
 
-def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Block]:
-    """Rows of `sample_dtype` from the integers of drives: consecutive rows of `stamp_ns`, and
-    `position`, `effort` and perhaps `target` (n,). Position counters that wrap count on; targets
-    wrap as the position does, and the nearest one is taken.
-    """
-    # for each drive: raw position of the row before, and the counts added to it
-    last: list[tuple[int, int]] = []
-    for rows in raw:
-        target = rows["target"] if "target" in (rows.dtype.names or ()) else None
-        samples = np.empty(len(rows), sample_dtype(robot.n, reference=target is not None))
-        samples["stamp_ns"] = rows["stamp_ns"]
-        motor = np.empty((3, len(samples), robot.n))
-        for i, drive in enumerate(bus.drives):
-            position = rows["position"][:, i]
-            before, by = last[i] if i < len(last) else (int(position[0]), 0)
-            counts = unwrap(np.concatenate([[before], position]), drive.position.bits)[0][1:] + by
-            last[i : i + 1] = [(int(position[-1]), int(counts[-1] - position[-1]))]
-            motor[0, :, i] = drive.position_codec.si(counts)
-            motor[1, :, i] = drive.effort.si(rows["effort"][:, i])
-            if target is not None:
-                away = np.rint((counts - target[:, i]) / (1 << drive.target.bits)).astype(np.int64)
-                motor[2, :, i] = drive.position_codec.si(target[:, i] + (away << drive.target.bits))
-        samples["position"] = robot.joint_position(motor[0])
-        samples["effort"] = robot.joint_effort(motor[1])
-        if target is not None:
-            samples["reference"] = robot.joint_position(motor[2])
-        yield samples
-
-
 def decode(
     frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE
 ) -> Decoded:
@@ -189,90 +174,102 @@ def decode(
     is not the described one.
     """
     traffic = Traffic(frames)
-    sync_rows = traffic.rows_of(bus.file.sync_can_id)
-    if len(sync_rows) < 2:
-        Place(place).refuse(
-            text=f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames",
-            expected="many",
-        )
-    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
     times_of = partial(traffic.at, "time_ns")
+    syncs = _syncs(traffic, bus, place)
     carriers = _carriers(bus)
-    times = times_of(sync_rows)
-    period = usual_period(times, bus.period_ns)
-    sync_rows, times = recorded_syncs(
-        sync_rows,
-        times,
-        (traffic.of(pdo)[0] for pdo in carriers),  # few recordings need them
-        ours=ours,
-        period=period,
+    pdos, repeats, short = zip(
+        *(_frames_of(traffic, syncs, pdo, name, place) for pdo, name in carriers.items()),
+        strict=True,
     )
-    pdos, repeats, counted = [], [], []
-    for pdo, name in carriers.items():
-        rows, short = traffic.of(pdo)
-        rows, again = without_repeats(rows, sync_rows, traffic.at("data", rows))
-        if not len(rows):
-            Place(place).refuse(
-                text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})",
-                expected="the drive's answers to SYNC; is it mapped and started?",
-            )
-        pdos.append(kept(rows))
-        repeats.append(again)
-        counted.append(
-            PdoCount(
-                name=name,
-                received=len(rows) + len(again),
-                losses=Counter(duplicate=len(again), short=short),
-            )
+
+    # The grid of SYNC: periods from each frame to the next, and the times of all.
+    intervals = sync_steps(syncs, pdos, times_of)
+    if (traffic.at("length", syncs.rows) >= 1).all():
+        counter = traffic.at("data", syncs.rows)[:, 0]
+        intervals = replace(intervals, steps=counted_steps(counter))
+    index_of = kept(np.concatenate([[0], np.cumsum(intervals.steps[:-1])]))
+    clock = sync_times(syncs, index_of, int(intervals.steps.sum()), bus.period_ns)
+    if len(syncs.rows) >= MIN_SYNCS:
+        steps_s = np.diff(syncs.times) * 1e-9
+        refuse_period(clock.period_s, bus.file.sync_period_s, place, steps_s)
+
+    # The frames that answer each SYNC.
+    answers = associate(pdos, repeats, syncs, times_of, intervals)
+    counts = tuple(
+        PdoCount(name=name, received=len(rows) + len(again), losses=Counter(short=n, **lost))
+        for name, rows, again, n, lost in zip(
+            carriers.values(), pdos, repeats, short, answers.losses, strict=True
         )
-    intervals = sync_steps(sync_rows, times, pdos, times_of, ours=ours, period=period)
-    if (traffic.at("length", sync_rows) >= 1).all():
-        intervals = replace(intervals, steps=counted_steps(traffic.at("data", sync_rows)[:, 0]))
-    steps = intervals.steps
-    index_of = kept(np.concatenate([[0], np.cumsum(steps[:-1])]))
-    clock = sync_times(
-        times, index_of, int(steps.sum()), ours=ours, period=period, nominal_ns=bus.period_ns
-    )
-    if len(sync_rows) >= MIN_SYNCS:
-        refuse_period(clock.period_s, bus.file.sync_period_s, place, np.diff(times) * 1e-9)
-    del times, rows
-    answered, late, answers, losses, missing_share = associate(
-        pdos, repeats, sync_rows, times_of, intervals, period
     )
     del pdos  # large in a long session
-    for count, lost in zip(counted, losses, strict=True):
-        count.losses.update(lost)  # adds
-    if (
-        missing_share > max_missing
-        and max(count.losses["missing"] for count in counted) > MAX_MISSING_COUNT
-    ):
-        Place(place).refuse(
-            text=f"{missing_share:.1%} of the PDOs of a drive are missing",
-            expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
-        )
-    if len(answered) < 2:
-        Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
-    rows_of = dict(zip(carriers, map(kept, answers), strict=True))
-    stamps, syncs_lost = kept(clock.stamps[answered]), int(np.sum(steps - 1))
+    _refuse_missing(answers, max_missing, place)
+
+    rows_of = dict(zip(carriers, map(kept, answers.rows), strict=True))
+    stamps, syncs_lost = kept(clock.stamps[answers.answered]), int(np.sum(intervals.steps - 1))
     return Decoded(
         traffic=traffic,
         robot=robot,
         bus=bus,
         rows=rows_of,
         stamps=stamps,
-        late=late,
-        targets=_targets(traffic, sync_rows, index_of, answered, bus),
-        pdos=tuple(counted),
-        syncs=len(sync_rows),
+        late=answers.late,
+        targets=_targets(traffic, syncs.rows, index_of, answers.answered, bus),
+        pdos=counts,
+        syncs=len(syncs.rows),
         syncs_lost=syncs_lost,
         period_s=clock.period_s,
         jitter_s=clock.jitter_s,
         warnings=(
             *bus.warnings,
             *_wraps(traffic, bus, rows_of, stamps),
-            *_warnings(counted, syncs_lost, clock, bus, answered),
+            *_warnings(counts, syncs_lost, clock, bus, answers.answered),
         ),
     )
+
+
+def _syncs(traffic: Traffic, bus: Bus, place: str) -> Syncs:
+    rows = traffic.rows_of(bus.file.sync_can_id)
+    if len(rows) < 2:
+        Place(place).refuse(
+            text=f"{len(rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(traffic.frames)} frames",
+            expected="many",
+        )
+    times = traffic.at("time_ns", rows)
+    syncs = Syncs(
+        rows=rows,
+        times=times,
+        ours=bool((traffic.at("flags", rows) & SENT).all()),
+        period=usual_period(times, bus.period_ns),
+    )
+    return recorded_syncs(syncs, (traffic.of(pdo)[0] for pdo in _carriers(bus)))  # few need them
+
+
+def _frames_of(
+    traffic: Traffic, syncs: Syncs, pdo: Pdo, name: str, place: str
+) -> tuple[Rows, Rows, int]:
+    """Frames of a PDO, those that repeat one of them, and the number of those too short for it."""
+    rows, short = traffic.of(pdo)
+    rows, again = without_repeats(rows, syncs.rows, traffic.at("data", rows))
+    if not len(rows):
+        Place(place).refuse(
+            text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})",
+            expected="the drive's answers to SYNC; is it mapped and started?",
+        )
+    return kept(rows), again, short
+
+
+def _refuse_missing(answers: Answers, max_missing: float, place: str) -> None:
+    """Refuse frames of which too many are missing for certain rows, or that have too few rows."""
+    most = max(lost["missing"] for lost in answers.losses)
+    if answers.missing_share > max_missing and most > MAX_MISSING_COUNT:
+        Place(place).refuse(
+            text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
+            expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
+        )
+    if len(answers.answered) < 2:
+        Place(place).refuse(
+            text=f"{len(answers.answered)} SYNC answered by all drives", expected="many"
+        )
 
 
 def _integers(

@@ -1,8 +1,8 @@
-"""Rows of recordings, raw CAN frames and joint samples, as numpy dtypes; their
-checks; frames by PDO.
+"""Rows of recordings, raw CAN frames and joint samples, as numpy dtypes, and their checks; frames
+by PDO; samples from the integers of drives.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from ..arrays import Ints
 from ..errors import Place
 from ..files import kept, release_pages
 from ..protocol import ObjectEntry, Pdo
+from ..robot import Bus, Robot
 
 # One raw CAN frame; `data` beyond `length` is zero.
 CAPTURE_TOPIC = "/ethercat/frames"
@@ -197,3 +198,32 @@ def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
     turns = np.zeros(len(counts), np.int64)
     turns[wraps + 1] = -np.sign(steps[wraps])
     return counts + (np.cumsum(turns) << bits), wraps + 1
+
+
+def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Block]:
+    """Rows of `sample_dtype` from the integers of drives: consecutive rows of `stamp_ns`, and
+    `position`, `effort` and perhaps `target` (n,). Position counters that wrap count on; targets
+    wrap as the position does, and the nearest one is taken.
+    """
+    # for each drive: raw position of the row before, and the counts added to it
+    last: list[tuple[int, int]] = []
+    for rows in raw:
+        target = rows["target"] if "target" in (rows.dtype.names or ()) else None
+        samples = np.empty(len(rows), sample_dtype(robot.n, reference=target is not None))
+        samples["stamp_ns"] = rows["stamp_ns"]
+        motor = np.empty((3, len(samples), robot.n))
+        for i, drive in enumerate(bus.drives):
+            position = rows["position"][:, i]
+            before, by = last[i] if i < len(last) else (int(position[0]), 0)
+            counts = unwrap(np.concatenate([[before], position]), drive.position.bits)[0][1:] + by
+            last[i : i + 1] = [(int(position[-1]), int(counts[-1] - position[-1]))]
+            motor[0, :, i] = drive.position_codec.si(counts)
+            motor[1, :, i] = drive.effort.si(rows["effort"][:, i])
+            if target is not None:
+                away = np.rint((counts - target[:, i]) / (1 << drive.target.bits)).astype(np.int64)
+                motor[2, :, i] = drive.position_codec.si(target[:, i] + (away << drive.target.bits))
+        samples["position"] = robot.joint_position(motor[0])
+        samples["effort"] = robot.joint_effort(motor[1])
+        if target is not None:
+            samples["reference"] = robot.joint_position(motor[2])
+        yield samples

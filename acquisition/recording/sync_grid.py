@@ -8,7 +8,7 @@ where all later SYNCs would make many in a row late, its timer began again, or s
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -34,6 +34,23 @@ _MAX_EVEN_PERIODS = 1.25  # with no longer step no SYNC was lost
 _NEAR_SYNCS = 7  # around a repeat, that show whether one was late and what drives answered
 # later SYNCs that bound the delay of one, in the first and second pass
 _LOOKAHEAD_SYNCS = (15, 127)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Syncs:
+    """Recorded SYNC frames.
+
+    Attributes:
+        rows: (k,) of the frames.
+        times: (k,) in ns.
+        ours: whether this master sent them all.
+        period: between SYNCs in ns, about.
+    """
+
+    rows: Rows
+    times: Ints
+    ours: bool
+    period: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,15 +86,11 @@ class Intervals:
     unusual: Bools  # a PDO at an unusual time after SYNC
 
 
-def sync_times(
-    times: Ints, index_of: Ints, grid: int, *, ours: bool, period: float, nominal_ns: int
-) -> SyncTimes:
-    """Times of all `grid` SYNCs from those recorded, in ns, and their grid indices; `ours`:
-    this master sent them; `period`: about, in ns.
-    """
-    times, set_back = _remove_set_back(times, index_of)
+def sync_times(syncs: Syncs, index_of: Ints, grid: int, nominal_ns: int) -> SyncTimes:
+    """Times of all `grid` SYNCs from those recorded, and their grid indices."""
+    times, set_back = _remove_set_back(syncs.times, index_of)
     since = kept((times - times[0]).astype(np.float64))
-    freed, run, within = _remove_delays(index_of, since, period)
+    freed, run, within = _remove_delays(index_of, since, syncs.period)
     overall = _slope(index_of, since, np.zeros_like(run)) if run[-1] else within
     # Pauses lengthen the second estimate, delays may disturb the first; a wrong
     # description changes neither.
@@ -85,7 +98,10 @@ def sync_times(
     deviation = kept(since - index_of * within)
     deviation -= _mean_of_run(deviation, run)
     k, after_last = kept(np.arange(grid)), since[-1] + (grid - index_of[-1]) * period
-    ends = kept(np.append(index_of, grid)), kept(np.append(since if ours else freed, after_last))
+    ends = (
+        kept(np.append(index_of, grid)),
+        kept(np.append(since if syncs.ours else freed, after_last)),
+    )
     at = kept(np.interp(k, *ends))
     stamps = int(times[0]) + np.rint(at).astype(np.int64)
     stamps = kept(np.maximum.accumulate(np.maximum(stamps, 0) - k) + k)
@@ -206,27 +222,26 @@ def usual_period(times: Ints, nominal_ns: int) -> float:
     return min(found, key=lambda period: abs(period - nominal_ns)) or 1.0
 
 
-def recorded_syncs(
-    rows: Rows, times: Ints, pdos: Iterable[Rows], *, ours: bool, period: float
-) -> tuple[Rows, Ints]:
-    """SYNC frames and their times: two that changed places are set right, and repeats by another
+def recorded_syncs(syncs: Syncs, pdos: Iterable[Rows]) -> Syncs:
+    """The SYNC frames of which two that changed places are set right, and repeats by another
     producer are left out; `pdos`: frames by PDO.
 
     A repeat comes too early, though the one before it was not late, and the two have one set of
     answers between them. Either is enough if the other is uncertain: a SYNC that is read late makes
     the next one early, and PDOs may be lost, late or doubled.
     """
+    times, period = syncs.times, syncs.period
     back = np.flatnonzero(np.diff(times[:-1]) < 0)
     # else the clock was set back
     back = back[(back > 0) & (times[back + 2] - times[back - 1] > 2.5 * period)]
     times[back], times[back + 1] = times[back + 1], times[back]
     steps = np.append(-1, np.diff(times))  # a step back is none of a repeat
     early = (steps >= 0) & (steps < MAX_REPEAT_PERIODS * period)
-    if ours or not early.any():
-        return rows, times
+    if syncs.ours or not early.any():
+        return syncs
     deviation = times - period * np.arange(len(times))
     level = minimum_behind(deviation, _NEAR_SYNCS, _freed(deviation, period, _NEAR_SYNCS)[1])
-    fewer = np.array([_fewer_answers(pdo, rows, early) for pdo in pdos])[:, 1:]
+    fewer = np.array([_fewer_answers(pdo, syncs.rows, early) for pdo in pdos])[:, 1:]
     alone = (early & ~np.roll(early, 1) & ~np.roll(early, -1))[1:]
     pairs = np.append(times[2:] - times[:-2], 0)
     # Two sets in two periods: the SYNC after the repeat was not recorded. At the begin of a
@@ -238,7 +253,7 @@ def recorded_syncs(
     repeats = early & np.append(False, falls | alone & (fewer == 2).all(axis=0))
     # the one behind a repeat is early after that alone
     repeats[2:] &= ~repeats[1:-1] | (pairs[:-1] < MAX_REPEAT_PERIODS * period)
-    return rows[~repeats], times[~repeats]
+    return replace(syncs, rows=syncs.rows[~repeats], times=times[~repeats])
 
 
 def _fewer_answers(pdo: Rows, sync_rows: Rows, early: Bools) -> Rows:
@@ -269,15 +284,7 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
     return rows[used], rows[again[same & changed]]
 
 
-def sync_steps(
-    sync_rows: Rows,
-    times: Ints,
-    pdos: Sequence[Rows],
-    times_of: Callable[[Rows], Ints],
-    *,
-    ours: bool,
-    period: float,
-) -> Intervals:
+def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints]) -> Intervals:
     """Intervals between SYNC frames.
 
     A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC
@@ -285,13 +292,14 @@ def sync_steps(
     each of them. Whole periods without an answer are a pause, too. `pdos`: frames by PDO;
     `times_of`: their times.
     """
+    times, period = syncs.times, syncs.period
     steps = np.ones(len(times), np.int32)
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
     after_last = 1 + int((end - times[-1]) / period + 1 - MAX_ANSWER_PERIODS)
     periods = np.diff(times) / period
     # single steps are the better measure of even SYNCs, and those of bursts are short
     usual = max(period, float(np.median(np.diff(times))))
-    even = ours or periods.max() <= _MAX_EVEN_PERIODS
+    even = syncs.ours or periods.max() <= _MAX_EVEN_PERIODS
     periods = np.append(periods if even else _lasting_periods(times, period), after_last)
     long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
@@ -299,7 +307,7 @@ def sync_steps(
     after: list[Ints] = []
     paused, torn, busy, unusual, swapped = np.zeros((5, len(times)), np.bool_)
     for pdo in pdos:
-        interval = interval_of(pdo, sync_rows)
+        interval = interval_of(pdo, syncs.rows)
         came = kept(times_of(pdo) - times[interval])
         after.append(
             np.bincount(interval[came > MAX_ANSWER_PERIODS * period], minlength=len(times))[long]
@@ -315,7 +323,7 @@ def sync_steps(
         ] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
     known = np.where(
-        ours | (long == len(times) - 1),
+        syncs.ours | (long == len(times) - 1),
         most >= lost,
         np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET,
     )

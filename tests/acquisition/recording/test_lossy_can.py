@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lossy_can import KINDS, SYNCS, Kind, Outcome, made, outcome
 
-from acquisition.recording.sync_grid import recorded_syncs
+from acquisition.recording.sync_grid import Syncs, recorded_syncs
 
 BURSTS = {
     Kind(bursts=True): 0.93,
@@ -40,5 +40,5 @@ def test_syncs_that_changed_places_are_in_order_of_time_and_a_clock_that_is_set_
     rows, period = np.arange(20, dtype=np.int32), 2e6
     for times, right in ((swapped, even), (back.copy(), back)):
         # the drives answer each SYNC
-        found = recorded_syncs(2 * rows, times, [2 * rows + 1], ours=ours, period=period)
-        assert found[1].tolist() == right.tolist()
+        syncs = Syncs(rows=2 * rows, times=times, ours=ours, period=period)
+        assert recorded_syncs(syncs, [2 * rows + 1]).times.tolist() == right.tolist()

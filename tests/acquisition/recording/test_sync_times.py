@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.recording.sync_grid import SyncTimes, sync_times, usual_period
+from acquisition.recording.sync_grid import Syncs, SyncTimes, sync_times, usual_period
 
 START_NS, PERIOD_NS = 1_000_000_000, 2_000_000
 
@@ -16,9 +16,9 @@ def timed(times, *, ours: bool, index=None, nominal_ns: int = PERIOD_NS) -> Sync
     index = np.arange(len(times)) if index is None else np.array(index)
     times = np.array(times, np.int64)
     period = usual_period(times, nominal_ns)
-    return sync_times(
-        times, index, int(index[-1]) + 1, ours=ours, period=period, nominal_ns=nominal_ns
-    )
+    rows = np.arange(len(times), dtype=np.int32)
+    syncs = Syncs(rows=rows, times=times, ours=ours, period=period)
+    return sync_times(syncs, index, int(index[-1]) + 1, nominal_ns)
 
 
 def test_what_we_sent_is_as_uneven_as_it_left_and_a_lost_one_stands_between_its_neighbours():
