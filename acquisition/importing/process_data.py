@@ -3,7 +3,7 @@ drives (CoE), in file order.
 """
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NoReturn, TypeAlias
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from ..arrays import Bools, Ints
 from ..errors import BadInputError, Place, listed
 from ..files import GrowingBytes, field_of, release_pages
+from ..protocol import ObjectEntry
 from ..recording import Block, in_parts, minimum_ahead
 from ..robot import Bus
 from .captures import Packets, datagrams, gather
@@ -142,59 +143,73 @@ class ProcessData:
         """Where the drives' objects are, each in its `station` or the next slave with its position;
         empty if not yet known.
         """
-        found, targets, self._why = (
-            dict[Part, Fields](),
-            dict[Part, Fields](),
-            "no mapping of inputs is in it",
-        )
+        self._why = "no mapping of inputs is in it"
         try:
             objects = self._objects()
         except ValueError as error:  # the master may not have written all of it yet
             self._why = str(error)
             return {}
-        named = {file.station for file in self._bus.file.drive}
-        free = [
-            station for station, (inputs, _) in objects.items() if inputs and station not in named
-        ]
-        for i, (drive, file) in enumerate(zip(self._bus.drives, self._bus.file.drive, strict=True)):
-            able = (station for station in free if drive.position.key in objects[station][0])
-            station = next(able, -1) if file.station is None else file.station
-            inputs, outputs = objects.get(station, ({}, {}))
-            if not inputs:
-                where = "a further slave" if file.station is None else f"station {station}"
-                self._why = (
-                    f"no mapping of {where} for {drive.name} is in it" if free else self._why
-                )
-                return {}
-            free = free[free.index(station) + 1 :] if station in free else free
-            for name, entry in (
-                ("position", drive.position),
-                ("effort", drive.effort.entry),
-                ("target", drive.target),
-            ):
-                back = name != "target"
-                address, size = (inputs if back else outputs).get(entry.key, (0, 0))
-                if back and 8 * size != entry.bits:
+        inputs, outputs = dict[Part, Fields](), dict[Part, Fields]()
+        stations = zip(self._bus.drives, self._stations(objects), strict=False)
+        for i, (drive, station) in enumerate(stations):
+            for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
+                at = objects[station][0].get(entry.key, (0, 0))
+                if 8 * at[1] != entry.bits:
                     text = (
                         f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not "
                         "among its inputs"
                     )
-                    names = listed([f"{index:04X}:{sub}" for index, sub in inputs])
+                    names = listed([f"{index:04X}:{sub}" for index, sub in objects[station][0]])
                     self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
-                end, commands = address + size, (LRD, LRW) if back else (LWR, LRW)
-                parts = [part for part in self._seen if part[0] in commands and part[3] == back]
-                parts = [part for part in parts if part[1] <= address and end <= part[1] + part[2]]
-                if size and parts:
-                    part = max(parts, key=self._seen.__getitem__)
-                    kind = f"<{entry.type[0].lower()}{size}"
-                    (found if back else targets).setdefault(part, {})[name, i] = (
-                        address - part[1],
-                        kind,
-                    )
-        whole = [
-            sum(map(len, fields.values())) // len(self._bus.drives) for fields in (found, targets)
+                self._add_field(inputs, (name, i), entry, at, (LRD, LRW))
+            at = objects[station][1].get(drive.target.key, (0, 0))
+            self._add_field(outputs, ("target", i), drive.target, at, (LWR, LRW))
+        whole, has_targets = (
+            sum(map(len, fields.values())) >= count * len(self._bus.drives)
+            for fields, count in ((inputs, 2), (outputs, 1))
+        )
+        return {} if not whole else inputs | outputs if has_targets else inputs
+
+    def _stations(self, objects: Mapping[int, tuple[Located, Located]]) -> Iterator[int]:
+        """The slave of each drive, up to one whose inputs are not known."""
+        named = {file.station for file in self._bus.file.drive}
+        free = [station for station, (inputs, _) in objects.items() if inputs]
+        free = [station for station in free if station not in named]
+        for drive in self._bus.drives:
+            able = (station for station in free if drive.position.key in objects[station][0])
+            station = next(able, -1) if drive.file.station is None else drive.file.station
+            if not objects.get(station, ({}, {}))[0]:
+                where = "a further slave" if station == -1 else f"station {station}"
+                why = f"no mapping of {where} for {drive.name} is in it"
+                self._why = why if free else self._why
+                return
+            free = free[free.index(station) + 1 :] if station in free else free
+            yield station
+
+    def _add_field(
+        self,
+        fields: dict[Part, Fields],
+        key: tuple[str, int],
+        entry: ObjectEntry,
+        at: tuple[int, int],
+        commands: tuple[int, int],
+    ) -> None:
+        """Add where an object at a logical address, with its bytes, is in the datagrams that were
+        seen most.
+        """
+        (address, size), back = at, LRD in commands
+        parts = [
+            part
+            for part in self._seen
+            if part[0] in commands
+            and part[3] == back
+            and part[1] <= address
+            and address + size <= part[1] + part[2]
         ]
-        return {} if whole[0] < 2 else found | targets if whole[1] else found
+        if size and parts:
+            part = max(parts, key=self._seen.__getitem__)
+            kind = f"<{entry.type[0].lower()}{size}"
+            fields.setdefault(part, {})[key] = (address - part[1], kind)
 
     def _objects(self) -> dict[int, tuple[Located, Located]]:
         slaves = self._slaves[True]
