@@ -4,17 +4,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NoReturn
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array
 from ..errors import BadInputError, Place, listed
-from ..files import GrowingBytes, by_rows, taken
+from ..files import by_rows, taken
 from ..recording import JOINT_STATE, Header, in_gaps
 from ..robot import Payload, Robot
 from .held import grid_of_new_rows
-from .publishers import ONE_PUBLISHER, refuse_several_publishers
+from .joint_states import JointStates, refuse_several_publishers
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .time_base import (
     GridValues,
@@ -31,10 +30,6 @@ CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 # What the bytes of all its versions begin with: position is that of `reference`, which older
 # ones call `desired`.
 BEGIN = "std_msgs/Header header\nstring[] name\nfloat64[] position"
-KINDS = ("position", "velocity", "effort")
-# of the messages, besides one: a controller that starts again may name joints in another order,
-# two publishers change it all the time
-MAX_CHANGES = 1e-3
 # What to do about a reader's error.
 _WAYS_OUT = (
     ("metadata|YAML|Some database files", "a whole folder: `ros2 bag reindex FOLDER` repairs it"),
@@ -101,14 +96,13 @@ def import_bag(
         warnings.append("velocities that are not finite numbers are left out")
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
-    held = grid_of_new_rows(time_s, parts, place, options.resample_hz)
-    clock = "times of reception" if received else "header stamps"
-    way_out = (
+    grid = grid_of_new_rows(time_s, parts, place, options.resample_hz) or with_warnings(
+        resample(time_s, parts, rate_hz=options.resample_hz, place=place),
+        time_s,
+        q,
+        "times of reception" if received else "header stamps",
         "record a topic that the robot's own clock stamps, or import a table whose map states "
-        "sample_rate_hz"
-    )
-    grid = held or with_warnings(
-        resample(time_s, parts, rate_hz=options.resample_hz, place=place), time_s, q, clock, way_out
+        "sample_rate_hz",
     )
     grid, reference = replace(grid, first_ns=first_ns), dict[str, str]()
     try:
@@ -129,12 +123,14 @@ def import_bag(
         payload=payload,
         notes={**grid.notes, "effort_object": effort_object, **reference},
     )
-    chosen = "" if options.topic else f"{topic}, the only one of {JOINT_STATE}"
-    return replace(write_samples(header, grid, warnings, str(place), out), topic=chosen)
+    return replace(
+        write_samples(header, grid, warnings, str(place), out),
+        topic="" if options.topic else f"{topic}, the only one of {JOINT_STATE}",
+    )
 
 
 def _only_controller(
-    controllers: Mapping[str, "_Parts"], joints: Sequence[str], place: Place
+    controllers: Mapping[str, JointStates], joints: Sequence[str], place: Place
 ) -> str | None:
     """Topic of the controller of all joints; of one that lacks some if there is no
     other, None without any.
@@ -149,7 +145,7 @@ def _only_controller(
 
 
 def _with_reference(
-    grid: GridValues, states: "_Parts", received: bool, topic: str
+    grid: GridValues, states: JointStates, received: bool, topic: str
 ) -> tuple[GridValues, str]:
     """The part of the grid within the times of a controller's states, with its
     reference; what was done.
@@ -164,8 +160,11 @@ def _with_reference(
     time_s = grid.start_s + np.arange(len(grid.parts["position"])) / grid.rate_hz
     inside = (time_s > own_s[0] - 1e-9) & (time_s < own_s[-1] + 1e-9)
     if not inside.any():
-        found = f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state"
-        states.place.refuse("time", expected="some within the joint states", text=found)
+        states.place.refuse(
+            "time",
+            expected="some within the joint states",
+            text=f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state",
+        )
     at = np.flatnonzero(inside)
     time_s, kept = time_s[at], {name: taken(x, at) for name, x in grid.parts.items()}
     kept["reference"] = interpolate(own_s, rows["reference"], time_s)
@@ -184,8 +183,11 @@ def _effort(
             expected="measured torques or currents in them", text="messages have no effort"
         )
     if not effort.any():
-        expected = "measured efforts; this driver does not publish them"
-        place.refuse("effort", expected=expected, text="is zero in all rows")
+        place.refuse(
+            "effort",
+            expected="measured efforts; this driver does not publish them",
+            text="is zero in all rows",
+        )
     given = tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1)
     units, factors = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
     at_joint = all(unit in ("N m", "N") for unit in units)
@@ -196,22 +198,6 @@ def _effort(
     joint_effort = by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort)
     rule = effort_at_joint(robot, effort[:1] * factors, side)[1]
     return joint_effort, f"effort of {place}: {what}, as stated; {rule}", what
-
-
-def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], place: Place) -> None:
-    """Refuse numbers that are not finite in x (N, n) from the row `first` on."""
-    finite = np.isfinite(x)
-    for name, some in zip(joints, finite.T, strict=True):
-        if not some.any():
-            place.refuse(
-                f"{kind} of joint {name}",
-                expected="measured positions and efforts",
-                text="is no number in any row",
-            )
-    if not finite[first:].all():
-        row, joint = np.argwhere(~finite[first:])[0] + [first, 0]
-        key = f"{kind} of joint {joints[joint]}"
-        Place(f"{place}: state {row + 1}").refuse(key, float(x[row, joint]), "a finite number")
 
 
 def _storage(path: Path) -> Path:
@@ -228,9 +214,9 @@ def _storage(path: Path) -> Path:
 
 def _read(
     path: Path, options: BagOptions, joints: Sequence[str]
-) -> tuple["_Parts", dict[str, "_Parts"], str]:
+) -> tuple[JointStates, dict[str, JointStates], str]:
     """Joint states of the `joints` in the bag's order, controllers' by topic; the topic read."""
-    wanted, parts = options.reference_topic, _Parts(joints, Place(str(path)))
+    wanted, parts = options.reference_topic, JointStates(joints, Place(str(path)))
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -249,7 +235,9 @@ def _read(
                 max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections
             )
             others = [c for c in reader.connections if c.msgtype == CONTROLLER_STATE]
-            controllers = {c.topic: _Parts(joints, Place(f"{path}: {c.topic}")) for c in others}
+            controllers = {
+                c.topic: JointStates(joints, Place(f"{path}: {c.topic}")) for c in others
+            }
             for connection, received_ns, raw in reader.messages(
                 connections=[*connections, *others]
             ):
@@ -264,11 +252,10 @@ def _read(
     except BadInputError:
         raise
     except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
-        after = f" after {parts.count} messages" if parts.count else ""
         told = (getattr(error, "strerror", None) or str(error) or type(error).__name__)[:200]
         Place(str(path)).refuse(
             expected=next(way for pattern, way in _WAYS_OUT if re.search(pattern, told)),
-            text=f"cannot be read{after}: {told}",
+            text=f"cannot be read{f' after {parts.count} messages' if parts.count else ''}: {told}",
         )
     return parts, controllers, topic
 
@@ -283,118 +270,3 @@ def _topic_of(kind: str, topic: str, types: dict[str, str], place: Place) -> str
         expected=f"--topic of {kind}; it has {listed(found or [*types])}",
         text=f"topic {topic} {problem}" if topic else f"has {len(found)} topics of joint states",
     )
-
-
-class _Parts:
-    """Collects joint states. Messages of one publisher have one frame, and names of all joints."""
-
-    def __init__(self, joints: Sequence[str], place: Place) -> None:
-        self._joints, self.place = list(joints), place
-        self._places: dict[tuple[str, tuple[str, ...]], list[int] | None] = {}
-        self._source: tuple[str, tuple[str, ...]] | None = None
-        columns = [(kind, "<f8", (len(joints),)) for kind in KINDS]
-        self._layout = np.dtype([("received", "<i8"), ("stamp", "<i8"), *columns])
-        # Rows of `_layout`: messages as Python objects are six times as large.
-        self._rows, self._without = GrowingBytes(), np.full(len(joints), np.nan).tobytes()
-        self._given = dict.fromkeys(KINDS, 0)
-        self.count, self._others, self._changes, self.publishers = 0, 0, 0, 1
-        self.refused: BadInputError | None = None
-
-    @property
-    def names(self) -> list[str]:
-        """All names in the messages."""
-        return sorted({name for _, names in self._places for name in names})
-
-    def add(self, received_ns: int, message: Any) -> None:
-        """Add a message."""
-        self.count += 1
-        source = (message.header.frame_id, tuple(message.name))
-        if source not in self._places:
-            self._places[source] = self._checked(source)
-        places = self._places[source]
-        if places is None:
-            self._others += 1
-            return
-        self._changes += self._source not in (None, source)
-        self._source, stamp = source, message.header.stamp
-        row = np.array([received_ns, stamp.sec * 10**9 + stamp.nanosec], "<i8").tobytes()
-        for kind in KINDS:
-            content = np.asarray(getattr(message, kind, ()), "<f8")
-            if len(content) not in (0, len(source[1])) or (kind == "position" and not len(content)):
-                self._refuse_message(
-                    f"{len(content)} values of {kind}", f"{len(source[1])}, one for each name"
-                )
-            row += content[places].tobytes() if len(content) else self._without
-            self._given[kind] += len(content) > 0
-        self._rows.write(row)
-
-    def _checked(self, source: tuple[str, tuple[str, ...]]) -> list[int] | None:
-        """Indices of the joints in messages of a source; None if it has none of them."""
-        names = source[1]
-        missing = [joint for joint in self._joints if joint not in names]
-        if len(missing) == len(self._joints) and self._joints:
-            return None
-        if missing:
-            problem = f"joints {listed(missing)} missing in {listed(names)}"
-            self._refuse_message(
-                problem, "all joints of robot.toml in each message, by their names there"
-            )
-        if self._source is not None and source[0] != self._source[0]:
-            apart = f"frame {source[0]!r} after {self._source[0]!r}"
-            self._refuse_message(f"messages of several publishers: {apart}", ONE_PUBLISHER)
-        return [names.index(joint) for joint in self._joints]
-
-    def _refuse_message(self, problem: str, expected: str) -> NoReturn:
-        Place(f"{self.place}: message {self.count}").refuse(expected=expected, text=problem)
-
-    def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
-        """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
-        arrays (N, n); warnings.
-        """
-        if self.refused is not None:
-            raise self.refused
-        rows = np.frombuffer(self._rows.whole(), self._layout)
-        if not len(rows):
-            problem = f"has {listed(self.names)}" if self.names else "has no messages"
-            self.place.refuse(
-                expected=f"the joints {listed(self._joints)} of robot.toml", text=problem
-            )
-        stamps, count = rows["stamp"].astype(np.int64), len(rows)
-        received = not stamps.any()
-        # a clock that begins at 0 gives the first stamp 0
-        if not received and not stamps[1:].all():
-            place = Place(f"{self.place}: state {2 + int(np.argmin(stamps[1:] != 0))}")
-            place.refuse(
-                expected="stamps in all headers or in none", text="a header without a stamp"
-            )
-        for kind, given in self._given.items():
-            if given not in (0, count):
-                problem = f"{kind} in {given} of {count} messages"
-                self.place.refuse(expected=f"{kind} in all or in none", text=problem)
-        arrays = {kind: rows[kind] for kind, given in self._given.items() if given}
-        needed = {kind: x for kind, x in arrays.items() if kind != "velocity"}
-        # where none is known, the first one is refused
-        first = int(np.argmin(np.any([np.isnan(x).any(axis=1) for x in needed.values()], axis=0)))
-        for kind, x in needed.items():
-            _refuse_infinite(kind, x, first, self._joints, self.place)
-        if self._changes > 1 + MAX_CHANGES * count:
-            self.place.refuse(
-                expected=ONE_PUBLISHER,
-                text=f"the names or their order change {self._changes} times in {count} messages",
-            )
-        doubts = {
-            "headers have no stamps: times are those of reception, which jitter more": received,
-            f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it "
-            "with one": self.publishers > 1,
-            f"{self._others} messages without any of the joints are left out": self._others,
-            f"the names or their order change {self._changes} times: joints go by their "
-            "names": self._changes,
-            f"{first} states at the start are left out: a position or an effort is nan "
-            "there": first,
-        }
-        return (
-            (rows["received"].astype(np.int64) if received else stamps)[first:],
-            received,
-            {kind: x[first:] for kind, x in arrays.items()},
-            [text for text, holds in doubts.items() if holds],
-        )

@@ -64,8 +64,8 @@ def _go_on(time_ns: Ints, syncs: Rows, place: Place) -> Iterator[str]:
         wraps = np.abs(np.abs(size) - wrap_ns) < _MAX_WRAP_NS
         if wraps.any() and time_ns.max() < wrap_ns + _MAX_WRAP_NS:
             before = np.append(0, np.cumsum(np.sign(size[wraps])))
-            counts = np.diff(jumps[wraps] + 1, prepend=0, append=len(time_ns))
-            time_ns -= np.repeat(before * wrap_ns, counts)
+            rows = np.diff(jumps[wraps] + 1, prepend=0, append=len(time_ns))
+            time_ns -= np.repeat(before * wrap_ns, rows)
             yield f"times wrapped after {text}: later ones are shifted forward"
     for k, by_ns, since_ns in steps_back(time_ns[syncs]):
         row = syncs[k] + 1 + int(np.argmin(np.diff(time_ns[syncs[k] : syncs[k + 1] + 1])))

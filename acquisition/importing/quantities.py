@@ -253,8 +253,11 @@ def effort_side(
             place.refuse(key.replace(".unit", ".side"), None, "'motor' or 'joint'")
         side = "joint" if fits == ["joint"] else "motor"
     if side not in fits:
-        wanted = f"{join_units(expected[side])}, as in robot.toml"
-        place.refuse(key, expected=wanted, text=f"gives {join_units(given)} at the {side}")
+        place.refuse(
+            key,
+            expected=f"{join_units(expected[side])}, as in robot.toml",
+            text=f"gives {join_units(given)} at the {side}",
+        )
     return side
 
 

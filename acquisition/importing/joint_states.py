@@ -1,0 +1,223 @@
+"""The joint states of a topic, collected; refused where several publishers send them."""
+
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ..arrays import Array, Ints
+from ..errors import BadInputError, Place, listed
+from ..files import BLOCK_ROWS, GrowingBytes, by_rows
+from .stamps import smallest_difference
+
+KINDS = ("position", "velocity", "effort")
+# of the messages, besides one: a controller that starts again may name joints in another order,
+# two publishers change it all the time
+MAX_CHANGES = 1e-3
+WINDOW = 16  # rows; a divisor of `BLOCK_ROWS`
+# of energies at and at half the Nyquist frequency; noise and motion rarely exceed it
+MIN_NYQUIST_RATIO = 100.0
+# of the windows, of the rows; more are of two publishers
+MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01
+ONE_PUBLISHER = "one publisher: record the topic of the arm's own driver, or stop the other node"
+MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
+
+
+class JointStates:
+    """Collects joint states. Messages of one publisher have one frame, and names of all joints."""
+
+    def __init__(self, joints: Sequence[str], place: Place) -> None:
+        self._joints, self.place = list(joints), place
+        self._places: dict[tuple[str, tuple[str, ...]], list[int] | None] = {}
+        self._source: tuple[str, tuple[str, ...]] | None = None
+        self._layout = np.dtype(
+            [
+                ("received", "<i8"),
+                ("stamp", "<i8"),
+                *((kind, "<f8", (len(joints),)) for kind in KINDS),
+            ]
+        )
+        # Rows of `_layout`: messages as Python objects are six times as large.
+        self._rows, self._without = GrowingBytes(), np.full(len(joints), np.nan).tobytes()
+        self._given = dict.fromkeys(KINDS, 0)
+        self.count, self._others, self._changes, self.publishers = 0, 0, 0, 1
+        self.refused: BadInputError | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """All names in the messages."""
+        return sorted({name for _, names in self._places for name in names})
+
+    def add(self, received_ns: int, message: Any) -> None:
+        """Add a message."""
+        self.count += 1
+        source = (message.header.frame_id, tuple(message.name))
+        if source not in self._places:
+            self._places[source] = self._checked(source)
+        places = self._places[source]
+        if places is None:
+            self._others += 1
+            return
+        self._changes += self._source not in (None, source)
+        self._source, stamp = source, message.header.stamp
+        row = np.array([received_ns, stamp.sec * 10**9 + stamp.nanosec], "<i8").tobytes()
+        for kind in KINDS:
+            content = np.asarray(getattr(message, kind, ()), "<f8")
+            if len(content) not in (0, len(source[1])) or (kind == "position" and not len(content)):
+                self._refuse_message(
+                    f"{len(content)} values of {kind}", f"{len(source[1])}, one for each name"
+                )
+            row += content[places].tobytes() if len(content) else self._without
+            self._given[kind] += len(content) > 0
+        self._rows.write(row)
+
+    def _checked(self, source: tuple[str, tuple[str, ...]]) -> list[int] | None:
+        """Indices of the joints in messages of a source; None if it has none of them."""
+        names = source[1]
+        missing = [joint for joint in self._joints if joint not in names]
+        if len(missing) == len(self._joints) and self._joints:
+            return None
+        if missing:
+            self._refuse_message(
+                f"joints {listed(missing)} missing in {listed(names)}",
+                "all joints of robot.toml in each message, by their names there",
+            )
+        if self._source is not None and source[0] != self._source[0]:
+            self._refuse_message(
+                f"messages of several publishers: frame {source[0]!r} after {self._source[0]!r}",
+                ONE_PUBLISHER,
+            )
+        return [names.index(joint) for joint in self._joints]
+
+    def _refuse_message(self, problem: str, expected: str) -> NoReturn:
+        Place(f"{self.place}: message {self.count}").refuse(expected=expected, text=problem)
+
+    def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
+        """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
+        arrays (N, n); warnings.
+        """
+        if self.refused is not None:
+            raise self.refused
+        rows = np.frombuffer(self._rows.whole(), self._layout)
+        if not len(rows):
+            self.place.refuse(
+                expected=f"the joints {listed(self._joints)} of robot.toml",
+                text=f"has {listed(self.names)}" if self.names else "has no messages",
+            )
+        stamps, count = rows["stamp"].astype(np.int64), len(rows)
+        received = not stamps.any()
+        # a clock that begins at 0 gives the first stamp 0
+        if not received and not stamps[1:].all():
+            Place(f"{self.place}: state {2 + int(np.argmin(stamps[1:] != 0))}").refuse(
+                expected="stamps in all headers or in none", text="a header without a stamp"
+            )
+        for kind, given in self._given.items():
+            if given not in (0, count):
+                self.place.refuse(
+                    expected=f"{kind} in all or in none",
+                    text=f"{kind} in {given} of {count} messages",
+                )
+        arrays = {kind: rows[kind] for kind, given in self._given.items() if given}
+        needed = {kind: x for kind, x in arrays.items() if kind != "velocity"}
+        # where none is known, the first one is refused
+        first = int(np.argmin(np.any([np.isnan(x).any(axis=1) for x in needed.values()], axis=0)))
+        for kind, x in needed.items():
+            _refuse_infinite(kind, x, first, self._joints, self.place)
+        if self._changes > 1 + MAX_CHANGES * count:
+            self.place.refuse(
+                expected=ONE_PUBLISHER,
+                text=f"the names or their order change {self._changes} times in {count} messages",
+            )
+        doubts = {
+            "headers have no stamps: times are those of reception, which jitter more": received,
+            f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it "
+            "with one": self.publishers > 1,
+            f"{self._others} messages without any of the joints are left out": self._others,
+            f"the names or their order change {self._changes} times: joints go by their "
+            "names": self._changes,
+            f"{first} states at the start are left out: a position or an effort is nan "
+            "there": first,
+        }
+        return (
+            (rows["received"].astype(np.int64) if received else stamps)[first:],
+            received,
+            {kind: x[first:] for kind, x in arrays.items()},
+            [text for text, holds in doubts.items() if holds],
+        )
+
+
+def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], place: Place) -> None:
+    """Refuse numbers that are not finite in x (N, n) from the row `first` on."""
+    finite = np.isfinite(x)
+    for name, some in zip(joints, finite.T, strict=True):
+        if not some.any():
+            place.refuse(
+                f"{kind} of joint {name}",
+                expected="measured positions and efforts",
+                text="is no number in any row",
+            )
+    if not finite[first:].all():
+        row, joint = np.argwhere(~finite[first:])[0] + [first, 0]
+        Place(f"{place}: state {row + 1}").refuse(
+            f"{kind} of joint {joints[joint]}", float(x[row, joint]), "a finite number"
+        )
+
+
+def refuse_several_publishers(
+    position: Array, effort: Array, joints: list[str], place: Place
+) -> None:
+    """Refuse alternating states of two publishers: single rows without effort, or every other row
+    far from its neighbours.
+    """
+    least = MIN_PUBLISHER_QUANTA * smallest_difference(effort)
+    zero = np.asarray(~effort.any(axis=1))
+    large = by_rows(lambda x: (np.abs(x) > least).any(axis=1), effort) > 0
+    single = zero[1:-1] & large[:-2] & large[2:]
+    if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
+        place.refuse(
+            "effort",
+            expected=ONE_PUBLISHER,
+            text=f"{100 * single.mean():.2g} % of the rows have no effort, but both neighbours "
+            "have",
+        )
+    for key, x in (("position", position), ("effort", effort)):
+        share = _alternating_share(x)
+        if share.max() > MAX_ALTERNATING:
+            place.refuse(
+                f"{key} of joint {joints[int(share.argmax())]}",
+                expected=ONE_PUBLISHER,
+                text="every other row differs from its neighbours in "
+                f"{100 * share.max():.2g} % of the time",
+            )
+
+
+def _alternating_share(x: Array) -> Array:
+    """Share (n,) of windows of x (N, n) whose second differences have far more energy at the
+    Nyquist frequency than at half.
+
+    Rounded values sometimes alternate by one quantum, so several quanta are required. Values held
+    for a row, as of an encoder slower than the log, do not alternate.
+    """
+    least, rows = smallest_difference(x), max(0, len(x) - 2) // WINDOW * WINDOW
+    found = [
+        _alternating(x[first : min(first + BLOCK_ROWS, rows) + 2], least)
+        for first in range(0, rows, BLOCK_ROWS)
+    ]
+    # two may be chance
+    return np.maximum(sum(found, np.zeros(x.shape[1])) - 2, 0) / max(1, rows // WINDOW)
+
+
+def _alternating(x: Array, least: Array) -> Array:
+    """Number (n,) of the windows in x (N + 2, n) that alternate."""
+    steps, windows = (
+        np.diff(x, n=n, axis=0)[: len(x) - 2].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2)
+    )
+    energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
+    half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
+    large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * least
+    alternating = (
+        large
+        & ((steps == 0).mean(axis=1) < 0.4)
+        & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
+    )
+    return np.asarray(alternating.sum(axis=0))
