@@ -21,7 +21,11 @@ CLASSES = (
     "SdoAbortedError",
 )
 # Of each way to raise: the names of the positional arguments.
-POSITIONS = dict.fromkeys(CLASSES, ("text",)) | {"refuse": ("key", "value", "expected")}
+POSITIONS = dict.fromkeys(CLASSES, ("text",))
+POSITIONS |= {
+    "refuse": ("key", "value", "expected"),
+    "require": ("holds", "key", "value", "expected"),
+}
 
 
 def wording(node: ast.expr | None) -> str:

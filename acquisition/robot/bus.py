@@ -122,38 +122,50 @@ class DriveFile(TomlTable, frozen=True):
 
     def __post_init__(self) -> None:
         for name, kind in self.objects.items():
-            if kind not in BITS:
-                self.refuse(f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
-        if self.reference is None and self.actual is None:
-            self.refuse(
-                "reference",
-                None,
-                "the object of the current or torque reference, or actual for its value",
-            )
+            self.require(kind in BITS, f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
+        self.require(
+            self.reference is not None or self.actual is not None,
+            "reference",
+            None,
+            "the object of the current or torque reference, or actual for its value",
+        )
         for k, name in enumerate(self.extra_objects):
-            if not re.fullmatch(_OBJECT, name):
-                self.refuse(f"extra[{k}]", name, "an object, such as 606C or 2081:1")
+            self.require(
+                re.fullmatch(_OBJECT, name),
+                f"extra[{k}]",
+                name,
+                "an object, such as 606C or 2081:1",
+            )
         for key, known in _WORDS.items():
             word = getattr(self, key)
-            if word is not None and word not in known:
-                self.refuse(key, word, f"one of {', '.join(known)}")
+            self.require(word is None or word in known, key, word, f"one of {', '.join(known)}")
         for key in ("rated_current_a", "rated_torque_nm", "rated_force_n"):
             unit = self.rated_current_unit if key == "rated_current_a" else self.rated_torque_unit
             value, most = getattr(self, key), (2**32 - 1) * RATED_UNITS[unit]
-            if value is not None and not RATED_UNITS[unit] <= value <= most:
-                self.refuse(key, value, f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}")
-        if (self.counts_per_turn is None) == (self.counts_per_m is None):
-            self.refuse(
-                "counts_per_turn",
-                self.counts_per_turn,
-                "counts_per_turn or counts_per_m, one of the two",
+            self.require(
+                value is None or RATED_UNITS[unit] <= value <= most,
+                key,
+                value,
+                f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}",
             )
-        if self.dictionary is not None and not re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary):
-            self.refuse(
-                "dictionary", self.dictionary, "the name of a file in the folder of robot.toml"
-            )
-        if self.mapping == "dictionary" and self.dictionary is None:
-            self.refuse("mapping", self.mapping, "a dictionary (EDS or DCF) that holds the mapping")
+        self.require(
+            (self.counts_per_turn is None) != (self.counts_per_m is None),
+            "counts_per_turn",
+            self.counts_per_turn,
+            "counts_per_turn or counts_per_m, one of the two",
+        )
+        self.require(
+            self.dictionary is None or re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary),
+            "dictionary",
+            self.dictionary,
+            "the name of a file in the folder of robot.toml",
+        )
+        self.require(
+            self.mapping != "dictionary" or self.dictionary is not None,
+            "mapping",
+            self.mapping,
+            "a dictionary (EDS or DCF) that holds the mapping",
+        )
 
     @property
     def counts_per_unit(self) -> float:
@@ -233,21 +245,33 @@ class BusFile(TomlTable, frozen=True):
     ] = "unknown"
 
     def __post_init__(self) -> None:
-        if self.bitrate not in BITRATES:
-            self.refuse("bitrate", self.bitrate, f"one of {', '.join(map(str, BITRATES))}")
-        if not 1e-4 <= self.sync_period_s <= 1.0:
-            self.refuse("sync_period_s", self.sync_period_s, "0.0001 to 1")
+        self.require(
+            self.bitrate in BITRATES,
+            "bitrate",
+            self.bitrate,
+            f"one of {', '.join(map(str, BITRATES))}",
+        )
+        self.require(
+            1e-4 <= self.sync_period_s <= 1.0, "sync_period_s", self.sync_period_s, "0.0001 to 1"
+        )
         nodes = [drive.node for drive in self.drive]
-        if self.master_node in nodes:
-            self.refuse("master_node", self.master_node, "a node id that no drive has")
+        self.require(
+            self.master_node not in nodes,
+            "master_node",
+            self.master_node,
+            "a node id that no drive has",
+        )
         for node in self.other_nodes:
-            if node in (*nodes, self.master_node):
-                self.refuse(
-                    "other_nodes", node, "node ids that neither a drive nor master_node has"
-                )
+            self.require(
+                node not in (*nodes, self.master_node),
+                "other_nodes",
+                node,
+                "node ids that neither a drive nor master_node has",
+            )
         for i, node in enumerate(nodes):
-            if node in nodes[:i]:
-                self.refuse(f"drive[{i}].node", node, "a node id not used before")
+            self.require(
+                node not in nodes[:i], f"drive[{i}].node", node, "a node id not used before"
+            )
 
     @property
     def mapped_by_traffic(self) -> bool:

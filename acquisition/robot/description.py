@@ -122,24 +122,23 @@ class Joint(TomlTable, frozen=True):
     def __post_init__(self) -> None:
         other, unit = ("prismatic", "deg") if self.type == "revolute" else ("revolute", "m")
         for quantity in QUANTITIES:
-            key, own_key = _key(quantity, other), self.key(quantity)
-            if getattr(self, key) is not None:
-                replacement = own_key if quantity == "effort" else f"a key in {unit}"
-                self.refuse(key, getattr(self, key), f"{replacement} for a {self.type} joint")
-        limits = self.si("position")
-        if limits is not None and not limits[0] < limits[1]:
-            self.refuse(
-                self.key("position"), getattr(self, self.key("position")), "[lowest, highest]"
-            )
+            value = getattr(self, _key(quantity, other))
+            replacement = self.key(quantity) if quantity == "effort" else f"a key in {unit}"
+            expected = f"{replacement} for a {self.type} joint"
+            self.require(value is None, _key(quantity, other), value, expected)
+        limits = getattr(self, self.key("position"))
+        is_range = limits is None or limits[0] < limits[1]
+        self.require(is_range, self.key("position"), limits, "[lowest, highest]")
         if isinstance(self.friction, tuple):
             for term in self.friction:
-                if self.friction.count(term) > 1:
-                    self.refuse("friction", term, "each term once")
+                self.require(self.friction.count(term) <= 1, "friction", term, "each term once")
             for name in ("viscous", "coulomb", "offset"):
-                if getattr(self, name) is not None:
-                    self.refuse(
-                        name, getattr(self, name), "no such key with a list of terms in friction"
-                    )
+                self.require(
+                    getattr(self, name) is None,
+                    name,
+                    getattr(self, name),
+                    "no such key with a list of terms in friction",
+                )
 
     @cached_property
     def position_unit(self) -> str:
@@ -207,24 +206,30 @@ class Motor(TomlTable, frozen=True):
     ] = None
 
     def __post_init__(self) -> None:
-        if (self.drive_gain is None) != (self.drive_gain_unit is None):
-            self.refuse(
-                "drive_gain", self.drive_gain, "drive_gain and drive_gain_unit together, or neither"
-            )
-        if self.drive_gain is not None and self.drive_gain <= 0:
-            self.refuse(
-                "drive_gain",
-                self.drive_gain,
-                "a positive number (signs belong to ratio or motor_matrix)",
-            )
-        if self.drive_gain_unit is None and self.effort_unit is None:
-            self.refuse(
-                "effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive gain is given"
-            )
-        if self.drive_gain_unit is not None and self.effort_unit not in (None, self.recorded_unit):
-            self.refuse(
-                "effort_unit", self.effort_unit, f"{self.recorded_unit!r}, as drive_gain_unit says"
-            )
+        self.require(
+            (self.drive_gain is None) == (self.drive_gain_unit is None),
+            "drive_gain",
+            self.drive_gain,
+            "drive_gain and drive_gain_unit together, or neither",
+        )
+        self.require(
+            self.drive_gain is None or self.drive_gain > 0,
+            "drive_gain",
+            self.drive_gain,
+            "a positive number (signs belong to ratio or motor_matrix)",
+        )
+        self.require(
+            self.drive_gain_unit is not None or self.effort_unit is not None,
+            "effort_unit",
+            None,
+            "effort_unit (A, V, N m, N or %) where no drive gain is given",
+        )
+        self.require(
+            self.drive_gain_unit is None or self.effort_unit in (None, self.recorded_unit),
+            "effort_unit",
+            self.effort_unit,
+            f"{self.recorded_unit!r}, as drive_gain_unit says",
+        )
 
     @cached_property
     def recorded_unit(self) -> str:
@@ -287,67 +292,96 @@ class RobotFile(TomlTable, frozen=True):
 
     def __post_init__(self) -> None:
         n = len(self.joint)
-        if len(self.motor) != n:
-            self.refuse("motor", f"{len(self.motor)} tables", f"one per joint: {n}")
-        if self.bus is not None and len(self.bus.drive) != n:
-            self.refuse("bus.drive", f"{len(self.bus.drive)} tables", f"one per motor: {n}")
-        if self.urdf_meshes and self.urdf is None:
-            self.refuse("urdf_meshes", True, "a urdf that refers to them")
-        if self.payload.frame is not None and self.urdf is None:
-            self.refuse("payload.frame", self.payload.frame, "a urdf with this link")
+        self.require(
+            len(self.motor) == n, "motor", f"{len(self.motor)} tables", f"one per joint: {n}"
+        )
+        drives = n if self.bus is None else len(self.bus.drive)
+        self.require(drives == n, "bus.drive", f"{drives} tables", f"one per motor: {n}")
+        self.require(
+            not self.urdf_meshes or self.urdf is not None,
+            "urdf_meshes",
+            True,
+            "a urdf that refers to them",
+        )
+        self.require(
+            self.payload.frame is None or self.urdf is not None,
+            "payload.frame",
+            self.payload.frame,
+            "a urdf with this link",
+        )
         for kind, names in (
             ("joint", [j.name for j in self.joint]),
             ("motor", [m.name for m in self.motor]),
         ):
             for i, name in enumerate(names):
-                if name in names[:i]:
-                    self.refuse(f"{kind}[{i}].name", name, "a name not used before")
-        for i, joint in enumerate(self.joint):
-            if (joint.dh is None) == (self.urdf is None):
-                self.refuse(
-                    f"joint[{i}].dh",
-                    joint.dh,
-                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
+                self.require(
+                    name not in names[:i], f"{kind}[{i}].name", name, "a name not used before"
                 )
+        for i, joint in enumerate(self.joint):
+            self.require(
+                (joint.dh is None) != (self.urdf is None),
+                f"joint[{i}].dh",
+                joint.dh,
+                "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
+            )
             # Not checked in the joint: one whose terms are chosen for a fit may
             # still state the speed.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
-            if "stribeck" in joint.terms and speed is None:
-                self.refuse(key, None, "the speed at which Stribeck friction has decreased to 37 %")
-            if "stribeck" not in joint.terms and speed is not None:
-                self.refuse(key, speed, 'the term "stribeck" in friction with it')
-        for i, motor in enumerate(self.motor):
-            if motor.ratio is not None and (motor.ratio == 0 or self.motor_matrix is not None):
-                self.refuse(
-                    f"motor[{i}].ratio",
-                    motor.ratio,
-                    "a non-zero ratio, or motor_matrix for the whole robot, not both",
-                )
-        unknown = [m.name for m in self.motor if m.gain is None]
-        if 0 < len(unknown) < n:
-            self.refuse(
-                "motor.drive_gain",
+            self.require(
+                "stribeck" not in joint.terms or speed is not None,
+                key,
                 None,
-                f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+                "the speed at which Stribeck friction has decreased to 37 %",
             )
-        if self.motor_matrix is not None:
-            self._check_matrix(self.motor_matrix)
-        for name in GAINS:
-            gains = getattr(self.controller, name)
-            if gains is not None and len(gains) != n:
-                self.refuse(f"controller.{name}", list(gains), f"{n} numbers, one per motor")
+            self.require(
+                "stribeck" in joint.terms or speed is None,
+                key,
+                speed,
+                'the term "stribeck" in friction with it',
+            )
+        self._check_motors(n)
 
-    def _check_matrix(self, matrix: Matrix) -> None:
-        n = len(self.joint)
-        if [len(row) for row in matrix] != [n] * n:
-            self.refuse("motor_matrix", [len(row) for row in matrix], f"{n} rows of {n} numbers")
-        if np.linalg.matrix_rank(np.array(matrix)) < n:
-            self.refuse("motor_matrix", matrix, "an invertible matrix")
-        for i, row in enumerate(matrix):
-            # names such as Ia2 and gains are by joint, so each joint needs its own motor
-            if row[i] == 0:
-                self.refuse(
+    def _check_motors(self, n: int) -> None:
+        for i, motor in enumerate(self.motor):
+            self.require(
+                motor.ratio is None or (motor.ratio != 0 and self.motor_matrix is None),
+                f"motor[{i}].ratio",
+                motor.ratio,
+                "a non-zero ratio, or motor_matrix for the whole robot, not both",
+            )
+        unknown = [m.name for m in self.motor if m.gain is None]
+        self.require(
+            not 0 < len(unknown) < n,
+            "motor.drive_gain",
+            None,
+            f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+        )
+        if self.motor_matrix is not None:
+            self.require(
+                [len(row) for row in self.motor_matrix] == [n] * n,
+                "motor_matrix",
+                [len(row) for row in self.motor_matrix],
+                f"{n} rows of {n} numbers",
+            )
+            self.require(
+                np.linalg.matrix_rank(np.array(self.motor_matrix)) >= n,
+                "motor_matrix",
+                self.motor_matrix,
+                "an invertible matrix",
+            )
+            for i, row in enumerate(self.motor_matrix):
+                # names such as Ia2 and gains are by joint, so each joint needs its own motor
+                self.require(
+                    row[i] != 0,
                     f"motor_matrix[{i}]",
                     list(row),
                     f"motor {i + 1} to turn joint {i + 1}: order the motors so",
                 )
+        for name in GAINS:
+            gains = getattr(self.controller, name)
+            self.require(
+                gains is None or len(gains) == n,
+                f"controller.{name}",
+                gains and list(gains),
+                f"{n} numbers, one per motor",
+            )

@@ -54,12 +54,20 @@ class Controller(TomlTable, frozen=True):
     ] = False
 
     def __post_init__(self) -> None:
-        if self.gravity_feedforward and self.structure in (None, "computed_torque"):
-            self.refuse("gravity_feedforward", True, "a structure that has no gravity by itself")
+        self.require(
+            not self.gravity_feedforward or self.structure not in (None, "computed_torque"),
+            "gravity_feedforward",
+            True,
+            "a structure that has no gravity by itself",
+        )
         for name in GAINS:
             gains = getattr(self, name)
-            if gains is not None and any(g <= 0 for g in gains):
-                self.refuse(name, list(gains), "positive numbers")
+            self.require(
+                gains is None or all(g > 0 for g in gains),
+                name,
+                gains and list(gains),
+                "positive numbers",
+            )
 
 
 class LowSpeed(TomlTable, frozen=True):

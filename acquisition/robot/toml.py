@@ -5,7 +5,7 @@ and what was expected.
 import math
 import re
 import tomllib
-from typing import Annotated, Any, NoReturn, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import msgspec.inspect
@@ -31,13 +31,16 @@ def note(description: str, **limits: Any) -> msgspec.Meta:
 
 
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
-    """A table of a description: unknown keys are refused; `__post_init__` refuses what
+    """A table of a description: unknown keys are refused; `__post_init__` requires what
     the types cannot express.
     """
 
-    def refuse(self, key: str, value: object, expected: str) -> NoReturn:
-        """Refuse the value of a key of this table; `parse_toml` adds the place of the table."""
-        raise InvalidValueError(key, value, expected)
+    def require(self, holds: object, key: str, value: object, expected: str) -> None:
+        """Refuse the value of a key of this table unless a condition holds; `parse_toml` adds the
+        place of the table.
+        """
+        if not holds:
+            raise InvalidValueError(key, value, expected)
 
 
 class InvalidValueError(ValueError):
