@@ -6,3 +6,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]  # of any shape; docstrings give it
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+
+def first_true(x: Bools) -> int | None:
+    """Return the first place of x (N,) that is true; None without one."""
+    return int(np.argmax(x)) if x.any() else None

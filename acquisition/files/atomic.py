@@ -62,22 +62,24 @@ def refuse_clash(
     does not have it. `option` names the output. `of_kinds` are outputs by their kind, which is the
     ending of the other `outputs`.
     """
-    earlier: list[Path] = []
     named = [(path.suffix.lower()[1:], path) for path in outputs if path is not None]
     named += [(kind, path) for kind, path in (of_kinds or {}).items() if path is not None]
-    for kind, output in named:
+    for k, (kind, output) in enumerate(named):
         place = Place(str(output))
         for path in inputs:
             if path is not None and _same(output, path):
                 place.refuse(
                     text=f"is an input too ({path})", expected="another name for the output"
                 )
-        if any(_same(output, path) for path in earlier):
+        if any(_same(output, earlier) for _, earlier in named[:k]):
             place.refuse(text="named twice; expected a different file for each output")
-        earlier.append(output)
         if not overwrite and output.is_file() and is_recording(output):
-            expected = "another name" if overwrite is None else f"another {option}, or --overwrite"
-            place.refuse(text="already exists and is a recording", expected=expected)
+            place.refuse(
+                text="already exists and is a recording",
+                expected="another name"
+                if overwrite is None
+                else f"another {option}, or --overwrite",
+            )
         if kind and kind in NAMES:
             _refuse_other_kind(output, kind)
 
@@ -85,8 +87,10 @@ def refuse_clash(
 def _refuse_other_kind(path: Path, kind: str) -> None:
     """Raise `BadInputError` if a file exists that is not empty and not of this kind."""
     if path.is_file() and path.stat().st_size and (found := kind_of(path)) != kind:
-        text = f"already exists and is {NAMES[found]}, not {NAMES[kind]}"
-        Place(str(path)).refuse(text=text, expected="another name for the output")
+        Place(str(path)).refuse(
+            text=f"already exists and is {NAMES[found]}, not {NAMES[kind]}",
+            expected="another name for the output",
+        )
 
 
 def _same(a: Path, b: Path) -> bool:

@@ -135,9 +135,8 @@ def _parse_csv(
     # TwinCAT Scope: names of the project and of the channels, and other texts on them
     if len(scope) == 2:
         k, names_of_channels = lines[scope[1]]
-        header = re.sub(r"(?:^|(?<=[\t;,]))Name(?=[\t;,])", "Time [ms]", names_of_channels)
         lines = [
-            (k, header),
+            (k, re.sub(r"(?:^|(?<=[\t;,]))Name(?=[\t;,])", "Time [ms]", names_of_channels)),
             *((k, line) for k, line in lines[scope[1] :] if not line[0].isalpha()),
         ]
     first = lines[0][1].lstrip("# \t")
@@ -159,11 +158,11 @@ def _parse_csv(
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
         if found != len(names):
-            expected = (
-                f"{len(names)}, as in line {lines[0][0]}, the names of the columns; delete "
-                "lines above them"
+            Place(f"{place}: line {k}").refuse(
+                text=f"{found} cells",
+                expected=f"{len(names)}, as in line {lines[0][0]}, the names of the columns; "
+                "delete lines above them",
             )
-            Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=expected)
     if not rows:
         place.refuse(text="has no rows", expected="numbers below the header")
     return names, has_header, separator, rows
@@ -208,8 +207,10 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Pla
             place.refuse(text=f"column {column}", expected=f"a number from 1 to {len(names)}")
         return column - 1
     if not has_header:
-        expected = f"numbers from 1 to {len(names)}"
-        place.refuse(text=f"column {column!r}: the file has no header line", expected=expected)
+        place.refuse(
+            text=f"column {column!r}: the file has no header line",
+            expected=f"numbers from 1 to {len(names)}",
+        )
     if names.count(column) != 1:
         found = "does not exist" if column not in names else f"exists {names.count(column)} times"
         place.refuse(text=f"column {column!r} {found}", expected=f"one of {listed(names)}")
@@ -226,11 +227,7 @@ def _mat_columns(
     variables = _load(data, place, [match["path"].split(".")[0] for match in matches if match])
     parts = []
     for name, match in zip(names, matches, strict=True):
-        found = (
-            None
-            if isinstance(name, int) or match is None
-            else _walk(variables, match["path"], place)
-        )
+        found = None if match is None else _walk(variables, match["path"], place)
         if found is None or match is None:
             place.refuse(
                 text=f"variable {name!r} does not exist", expected=f"one of {_present(data, place)}"
@@ -247,11 +244,10 @@ def _mat_columns(
     turned, labels = [], []
     for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
         if part.shape == (rows, rows) and not upright:
-            expected = (
-                f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if columns are"
-            )
             Place(f"{place}: {shown}").refuse(
-                text="samples may be rows or columns", expected=expected
+                text="samples may be rows or columns",
+                expected=f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if "
+                "columns are",
             )
         turned.append(part if len(part) == rows else part.T)
         wide = turned[-1].shape[1]
@@ -266,11 +262,12 @@ def _load(data: bytes, place: Place, names: Sequence[str] | None = None) -> dict
     """
     import scipy.io
 
-    wanted = names and list(dict.fromkeys(names))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # warnings about variables that are not read
-            return dict(scipy.io.loadmat(io.BytesIO(data), variable_names=wanted))
+            return dict(
+                scipy.io.loadmat(io.BytesIO(data), variable_names=names and [*dict.fromkeys(names)])
+            )
     except Exception as error:  # scipy raises errors of any kind on a damaged file
         place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
 

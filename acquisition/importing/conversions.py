@@ -21,7 +21,7 @@ from ..recording import (
     decode,
     read_recording,
     resolve_mapped,
-    rewrite,
+    rewritten,
 )
 from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
 from ..session import write_decoded
@@ -59,7 +59,8 @@ def import_recording(
     decoded, end_ns = _decode_checked(frames, robot, str(path), place), int(frames["time_ns"][-1])
     header = replace(recording.header, notes=notes, **_bus_header(robot, decoded.bus))
     # Warnings are those of the decoding before.
-    rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
+    with rewritten(recording, header, out, without="warning") as writer:
+        decoded.write(writer, end_ns)
     return ImportSummary(out=out, warnings=decoded.warnings)
 
 
@@ -70,25 +71,21 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
         Place(str(path)).refuse(
             text="holds no samples and no frames before its cut: nothing can be repaired"
         )
-    warnings: tuple[str, ...] = ()
-
-    def write(writer: RecordingWriter) -> None:
-        nonlocal warnings
+    notes, warnings = {**recording.metadata, "recovered_from": recording.sha256}, tuple[str, ...]()
+    with rewritten(recording, replace(recording.header, notes=notes), out) as writer:
         if recording.frames:
             frames = max(recording.frames.values(), key=len)
             end_ns = int(frames["time_ns"][-1])
             found = write_decoded(writer, frames, recording.robot, end_ns, str(path))
-            warnings = (f"{NO_SAMPLES}{found.no_samples}",) if found.no_samples else found.warnings
-            if not found.no_samples or samples is None:
-                return
-            text = f"{found.no_samples}; the {len(samples)} samples before the cut are copied"
-            writer.event(end_ns, "warning", text)
-            warnings = (text,)
+            if not found.no_samples:
+                return ImportSummary(out=out, warnings=found.warnings)
+            warnings = (f"{NO_SAMPLES}{found.no_samples}",)
+            if samples is not None:
+                text = f"{found.no_samples}; the {len(samples)} samples before the cut are copied"
+                writer.event(end_ns, "warning", text)
+                warnings = (text,)
         if samples is not None:
             writer.samples(samples)
-
-    notes = {**recording.metadata, "recovered_from": recording.sha256}
-    rewrite(recording, replace(recording.header, notes=notes), out, write)
     return ImportSummary(out=out, warnings=warnings)
 
 
@@ -170,8 +167,8 @@ def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decod
     for block in decoded.blocks():
         positions.write(block["position"].tobytes())
     q = np.frombuffer(positions.whole()).reshape(-1, robot.n)
-    warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
-    return replace(decoded, warnings=decoded.warnings + warnings)
+    found = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
+    return replace(decoded, warnings=decoded.warnings + found)
 
 
 def _bus_header(robot: Robot, bus: Bus) -> dict[str, Any]:

@@ -45,15 +45,13 @@ def grid_of_new_rows(
     travel = by_rows(lambda x: np.abs(x[2 * AHEAD :] - x[: -2 * AHEAD]) @ (1 / span), q, beside=16)
     fast = np.flatnonzero(travel > np.median(travel)) + AHEAD
     new = np.asarray(steps.any(axis=1))
-    share = float(new[fast].mean()) if len(fast) else 1.0
-    if share > MAX_NEW:
+    if not len(fast) or new[fast].mean() > MAX_NEW:
         return None
     quanta = steps[fast[new[fast]]] / smallest_difference(q)
     if not np.median(quanta.max(axis=1)) >= MIN_QUANTA:
         return None
     rows = np.flatnonzero(np.r_[True, new])
-    log_s = float(np.median(np.diff(time_s)))
-    at_s, own_hz = _times_of_source(time_s[rows], log_s)
+    at_s, own_hz = _times_of_source(time_s[rows], float(np.median(np.diff(time_s))))
     kept = {
         name: taken(x, rows) if _alike(x, new) else interpolate(time_s, x, at_s)
         for name, x in parts.items()
@@ -65,8 +63,8 @@ def grid_of_new_rows(
         largest_gap_periods=largest_gap_periods,
         place=place,
     )
-    text = f"the log is faster than its robot: each row stands {len(q) / len(rows):.2g} times, as "
-    text += (
+    text = (
+        f"the log is faster than its robot: each row stands {len(q) / len(rows):.2g} times, as "
         f"positions are new at {own_hz:.6g} Hz; of {len(q)} rows only these {len(rows)} are kept"
     )
     return replace(grid, warnings=(text,))

@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, first_true
 from ..errors import Place
 from ..files import read_bytes, read_columns, write_columns
 from ..recording import OPTIONAL, Header, gaps, in_parts, read_recording
@@ -158,8 +158,9 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
                 "sample_rate_hz", given_hz, f"a rate in Hz, not a period: {1 / given_hz:g}?"
             )
         time_s = np.arange(len(parts["position"])) / given_hz
-        held = grid_of_new_rows(time_s, parts, source.place)
-        return held or GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
+        return grid_of_new_rows(time_s, parts, source.place) or GridValues(
+            parts=parts, start_s=0.0, rate_hz=given_hz
+        )
     time_s, scatter_s = _times(source, time, parts)
     repeated = 0
     if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, even with different stamps
@@ -176,16 +177,17 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     held = grid_of_new_rows(time_s, parts, place, time.resample_hz, time.largest_gap_periods)
     if held is not None:
         return held
-    if time.resample_hz is None:
-        grid = uniform_grid(time_s, parts, place)
-    else:
-        grid = resample(
+    grid = (
+        uniform_grid(time_s, parts, place)
+        if time.resample_hz is None
+        else resample(
             time_s,
             parts,
             rate_hz=time.resample_hz,
             largest_gap_periods=time.largest_gap_periods,
             place=place,
         )
+    )
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
         source.place.refuse(
             "sample_rate_hz",
@@ -225,8 +227,8 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
         place.refuse("time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}")
     stamp_s = None
     if time.column is not None:
-        column = _column(source.table("time.table", time.table), time.column, rows, place)
-        stamp_s = column * TIME_UNITS[time.unit]
+        table = source.table("time.table", time.table)
+        stamp_s = _column(table, time.column, rows, place) * TIME_UNITS[time.unit]
     if time.ticks is None or time.tick_s is None:
         assert stamp_s is not None
         return (
@@ -253,9 +255,7 @@ def _ticks(
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], tick_s)
     table = source.table("time.table", time.table)
     ticks = _column(table, name, len(parts["position"]), source.place)
-    fractional = np.flatnonzero(ticks != np.rint(ticks))
-    if len(fractional):
-        row = fractional[0]
+    if (row := first_true(ticks != np.rint(ticks))) is not None:
         Place(f"{table}: row {row + 1}").refuse(str(name), float(ticks[row]), "whole counts")
     return ticks
 
@@ -295,10 +295,13 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     if missing:
         warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
     fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
-    joints = list(enumerate(robot.joints))
     names = [
         "time_s",
-        *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in joints),
+        *(
+            f"{joint.name}_{field}_{_unit(robot, field, i)}"
+            for field in fields
+            for i, joint in enumerate(robot.joints)
+        ),
     ]
     start_ns = samples["stamp_ns"][0]
     columns = (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Array, Bools, Ints
+from ..arrays import Array, Bools, Ints, first_true
 from ..errors import Place
 from ..files import BLOCK_ROWS, allocate, atomic_write, taken
 from ..recording import MAX_STAMP_NS, Header, RecordingWriter, in_gaps
@@ -219,8 +219,7 @@ def _drop_repeated_rows(
 ) -> tuple[Array, Mapping[str, Array], int]:
     """Growing times and their values without repeated rows; the number of repeated rows."""
     steps = np.diff(time_s)
-    if (steps < 0).any():
-        row = int(np.argmax(steps < 0))
+    if (row := first_true(steps < 0)) is not None:
         place.refuse(
             f"row {row + 2}",
             expected=(
@@ -231,9 +230,8 @@ def _drop_repeated_rows(
         )
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
-        differ = (x[same + 1] != x[same]).any(axis=1)
-        if differ.any():
-            row = int(same[np.argmax(differ)])
+        if (row := first_true((x[same + 1] != x[same]).any(axis=1))) is not None:
+            row = int(same[row])
             place.refuse(
                 f"row {row + 2}",
                 expected=(
@@ -272,24 +270,19 @@ def rate_warnings(report: TimeReport | None) -> list[str]:
     """
     if report is None or report.grid_hz is None:
         return []
-    warnings, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
-    if report.off > MAX_LEFT_OUT * report.rows:
-        warnings.append(
-            f"{100 * report.off / report.rows:.2g} % of the rows are left out because the motion "
-            f"contradicts their {report.clock}: use another clock"
-        )
-    if ratio < MIN_RATE_RATIO:
-        warnings.append(
-            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above "
-            "half of it is aliased into the samples; interpolate to the rows' own rate, a fit "
-            "decimates by itself"
-        )
-    if ratio > MAX_RATE_RATIO:
-        warnings.append(
-            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: "
-            "samples between rows are interpolated and add no information"
-        )
-    return warnings
+    ratio, own_hz = report.grid_hz * report.period_s, 1 / report.period_s
+    found = {
+        f"{100 * report.off / report.rows:.2g} % of the rows are left out because the motion "
+        f"contradicts their {report.clock}: use another clock": (
+            report.off > MAX_LEFT_OUT * report.rows
+        ),
+        f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half "
+        "of it is aliased into the samples; interpolate to the rows' own rate, a fit decimates "
+        "by itself": ratio < MIN_RATE_RATIO,
+        f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: "
+        "samples between rows are interpolated and add no information": ratio > MAX_RATE_RATIO,
+    }
+    return [text for text, holds in found.items() if holds]
 
 
 def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> GridValues:
@@ -298,17 +291,14 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
     """
     way_out = "time.resample_hz interpolates rows to a uniform grid"
     steps = np.diff(time_s)
-    if (steps <= 0).any():
-        row = int(np.argmax(steps <= 0))
+    if (row := first_true(steps <= 0)) is not None:
         place.refuse(
             f"row {row + 2}",
             expected="a later time; time.resample_hz leaves out doubled rows",
             text=f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
     period = float(np.median(steps))
-    bad = np.abs(steps - period) > 0.1 * period
-    if bad.any():
-        row = int(np.argmax(bad))
+    if (row := first_true(np.abs(steps - period) > 0.1 * period)) is not None:
         missing = round(steps[row] / period) - 1
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
         place.refuse(

@@ -9,7 +9,7 @@ from .following import RecordingFollower
 from .mapped import resolve_mapped
 from .marks import add_mark, take_marks
 from .measured import in_gaps, measured_rows
-from .reader import NO_SAMPLES, Event, Recording, read_recording, rewrite
+from .reader import NO_SAMPLES, Event, Recording, read_recording, rewritten
 from .rows import (
     CAN_FD,
     ERROR,

@@ -3,8 +3,8 @@
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from mmap import mmap
@@ -269,16 +269,12 @@ def _payload(metadata: Mapping[str, str], place: Place) -> Payload | None:
         place.refuse("payload", text, text=str(error))
 
 
-def rewrite(
-    recording: Recording,
-    header: Header,
-    out: Path,
-    add: Callable[[RecordingWriter], None],
-    *,
-    without: str = "",
-) -> None:
-    """Copy frames, health and events (except those of the kind `without`) of a recording;
-    `add` writes the samples.
+@contextmanager
+def rewritten(
+    recording: Recording, header: Header, out: Path, *, without: str = ""
+) -> Iterator[RecordingWriter]:
+    """Copy frames, health and events (except those of the kind `without`) of a recording; the
+    block writes the samples. `out` is written whole or not at all.
     """
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for channel, frames in recording.frames.items():
@@ -290,4 +286,4 @@ def rewrite(
                 writer.event(event.stamp_ns, event.kind, event.text)
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
-        add(writer)
+        yield writer

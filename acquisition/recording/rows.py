@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Ints
+from ..arrays import Ints, first_true
 from ..errors import Place
 from ..files import kept, release_pages
 from ..protocol import ObjectEntry, Pdo
@@ -105,8 +105,7 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
     for k, rows in enumerate(in_parts(samples)):
         stamps = rows["stamp_ns"]
         bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > MAX_STAMP_NS)
-        if bad.any():
-            row = int(np.argmax(bad))
+        if (row := first_true(bad)) is not None:
             Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
                 "stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}"
             )
@@ -125,9 +124,7 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
 def check_frames(frames: Block, place: str) -> None:
     """Refuse frames longer than 8 bytes and times before 0; errors name `place`."""
     for k, rows in enumerate(in_parts(frames)):
-        bad = (rows["length"] > 8) | (rows["time_ns"] < 0)
-        if bad.any():
-            row = int(np.argmax(bad))
+        if (row := first_true((rows["length"] > 8) | (rows["time_ns"] < 0))) is not None:
             Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
                 text=f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}",
                 expected="8 bytes at most and a time from 0",

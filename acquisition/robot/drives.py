@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import protocol as cia
-from ..arrays import Array
+from ..arrays import Array, first_true
 from ..errors import Place
 from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile
 from .robot import Robot
@@ -166,8 +166,7 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
         for i, drive in enumerate(bus.drives):
             counts = drive.position_codec.exact(motors[:, i])
             inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
-            if not inside.all():
-                k = int(np.argmin(inside))
+            if (k := first_true(~inside)) is not None:
                 Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s").refuse(
                     f"target of node {drive.node} ({drive.name})",
                     float(counts[k]),

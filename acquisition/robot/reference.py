@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, first_true
 from ..errors import Place
 from ..files import read_columns
 from .robot import Robot
@@ -163,8 +163,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
         ):
             slack = MAX_ROUNDING * max(abs(bottom), abs(top))
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
-            if not inside.all():
-                k = int(np.argmin(inside))
+            if (k := first_true(~inside)) is not None:
                 Place(f"{place}: at {k * period_s:.4g} s").refuse(
                     f"{name} of {joint.name}",
                     float(values[k]),
