@@ -181,3 +181,17 @@ class Place:
             shown=shown,
             expected=expected,
         )
+
+    def require(
+        self,
+        holds: object,
+        key: str = "",
+        value: Any = _NO_VALUE,
+        expected: str = "",
+        *,
+        text: str = "",
+        shown: str = "",
+    ) -> None:
+        """Raise as `refuse` unless a condition holds."""
+        if not holds:
+            self.refuse(key, value, expected, text=text, shown=shown)

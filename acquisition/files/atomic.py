@@ -21,13 +21,15 @@ def atomic_write(path: Path) -> Iterator[Path]:
     its folder is missing or not writable, or the disk is full.
     """
     place = Place(str(path))
-    if not path.name:
-        place.refuse(text="cannot be written", expected="the name of a file")
+    place.require(path.name, text="cannot be written", expected="the name of a file")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        if path.exists() and not path.is_file():
-            # Renaming onto /dev/null would replace the device.
-            place.refuse(text="cannot be written", expected="a file, found a folder or a device")
+        # Renaming onto /dev/null would replace the device.
+        place.require(
+            not path.exists() or path.is_file(),
+            text="cannot be written",
+            expected="a file, found a folder or a device",
+        )
         yield partial
         _refuse_other_kind(path, kind_of(partial))
         with partial.open("rb+") as file:
@@ -67,19 +69,20 @@ def refuse_clash(
     for k, (kind, output) in enumerate(named):
         place = Place(str(output))
         for path in inputs:
-            if path is not None and _same(output, path):
-                place.refuse(
-                    text=f"is an input too ({path})", expected="another name for the output"
-                )
-        if any(_same(output, earlier) for _, earlier in named[:k]):
-            place.refuse(text="named twice; expected a different file for each output")
-        if not overwrite and output.is_file() and is_recording(output):
-            place.refuse(
-                text="already exists and is a recording",
-                expected="another name"
-                if overwrite is None
-                else f"another {option}, or --overwrite",
+            place.require(
+                path is None or not _same(output, path),
+                text=f"is an input too ({path})",
+                expected="another name for the output",
             )
+        place.require(
+            not any((_same(output, earlier) for _, earlier in named[:k])),
+            text="named twice; expected a different file for each output",
+        )
+        place.require(
+            overwrite or not output.is_file() or (not is_recording(output)),
+            text="already exists and is a recording",
+            expected="another name" if overwrite is None else f"another {option}, or --overwrite",
+        )
         if kind and kind in NAMES:
             _refuse_other_kind(output, kind)
 

@@ -35,13 +35,13 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
             )
         try:
             size += file.stat().st_size
-            if size > MAX_MESH_BYTES:
-                at.refuse(
-                    "urdf: mesh",
-                    name,
-                    f"at most {MAX_MESH_BYTES} bytes, or no urdf_meshes",
-                    text=f"{size} bytes of meshes so far",
-                )
+            at.require(
+                size <= MAX_MESH_BYTES,
+                "urdf: mesh",
+                name,
+                f"at most {MAX_MESH_BYTES} bytes, or no urdf_meshes",
+                text=f"{size} bytes of meshes so far",
+            )
             meshes[name] = file.read_bytes()
         except OSError as error:
             at.refuse("urdf: mesh", name, text=f"cannot be read: {error.strerror}")

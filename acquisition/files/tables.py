@@ -106,10 +106,11 @@ def _read(path: Path) -> tuple[bytes, Place, bool]:
     """The bytes of a table, its place in errors, and whether it is a MAT file."""
     place = Place(str(path))
     data = read_bytes(path)
-    if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        place.refuse(
-            text="a MAT file of version 7.3 (HDF5)", expected="version 7; save it with -v7"
-        )
+    place.require(
+        not data.startswith((b"MATLAB 7.3", b"\x89HDF")),
+        text="a MAT file of version 7.3 (HDF5)",
+        expected="version 7; save it with -v7",
+    )
     return data, place, data.startswith(b"MATLAB") or path.suffix.lower() == ".mat"
 
 
@@ -125,8 +126,7 @@ def _parse_csv(
         text = data.decode("cp1252", errors="replace")  # Windows in western Europe
     text = text.replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-    if not lines:
-        place.refuse(text="has no lines", expected="a table")
+    place.require(lines, text="has no lines", expected="a table")
     while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
         del lines[0]  # a remark above the header
     scope = [
@@ -157,14 +157,13 @@ def _parse_csv(
         del rows[0]  # of units or types
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
-        if found != len(names):
+        if found != len(names):  # of each of many lines: no message is made before
             Place(f"{place}: line {k}").refuse(
                 text=f"{found} cells",
                 expected=f"{len(names)}, as in line {lines[0][0]}, the names of the columns; "
                 "delete lines above them",
             )
-    if not rows:
-        place.refuse(text="has no rows", expected="numbers below the header")
+    place.require(rows, text="has no rows", expected="numbers below the header")
     return names, has_header, separator, rows
 
 
@@ -203,14 +202,17 @@ def _number(cell: str) -> float | None:
 
 def _index(column: str | int, names: Sequence[str], has_header: bool, place: Place) -> int:
     if isinstance(column, int):
-        if not 1 <= column <= len(names):
-            place.refuse(text=f"column {column}", expected=f"a number from 1 to {len(names)}")
-        return column - 1
-    if not has_header:
-        place.refuse(
-            text=f"column {column!r}: the file has no header line",
-            expected=f"numbers from 1 to {len(names)}",
+        place.require(
+            1 <= column <= len(names),
+            text=f"column {column}",
+            expected=f"a number from 1 to {len(names)}",
         )
+        return column - 1
+    place.require(
+        has_header,
+        text=f"column {column!r}: the file has no header line",
+        expected=f"numbers from 1 to {len(names)}",
+    )
     if names.count(column) != 1:
         found = "does not exist" if column not in names else f"exists {names.count(column)} times"
         place.refuse(text=f"column {column!r} {found}", expected=f"one of {listed(names)}")
@@ -237,18 +239,19 @@ def _mat_columns(
     rows = size // count
     fits = [rows in (part.shape[:1] if upright else part.shape) for part, upright in parts]
     sizes = [f"{name} {_size(part)}" for name, (part, _) in zip(names, parts, strict=True)]
-    if rows < 2 or not all(fits) or size != rows * count:
-        place.refuse(
-            text=", ".join(sizes), expected=f"variables of one length, {count} columns in all"
-        )
+    place.require(
+        rows >= 2 and all(fits) and (size == rows * count),
+        text=", ".join(sizes),
+        expected=f"variables of one length, {count} columns in all",
+    )
     turned, labels = [], []
     for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
-        if part.shape == (rows, rows) and not upright:
-            Place(f"{place}: {shown}").refuse(
-                text="samples may be rows or columns",
-                expected=f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if "
-                "columns are",
-            )
+        Place(f"{place}: {shown}").require(
+            part.shape != (rows, rows) or upright,
+            text="samples may be rows or columns",
+            expected=f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if "
+            "columns are",
+        )
         turned.append(part if len(part) == rows else part.T)
         wide = turned[-1].shape[1]
         labels += [str(name)] if wide == 1 else [f"{name}(:,{k + 1})" for k in range(wide)]
@@ -279,10 +282,11 @@ def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
     for field in fields:
         if not isinstance(value, np.ndarray) or field not in (value.dtype.names or ()):
             return None
-        if value.size != 1:
-            place.refuse(
-                text=f"variable {at!r} is an array of {value.size} structs", expected="one struct"
-            )
+        place.require(
+            value.size == 1,
+            text=f"variable {at!r} is an array of {value.size} structs",
+            expected="one struct",
+        )
         value, at = value[field].flat[0], f"{at}.{field}"
     return value
 
@@ -311,14 +315,18 @@ def _part(value: Any, match: re.Match[str], place: Place) -> tuple[Array, bool]:
     if match["rows"] is None:
         return matrix, False
     by_column = match["rows"] == ":"
-    if by_column == (match["columns"] == ":"):
-        place.refuse(text=f"variable {name!r}", expected="(:,k) for columns or (k,:) for rows")
+    place.require(
+        by_column != (match["columns"] == ":"),
+        text=f"variable {name!r}",
+        expected="(:,k) for columns or (k,:) for rows",
+    )
     first, _, last = match["columns" if by_column else "rows"].partition(":")
     low, high, size = int(first), int(last or first), matrix.shape[1 if by_column else 0]
-    if not 1 <= low <= high <= size:
-        place.refuse(
-            text=f"variable {name!r}: the matrix is {_size(matrix)}", expected=f"1 to {size}"
-        )
+    place.require(
+        1 <= low <= high <= size,
+        text=f"variable {name!r}: the matrix is {_size(matrix)}",
+        expected=f"1 to {size}",
+    )
     return matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T, True
 
 

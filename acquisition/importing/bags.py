@@ -136,11 +136,11 @@ def _only_controller(
     other, None without any.
     """
     found = [topic for topic, states in controllers.items() if {*joints} <= {*states.names}]
-    if len(found) > 1:
-        place.refuse(
-            expected="one of them in --topic, after a comma",
-            text=f"has the references {listed(found)}",
-        )
+    place.require(
+        len(found) <= 1,
+        expected="one of them in --topic, after a comma",
+        text=f"has the references {listed(found)}",
+    )
     return next(iter(found or controllers), None)
 
 
@@ -151,20 +151,22 @@ def _with_reference(
     reference; what was done.
     """
     stamps_ns, own_received, own, _ = states.states(topic)
-    if own_received != received:
-        states.place.refuse(
-            "time", expected="stamps in the headers of both topics", text="only one has them"
-        )
+    states.place.require(
+        own_received == received,
+        "time",
+        expected="stamps in the headers of both topics",
+        text="only one has them",
+    )
     own_s = np.asarray((stamps_ns - grid.first_ns) * np.float64(1e-9))
     own_s, rows, report = rows_to_interpolate(own_s, {"reference": own["position"]}, states.place)
     time_s = grid.start_s + np.arange(len(grid.parts["position"])) / grid.rate_hz
     inside = (time_s > own_s[0] - 1e-9) & (time_s < own_s[-1] + 1e-9)
-    if not inside.any():
-        states.place.refuse(
-            "time",
-            expected="some within the joint states",
-            text=f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state",
-        )
+    states.place.require(
+        inside.any(),
+        "time",
+        expected="some within the joint states",
+        text=f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state",
+    )
     at = np.flatnonzero(inside)
     time_s, kept = time_s[at], {name: taken(x, at) for name, x in grid.parts.items()}
     kept["reference"] = interpolate(own_s, rows["reference"], time_s)
@@ -182,12 +184,12 @@ def _effort(
         place.refuse(
             expected="measured torques or currents in them", text="messages have no effort"
         )
-    if not effort.any():
-        place.refuse(
-            "effort",
-            expected="measured efforts; this driver does not publish them",
-            text="is zero in all rows",
-        )
+    place.require(
+        effort.any(),
+        "effort",
+        expected="measured efforts; this driver does not publish them",
+        text="is zero in all rows",
+    )
     given = tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1)
     units, factors = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
     at_joint = all(unit in ("N m", "N") for unit in units)
@@ -204,11 +206,11 @@ def _storage(path: Path) -> Path:
     """The only file of a folder without metadata.yaml (of a record that was killed), or `path`."""
     whole = not path.is_dir() or (path / "metadata.yaml").exists()
     files = [] if whole else sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
-    if len(files) > 1:
-        Place(str(path)).refuse(
-            text=f"cannot be read: no metadata.yaml; it has {listed([x.name for x in files])}",
-            expected=f"`ros2 bag reindex {path}` first, or the name of one of them",
-        )
+    Place(str(path)).require(
+        len(files) <= 1,
+        text=f"cannot be read: no metadata.yaml; it has {listed([x.name for x in files])}",
+        expected=f"`ros2 bag reindex {path}` first, or the name of one of them",
+    )
     return files[0] if files else path
 
 

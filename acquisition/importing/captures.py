@@ -76,15 +76,18 @@ def packets(
     data, at, before = file.read(24), 0, 0
     order, ns = _RECORDS.get(data[:4], ("<", 0))
     interfaces: list[int] = []  # ticks per second, 0 of others than Ethernet
-    if len(data) < 24 or not (ns or data[:4] == _BLOCKS):
-        place.refuse(text="is no capture", expected="pcap or pcapng")
+    place.require(
+        len(data) >= 24 and (ns or data[:4] == _BLOCKS),
+        text="is no capture",
+        expected="pcap or pcapng",
+    )
     if ns:
         link, at = struct.unpack(f"{order}I", data[20:])[0] & 0xFFFF, 24
-        if link != _ETHERNET:
-            place.refuse(
-                text=f"link type {link}",
-                expected="1 (Ethernet): capture on the interface, not on 'any'",
-            )
+        place.require(
+            link == _ETHERNET,
+            text=f"link type {link}",
+            expected="1 (Ethernet): capture on the interface, not on 'any'",
+        )
     problem, later = "", np.zeros((0, 3), np.int64)  # packets that others may come before
     while not problem:
         new, found = file.read(_AT_ONCE), list[tuple[int, int, int]]()

@@ -51,10 +51,11 @@ def import_recording(
         bus = resolve(robot, place)
         header = replace(recording.header, notes=notes, **_bus_header(robot, bus))
         return import_capture(BytesIO(recording.capture), header, bus, Place(str(path)), out)
-    if not recording.frames:
-        Place(str(path)).refuse(
-            text="holds no frames and is not cut off", expected="a recording of drives"
-        )
+    Place(str(path)).require(
+        recording.frames,
+        text="holds no frames and is not cut off",
+        expected="a recording of drives",
+    )
     frames = max(recording.frames.values(), key=len)
     decoded, end_ns = _decode_checked(frames, robot, str(path), place), int(frames["time_ns"][-1])
     header = replace(recording.header, notes=notes, **_bus_header(robot, decoded.bus))
@@ -144,11 +145,11 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
     names = {name: f"CAN {name}" if name.isdecimal() else name for name in frames}
     counts = {name: f"{len(some)} of {names[name]}" for name, some in frames.items()}
     counts |= {what: f"{count} {what}" for what, count in others.items()}
-    if not names:
-        Place(str(path)).refuse(
-            text=f"holds no CAN frames{f' ({listed([*counts.values()])})' if counts else ''}",
-            expected="some of classic CAN",
-        )
+    Place(str(path)).require(
+        names,
+        text=f"holds no CAN frames{f' ({listed([*counts.values()])})' if counts else ''}",
+        expected="some of classic CAN",
+    )
     if len(names) > 1 and channel not in names:
         Place(str(path)).refuse(
             text=f"frames: {listed([*counts.values()])}",

@@ -99,11 +99,11 @@ class JointStates:
         if self.refused is not None:
             raise self.refused
         rows = np.frombuffer(self._rows.whole(), self._layout)
-        if not len(rows):
-            self.place.refuse(
-                expected=f"the joints {listed(self._joints)} of robot.toml",
-                text=f"has {listed(self.names)}" if self.names else "has no messages",
-            )
+        self.place.require(
+            len(rows),
+            expected=f"the joints {listed(self._joints)} of robot.toml",
+            text=f"has {listed(self.names)}" if self.names else "has no messages",
+        )
         stamps, count = rows["stamp"].astype(np.int64), len(rows)
         received = not stamps.any()
         # a clock that begins at 0 gives the first stamp 0
@@ -112,22 +112,22 @@ class JointStates:
                 expected="stamps in all headers or in none", text="a header without a stamp"
             )
         for kind, given in self._given.items():
-            if given not in (0, count):
-                self.place.refuse(
-                    expected=f"{kind} in all or in none",
-                    text=f"{kind} in {given} of {count} messages",
-                )
+            self.place.require(
+                given in (0, count),
+                expected=f"{kind} in all or in none",
+                text=f"{kind} in {given} of {count} messages",
+            )
         arrays = {kind: rows[kind] for kind, given in self._given.items() if given}
         needed = {kind: x for kind, x in arrays.items() if kind != "velocity"}
         # where none is known, the first one is refused
         first = int(np.argmin(np.any([np.isnan(x).any(axis=1) for x in needed.values()], axis=0)))
         for kind, x in needed.items():
             _refuse_infinite(kind, x, first, self._joints, self.place)
-        if self._changes > 1 + MAX_CHANGES * count:
-            self.place.refuse(
-                expected=ONE_PUBLISHER,
-                text=f"the names or their order change {self._changes} times in {count} messages",
-            )
+        self.place.require(
+            self._changes <= 1 + MAX_CHANGES * count,
+            expected=ONE_PUBLISHER,
+            text=f"the names or their order change {self._changes} times in {count} messages",
+        )
         doubts = {
             "headers have no stamps: times are those of reception, which jitter more": received,
             f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it "
@@ -150,12 +150,12 @@ def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], pla
     """Refuse numbers that are not finite in x (N, n) from the row `first` on."""
     finite = np.isfinite(x)
     for name, some in zip(joints, finite.T, strict=True):
-        if not some.any():
-            place.refuse(
-                f"{kind} of joint {name}",
-                expected="measured positions and efforts",
-                text="is no number in any row",
-            )
+        place.require(
+            some.any(),
+            f"{kind} of joint {name}",
+            expected="measured positions and efforts",
+            text="is no number in any row",
+        )
     if not finite[first:].all():
         row, joint = np.argwhere(~finite[first:])[0] + [first, 0]
         Place(f"{place}: state {row + 1}").refuse(
@@ -182,13 +182,13 @@ def refuse_several_publishers(
         )
     for key, x in (("position", position), ("effort", effort)):
         share = _alternating_share(x)
-        if share.max() > MAX_ALTERNATING:
-            place.refuse(
-                f"{key} of joint {joints[int(share.argmax())]}",
-                expected=ONE_PUBLISHER,
-                text="every other row differs from its neighbours in "
-                f"{100 * share.max():.2g} % of the time",
-            )
+        place.require(
+            share.max() <= MAX_ALTERNATING,
+            f"{key} of joint {joints[int(share.argmax())]}",
+            expected=ONE_PUBLISHER,
+            text="every other row differs from its neighbours in "
+            f"{100 * share.max():.2g} % of the time",
+        )
 
 
 def _alternating_share(x: Array) -> Array:

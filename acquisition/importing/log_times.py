@@ -70,8 +70,11 @@ def _go_on(time_ns: Ints, syncs: Rows, place: Place) -> Iterator[str]:
     for k, by_ns, since_ns in steps_back(time_ns[syncs]):
         row = syncs[k] + 1 + int(np.argmin(np.diff(time_ns[syncs[k] : syncs[k + 1] + 1])))
         step = f"back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s"
-        if by_ns > min(_MAX_SET_NS, _MAX_SET_SHARE * since_ns):
-            place.refuse(text=f"times step {step}, at frame {row + 1}", expected=ONE_CLOCK)
+        place.require(
+            by_ns <= min(_MAX_SET_NS, _MAX_SET_SHARE * since_ns),
+            text=f"times step {step}, at frame {row + 1}",
+            expected=ONE_CLOCK,
+        )
         time_ns[row:] += by_ns
         yield f"the clock was set {step}: later times are shifted forward"
 

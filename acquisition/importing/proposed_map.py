@@ -134,13 +134,13 @@ def _columns(
         named = "name" in words or {*words} in ({"joint"}, {"motor"})
         if joints & {*column.texts} or (column.texts and named and "".join(label or "0").isdigit()):
             told[label] = column.texts[0]
-            if len(column.texts) > 1:
-                place.refuse(
-                    f"column {column.key}",
-                    ", ".join(column.texts[:3]),
-                    "a column for each joint, and rows of one source; rename what is no joint",
-                    text="names of joints change between rows",
-                )
+            place.require(
+                len(column.texts) <= 1,
+                f"column {column.key}",
+                ", ".join(column.texts[:3]),
+                "a column for each joint, and rows of one source; rename what is no joint",
+                text="names of joints change between rows",
+            )
         if "current" in words and {"position", "velocity"} & {*words}:
             words["measured"] = words.pop("current")  # the current position, of now
         other = maker == FRANKA and (
@@ -149,8 +149,7 @@ def _columns(
         if not (other or np.isnan(column.x).any()):
             unit = stated and re.sub("[·_]", "", stated[stated.lastindex or 0].strip().lower())
             found.append(_Column(**vars(column), words=words, label=label, unit=unit))
-    if not found:
-        place.refuse(text="has no columns of numbers", expected="a table")
+    place.require(found, text="has no columns of numbers", expected="a table")
     return [replace(c, joint=told.get(c.label, "")) for c in found]
 
 

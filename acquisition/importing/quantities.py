@@ -89,10 +89,12 @@ class Source:
 
     def table(self, key: str, number: int) -> Path:
         """The table with this `number`, from 1."""
-        if number > len(self.tables):
-            self.place.refuse(
-                key, number, f"{len(self.tables)} at most, the number of tables given"
-            )
+        self.place.require(
+            number <= len(self.tables),
+            key,
+            number,
+            f"{len(self.tables)} at most, the number of tables given",
+        )
         return self.tables[number - 1]
 
     def position(self, key: str, quantity: Angles) -> Array:
@@ -156,14 +158,15 @@ class Source:
         units of the recorded effort.
         """
         side, why = ONE_SIDE[key]
-        if side == "joint" and not self.robot.gain_known:
-            self.place.refuse(
-                key,
-                expected="the drive gains in robot.toml, which make them N m or N",
-                text="cannot be added to efforts in " + join_units(self.robot.effort_units),
-            )
-        if quantity.side not in (None, side):
-            self.place.refuse(f"{key}.side", quantity.side, f"{side!r}, {why}")
+        self.place.require(
+            side != "joint" or self.robot.gain_known,
+            key,
+            expected="the drive gains in robot.toml, which make them N m or N",
+            text="cannot be added to efforts in " + join_units(self.robot.effort_units),
+        )
+        self.place.require(
+            quantity.side in (None, side), f"{key}.side", quantity.side, f"{side!r}, {why}"
+        )
         units, values = self._read(key, quantity, EFFORT_UNITS)
         effort_side(self.robot, units, side, f"{key}.unit", self.place)
         return values
@@ -174,10 +177,12 @@ class Source:
         given = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
         units, factors = si_units(given, n, known, f"{key}.unit", self.place)
         values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
-        if values.shape[1] != n:
-            self.place.refuse(
-                f"{key}.columns", expected=f"{n}, one per joint", text=f"{values.shape[1]} columns"
-            )
+        self.place.require(
+            values.shape[1] == n,
+            f"{key}.columns",
+            expected=f"{n}, one per joint",
+            text=f"{values.shape[1]} columns",
+        )
         return units, np.asarray(values * factors)
 
     def _check_kinds(self, key: str, units: Sequence[str], side: Side) -> None:
@@ -186,12 +191,12 @@ class Source:
         for i, (joint, unit) in enumerate(zip(self.robot.joints, units, strict=True)):
             # A motor that turns may drive any joint; a motor that slides drives
             # a joint that slides.
-            if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
-                self.place.refuse(
-                    f"{key}.unit",
-                    expected=f"{'an angle' if joint.type == 'revolute' else 'a length'}{each}",
-                    text=f"in {unit} for joint {i + 1} ({joint.name})",
-                )
+            self.place.require(
+                unit == joint.position_unit or (side == "motor" and unit == "rad"),
+                f"{key}.unit",
+                expected=f"{'an angle' if joint.type == 'revolute' else 'a length'}{each}",
+                text=f"in {unit} for joint {i + 1} ({joint.name})",
+            )
 
 
 def turn_jumps(x: Array, turn: float) -> Bools:
@@ -204,11 +209,11 @@ def si_units(
     units: Sequence[str], n: int, known: Units, key: str, place: Place
 ) -> tuple[tuple[str, ...], Array]:
     """SI unit and factor (n,) of each of n units."""
-    if len(units) != n:
-        place.refuse(key, expected=f"one, or {n}, one per joint", text=f"{len(units)} units")
+    place.require(
+        len(units) == n, key, expected=f"one, or {n}, one per joint", text=f"{len(units)} units"
+    )
     for unit in units:
-        if unit not in known:
-            place.refuse(key, unit, f"one of {', '.join(known)}")
+        place.require(unit in known, key, unit, f"one of {', '.join(known)}")
     return tuple(known[unit][0] for unit in units), np.array([known[unit][1] for unit in units])
 
 
@@ -235,8 +240,7 @@ def _is_identity(R: Array) -> bool:
 
 
 def _side_or_joint(side: Side | None, same: bool, key: str, place: Place) -> Side:
-    if side is None and not same:
-        place.refuse(f"{key}.side", None, "'motor' or 'joint'")
+    place.require(side is not None or same, f"{key}.side", None, "'motor' or 'joint'")
     return side or "joint"
 
 
@@ -249,15 +253,19 @@ def effort_side(
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
     fits = [side for side in ("motor", "joint") if given == expected[side]]
     if side is None:
-        if len(fits) == 2 and not _is_identity(robot.R * robot.gain[:, None]):
-            place.refuse(key.replace(".unit", ".side"), None, "'motor' or 'joint'")
-        side = "joint" if fits == ["joint"] else "motor"
-    if side not in fits:
-        place.refuse(
-            key,
-            expected=f"{join_units(expected[side])}, as in robot.toml",
-            text=f"gives {join_units(given)} at the {side}",
+        place.require(
+            len(fits) != 2 or _is_identity(robot.R * robot.gain[:, None]),
+            key.replace(".unit", ".side"),
+            None,
+            "'motor' or 'joint'",
         )
+        side = "joint" if fits == ["joint"] else "motor"
+    place.require(
+        side in fits,
+        key,
+        expected=f"{join_units(expected[side])}, as in robot.toml",
+        text=f"gives {join_units(given)} at the {side}",
+    )
     return side
 
 

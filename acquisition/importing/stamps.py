@@ -95,13 +95,13 @@ def even_times(
     if not between_s or share(q) > 0.5 * (share(stamp_s) + share(even_s)):
         return stamp_s, None
     parts = np.array_split(stamp_s - even_s, max(2, int(np.ptp(stamp_s) / between_s / 10)))
-    if np.ptp([part.min() for part in parts]) > MAX_BURST_DRIFT * between_s:
-        place.refuse(
-            "time.resample_hz",
-            rate_hz,
-            f"{1 / step_s:.7g}, the mean rate of the rows, and no packets that are missing",
-            text="stamps come in bursts, and rows between them are too many or too few",
-        )
+    place.require(
+        np.ptp([part.min() for part in parts]) <= MAX_BURST_DRIFT * between_s,
+        "time.resample_hz",
+        rate_hz,
+        f"{1 / step_s:.7g}, the mean rate of the rows, and no packets that are missing",
+        text="stamps come in bursts, and rows between them are too many or too few",
+    )
     return even_s, float(np.std(stamp_s - even_s))
 
 

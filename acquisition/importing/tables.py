@@ -14,7 +14,7 @@ import numpy as np
 
 from ..arrays import Array, first_true
 from ..errors import Place
-from ..files import read_bytes, read_columns, write_columns
+from ..files import read_bytes, read_columns, taken, write_columns
 from ..recording import OPTIONAL, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .held import grid_of_new_rows
@@ -103,10 +103,10 @@ def import_tables(
     parts, provenance, effort_object = _parts(source, table_map)
     rows = len(parts["position"])
     for key, part in parts.items():
-        if len(part) != rows:
-            place.refuse(key, expected=f"{rows} as in position", text=f"{len(part)} rows")
-    if rows < 2:
-        place.refuse("position", expected="2 at least", text=f"{rows} row")
+        place.require(
+            len(part) == rows, key, expected=f"{rows} as in position", text=f"{len(part)} rows"
+        )
+    place.require(rows >= 2, "position", expected="2 at least", text=f"{rows} row")
     names = ", ".join(table.name for table in tables)
     grid = _on_grid(source, table_map, parts)
     header = Header(
@@ -153,23 +153,21 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     if time is None:
         if given_hz is None:
             source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
-        if given_hz < 1:
-            source.place.refuse(
-                "sample_rate_hz", given_hz, f"a rate in Hz, not a period: {1 / given_hz:g}?"
-            )
+        source.place.require(
+            given_hz >= 1,
+            "sample_rate_hz",
+            given_hz,
+            f"a rate in Hz, not a period: {1 / given_hz:g}?",
+        )
         time_s = np.arange(len(parts["position"])) / given_hz
         return grid_of_new_rows(time_s, parts, source.place) or GridValues(
             parts=parts, start_s=0.0, rate_hz=given_hz
         )
     time_s, scatter_s = _times(source, time, parts)
-    repeated = 0
-    if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, even with different stamps
-        new = np.concatenate([[True], np.diff(time_s) > 0])
-        time_s, parts, repeated = (
-            time_s[new],
-            {name: x[new] for name, x in parts.items()},
-            int((~new).sum()),
-        )
+    # Counted ticks: rows of one tick are one row, even with different stamps.
+    is_new = np.concatenate([[True], np.diff(time_s) > 0]) | (time.ticks != FROM_VELOCITY)
+    rows, repeated = np.flatnonzero(is_new), int((~is_new).sum())
+    time_s, parts = taken(time_s, rows), {name: taken(x, rows) for name, x in parts.items()}
     place = Place(
         f"{source.table('time.table', time.table)}: "
         f"{time.column if time.ticks is None else time.ticks}"
@@ -188,14 +186,14 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
             place=place,
         )
     )
-    if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
-        source.place.refuse(
-            "sample_rate_hz",
-            given_hz,
-            f"{grid.rate_hz:.9g}, the rate of the times"
-            if time.resample_hz is None
-            else "none together with time.resample_hz",
-        )
+    source.place.require(
+        given_hz is None or abs(given_hz / grid.rate_hz - 1) <= 1e-3,
+        "sample_rate_hz",
+        given_hz,
+        f"{grid.rate_hz:.9g}, the rate of the times"
+        if time.resample_hz is None
+        else "none together with time.resample_hz",
+    )
     grid = with_warnings(
         grid,
         time_s,
@@ -215,16 +213,21 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
     in s, None without both.
     """
     place, rows = source.place, len(parts["position"])
-    if (time.ticks is None) != (time.tick_s is None):
-        place.refuse(
-            "time.tick_s" if time.tick_s is None else "time.ticks",
-            None,
-            "ticks and tick_s together, or neither",
-        )
-    if time.column is None and time.ticks is None:
-        place.refuse("time.column", None, "it, or ticks and tick_s")
-    if time.unit not in TIME_UNITS:
-        place.refuse("time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}")
+    place.require(
+        (time.ticks is None) == (time.tick_s is None),
+        "time.tick_s" if time.tick_s is None else "time.ticks",
+        None,
+        "ticks and tick_s together, or neither",
+    )
+    place.require(
+        time.column is not None or time.ticks is not None,
+        "time.column",
+        None,
+        "it, or ticks and tick_s",
+    )
+    place.require(
+        time.unit in TIME_UNITS, "time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}"
+    )
     stamp_s = None
     if time.column is not None:
         table = source.table("time.table", time.table)
@@ -262,8 +265,12 @@ def _ticks(
 
 def _column(table: Path, name: str | int, rows: int, place: Place) -> Array:
     column = read_columns(table, [name], 1)
-    if column.shape != (rows, 1):
-        place.refuse("time", expected=f"one column of {rows} rows", text=f"shape {column.shape}")
+    place.require(
+        column.shape == (rows, 1),
+        "time",
+        expected=f"one column of {rows} rows",
+        text=f"shape {column.shape}",
+    )
     return np.asarray(column[:, 0])
 
 
@@ -272,8 +279,12 @@ def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) 
     tick of another length.
     """
     rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
-    if not abs(rate - 1) <= MAX_TICK_ERROR:
-        place.refuse("time.tick_s", tick_s, f"{tick_s * rate:.6g}, the tick of the stamps")
+    place.require(
+        abs(rate - 1) <= MAX_TICK_ERROR,
+        "time.tick_s",
+        tick_s,
+        f"{tick_s * rate:.6g}, the tick of the stamps",
+    )
     return float(np.std(stamp_s - start - rate * (time_s - time_s[0])))
 
 

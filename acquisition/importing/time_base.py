@@ -91,11 +91,11 @@ class GridValues:
         """Stamps (M,) in ns, from 0 if they would begin before 0. Errors name `place`."""
         rows = len(self.parts[POSITION])
         start_s = max(0.0, self.start_s)
-        if not start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
-            Place(place).refuse(
-                expected="68 years and 100 MHz at most",
-                text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
-            )
+        Place(place).require(
+            start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 and self.rate_hz <= 1e8,
+            expected="68 years and 100 MHz at most",
+            text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
+        )
         steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
@@ -149,15 +149,15 @@ def resample(
     time_s, parts, report = rows_to_interpolate(time_s, parts, place, largest_gap_periods)
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
-    if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
-        place.refuse(
-            "resample_hz",
-            rate_hz,
-            (
-                f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
-                f"{time_s[-1] - time_s[0]:.4g} s"
-            ),
-        )
+    place.require(
+        count >= 2 and rate_hz * report.period_s <= MAX_OVERSAMPLING,
+        "resample_hz",
+        rate_hz,
+        (
+            f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
+            f"{time_s[-1] - time_s[0]:.4g} s"
+        ),
+    )
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     return GridValues(
         parts={name: interpolate(time_s, x, grid) for name, x in parts.items()},
@@ -193,8 +193,12 @@ def rows_to_interpolate(
     a report on the times.
     """
     time_s, parts, doubled = _drop_repeated_rows(time_s, parts, place)
-    if len(time_s) < 4:
-        place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
+    place.require(
+        len(time_s) >= 4,
+        "time",
+        expected="4 at least",
+        text=f"{len(time_s)} rows of different times",
+    )
     report = time_report(time_s, doubled)
     in_time = POSITION not in parts or rows_in_time(time_s, parts[POSITION])
     rows = np.flatnonzero(np.broadcast_to(in_time, len(time_s)))

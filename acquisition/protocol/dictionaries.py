@@ -65,14 +65,16 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     its `problem`, for those who need it. Raises `BadInputError` with `place`, the file's name, and
     the line: a section or a key is there twice, or the file holds no objects.
     """
-    if len(data) > MAX_DICTIONARY_BYTES:
-        Place(place).refuse(text=f"{len(data)} bytes", expected=f"{MAX_DICTIONARY_BYTES} at most")
+    Place(place).require(
+        len(data) <= MAX_DICTIONARY_BYTES,
+        text=f"{len(data)} bytes",
+        expected=f"{MAX_DICTIONARY_BYTES} at most",
+    )
     # Texts in other encodings are only names: numbers are the same in all of them.
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     file = _File(data.decode(encoding, errors="replace"), place, node)
     entries = {key: file.entry(lines, *value) for key, lines, *value in file.contents()}
-    if not entries:
-        Place(place).refuse(text="holds no objects", expected="an EDS or DCF")
+    Place(place).require(entries, text="holds no objects", expected="an EDS or DCF")
     about = file.sections.get("DEVICEINFO", {}) | {"datatype": "7"}
     vendor, product = (
         file.entry(about, "DEVICEINFO", key) for key in ("vendornumber", "productnumber")

@@ -125,12 +125,11 @@ def pdos_of(
                 )
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
-            if BITS.get(kind) != word & 0xFF:
-                Place(place).refuse(
-                    text=f"{direction} {number}: {at} maps {key[0]:04X}:{key[1]} of "
-                    f"{word & 0xFF} bits",
-                    expected="whole bytes of its own type",
-                )
+            Place(place).require(
+                BITS.get(kind) == word & 0xFF,
+                text=f"{direction} {number}: {at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits",
+                expected="whole bytes of its own type",
+            )
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
     return tuple(found)

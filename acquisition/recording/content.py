@@ -342,15 +342,21 @@ def _unpack(chunk: Any) -> bytes:
 def check_metadata(metadata: Mapping[str, str], place: str) -> None:
     """Refuse a recording of a newer version, or with damaged metadata."""
     text = metadata.get("schema_version", "")
-    if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
-        Place(place).refuse("schema_version", text, "a whole number from 1")
-    if int(text) > SCHEMA_VERSION:
-        Place(place).refuse(
-            "schema_version",
-            int(text),
-            f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
-        )
-    if metadata.get("crc32") != metadata_crc(metadata):
-        Place(f"{place}: metadata").refuse(
-            "crc32", metadata.get("crc32"), repr(metadata_crc(metadata))
-        )
+    Place(place).require(
+        re.fullmatch("[0-9]{1,9}", text, re.ASCII) and int(text) >= 1,
+        "schema_version",
+        text,
+        "a whole number from 1",
+    )
+    Place(place).require(
+        int(text) <= SCHEMA_VERSION,
+        "schema_version",
+        int(text),
+        f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
+    )
+    Place(f"{place}: metadata").require(
+        metadata.get("crc32") == metadata_crc(metadata),
+        "crc32",
+        metadata.get("crc32"),
+        repr(metadata_crc(metadata)),
+    )

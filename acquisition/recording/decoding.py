@@ -229,11 +229,11 @@ def decode(
 
 def _syncs(traffic: Traffic, bus: Bus, place: str) -> Syncs:
     rows = traffic.rows_of(bus.file.sync_can_id)
-    if len(rows) < 2:
-        Place(place).refuse(
-            text=f"{len(rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(traffic.frames)} frames",
-            expected="many",
-        )
+    Place(place).require(
+        len(rows) >= 2,
+        text=f"{len(rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(traffic.frames)} frames",
+        expected="many",
+    )
     times = traffic.at("time_ns", rows)
     syncs = Syncs(
         rows=rows,
@@ -250,26 +250,27 @@ def _frames_of(
     """Frames of a PDO, those that repeat one of them, and the number of those too short for it."""
     rows, short = traffic.of(pdo)
     rows, again = without_repeats(rows, syncs.rows, traffic.at("data", rows))
-    if not len(rows):
-        Place(place).refuse(
-            text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})",
-            expected="the drive's answers to SYNC; is it mapped and started?",
-        )
+    Place(place).require(
+        len(rows),
+        text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})",
+        expected="the drive's answers to SYNC; is it mapped and started?",
+    )
     return kept(rows), again, short
 
 
 def _refuse_missing(answers: Answers, max_missing: float, place: str) -> None:
     """Refuse frames of which too many are missing for certain rows, or that have too few rows."""
     most = max(lost["missing"] for lost in answers.losses)
-    if answers.missing_share > max_missing and most > MAX_MISSING_COUNT:
-        Place(place).refuse(
-            text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
-            expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
-        )
-    if len(answers.answered) < 2:
-        Place(place).refuse(
-            text=f"{len(answers.answered)} SYNC answered by all drives", expected="many"
-        )
+    Place(place).require(
+        answers.missing_share <= max_missing or most <= MAX_MISSING_COUNT,
+        text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
+        expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
+    )
+    Place(place).require(
+        len(answers.answered) >= 2,
+        text=f"{len(answers.answered)} SYNC answered by all drives",
+        expected="many",
+    )
 
 
 def _integers(

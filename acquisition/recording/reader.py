@@ -164,14 +164,14 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     )
     if metadata is None:
         place.refuse(text=f"holds no metadata record 'recording'{note}", expected=expected)
-    if "robot.toml" not in attachments:
-        place.refuse(
-            text=f"holds no robot.toml{note}", expected="the robot's description as an attachment"
-        )
+    place.require(
+        "robot.toml" in attachments,
+        text=f"holds no robot.toml{note}",
+        expected="the robot's description as an attachment",
+    )
     robot = robot_from_files(attachments, f"{path}: robot.toml")
     unit, expected = metadata.get("effort_unit"), json.dumps(robot.effort_units)
-    if unit != expected:
-        place.refuse("effort_unit", unit, expected, shown=str(unit))
+    place.require(unit == expected, "effort_unit", unit, expected, shown=str(unit))
     samples, frames = None, {}
     for topic, blocks in topics.items():
         if not blocks.stamps_ns:

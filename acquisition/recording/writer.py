@@ -218,10 +218,11 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     def frames(self, channel: str, block: Block) -> None:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
         topic = f"/can/{channel}/frames"
-        if not FRAMES_TOPIC.fullmatch(topic):
-            Place(self._place).refuse(
-                text=f"CAN channel {channel!r}", expected="letters, digits and _ . - only"
-            )
+        Place(self._place).require(
+            FRAMES_TOPIC.fullmatch(topic),
+            text=f"CAN channel {channel!r}",
+            expected="letters, digits and _ . - only",
+        )
         if block.dtype != FRAME:
             Place(f"{self._place}: {topic}").refuse(
                 text=f"rows of {block.dtype}", expected=str(FRAME)
@@ -301,8 +302,9 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     def _json(
         self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any
     ) -> None:
-        if stamp_ns < 0:
-            Place(f"{self._place}: {topic}").refuse("stamp_ns", stamp_ns, "a time from 0")
+        Place(f"{self._place}: {topic}").require(
+            stamp_ns >= 0, "stamp_ns", stamp_ns, "a time from 0"
+        )
         kind = "json", schema, "jsonschema", json.dumps(layout)
         self._add(topic, kind, stamp_ns, msgspec.json.encode(content))
 

@@ -181,10 +181,13 @@ def refuse_pdos(bus: Bus, place: str) -> None:
     # service, to every node.
     sync = bus.file.sync_can_id
     free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
-    if sync != USUAL_SYNC and sync not in FREE_CAN_IDS:
-        Place(place, "bus").refuse(
-            "sync_can_id", sync, f"0x{USUAL_SYNC:X}, or {free}", shown=f"0x{sync:X}"
-        )
+    Place(place, "bus").require(
+        sync == USUAL_SYNC or sync in FREE_CAN_IDS,
+        "sync_can_id",
+        sync,
+        f"0x{USUAL_SYNC:X}, or {free}",
+        shown=f"0x{sync:X}",
+    )
     used = {sync: "SYNC"}
     ways = (
         (i, drive, way, pdos)
@@ -195,10 +198,14 @@ def refuse_pdos(bus: Bus, place: str) -> None:
         mapping = f"(mapping = {drive.file.mapping!r})"
         for k, pdo in enumerate(pdos):
             at = Place(f"{place}: bus.drive[{i}]: {way} {pdo.number} {mapping}")
-            if pdo.number in [other.number for other in pdos[:k]]:
-                at.refuse(text=f"number = {pdo.number} is used twice", expected="one of its own")
-            if pdo.bits > cia.MAX_PDO_BITS:
-                at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
+            at.require(
+                pdo.number not in [other.number for other in pdos[:k]],
+                text=f"number = {pdo.number} is used twice",
+                expected="one of its own",
+            )
+            at.require(
+                pdo.bits <= cia.MAX_PDO_BITS, text=f"{pdo.length} bytes", expected="8 at most"
+            )
             name = f"identifier 0x{pdo.can_id:03X}"
             usual = range(cia.LOWEST_CAN_ID, cia.HIGHEST_CAN_ID + 1)
             if pdo.can_id not in usual and pdo.can_id not in FREE_CAN_IDS:
@@ -272,10 +279,16 @@ def check_carriers(bus: Bus) -> None:
         mode = f"{cia.MODE_OF_OPERATION + axis_of(drive):04X}:0"
         known = {str(entry) for entry in (drive.control, drive.target)} | {mode}
         for entry in (drive.control, drive.target):
-            if drive.carrier(entry, "rpdo") is None:
-                at.refuse(text=f"no PDO to the drive carries {entry}", expected="one to track")
-        if drive.carrier(drive.status, "tpdo") is None:
-            at.refuse(text=f"no PDO from it carries {drive.status}", expected="one to track")
+            at.require(
+                drive.carrier(entry, "rpdo") is not None,
+                text=f"no PDO to the drive carries {entry}",
+                expected="one to track",
+            )
+        at.require(
+            drive.carrier(drive.status, "tpdo") is not None,
+            text=f"no PDO from it carries {drive.status}",
+            expected="one to track",
+        )
         for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
             at.refuse(
                 text=f"a PDO to the drive carries {other}",

@@ -152,10 +152,11 @@ def check_recorded_velocities(
             f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, "
             f"off by {100 * deviation:.2g} %"
         )
-        if deviation > MAX_SPEED_DEVIATION and not 1 / MAX_SPEED_GAIN < gain < MAX_SPEED_GAIN:
-            Place(place).refuse(
-                text=text, expected="the joint's own speed: check its unit, side, sign and column"
-            )
+        Place(place).require(
+            deviation <= MAX_SPEED_DEVIATION or 1 / MAX_SPEED_GAIN < gain < MAX_SPEED_GAIN,
+            text=text,
+            expected="the joint's own speed: check its unit, side, sign and column",
+        )
         if deviation > MAX_SPEED_DEVIATION:
             warnings.append(text)
     return tuple(warnings)

@@ -58,13 +58,14 @@ def fourier_reference(
     The same `seed` gives the same series; at least two `harmonics`. Raises `BadInputError` if the
     period is not positive or a joint states no range.
     """
-    if not period_s > 0:
-        Place("").refuse(text=f"period {period_s:g} s", expected="more than 0")
+    Place("").require(period_s > 0, text=f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
-        if joint.si("position") is None:
-            Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]").refuse(
-                joint.key("position"), None, "[lowest, highest]: the reference moves within it"
-            )
+        Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]").require(
+            joint.si("position") is not None,
+            joint.key("position"),
+            None,
+            "[lowest, highest]: the reference moves within it",
+        )
     k = np.arange(1, harmonics + 1)
     sine, cosine = np.random.default_rng(seed).standard_normal((2, robot.n, harmonics)) / k
     # At t = 0 the speed is sum k sine, the acceleration sum k² cosine: subtract these parts.
@@ -107,8 +108,10 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
     time_s, at = table[:, 0], Place(f"{path}: time_s")
     with np.errstate(all="ignore"):  # overflows are refused below
-        if len(table) < 2 or not (np.diff(time_s) > 0).all():
-            at.refuse(expected="two rows or more, with growing times")
+        at.require(
+            len(table) >= 2 and (np.diff(time_s) > 0).all(),
+            expected="two rows or more, with growing times",
+        )
         length_s = float(time_s[-1] - time_s[0]) / speed
         longest_s = min(MAX_TABLE_S, MAX_PATH_VALUES / robot.n * period_s)
         if length_s > longest_s:

@@ -138,8 +138,13 @@ def _drive(
         for key in ("status", "control", "position", "target")
     )
     for key, found in (("position", position), ("target", target)):
-        if found.type != POSITION_TYPE:
-            at.refuse(key, getattr(file, key), POSITION_TYPE, text=f"is {found.type}")
+        at.require(
+            found.type == POSITION_TYPE,
+            key,
+            getattr(file, key),
+            POSITION_TYPE,
+            text=f"is {found.type}",
+        )
     extras = tuple(objects.entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
     measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
     mapped = _mapped(objects, confirmed)
@@ -268,13 +273,13 @@ def _effort(
     if rated is None:
         at.refuse(rule.rated, None, f"the rated value that {name!r} multiplies")
     scale = float((file.effort_sign or file.sign) * rule.factor * rated)
-    if rule.unit != motor.recorded_unit:
-        at.refuse(
-            f"{word}_rule",
-            name,
-            f"{motor.recorded_unit} as motor {motor.name!r} says, or {rule.unit} as effort_unit",
-            text=f"gives {rule.unit}",
-        )
+    at.require(
+        rule.unit == motor.recorded_unit,
+        f"{word}_rule",
+        name,
+        f"{motor.recorded_unit} as motor {motor.name!r} says, or {rule.unit} as effort_unit",
+        text=f"gives {rule.unit}",
+    )
     times = f" x {rated:g} ({rule.rated})" if rule.rated else ""
     parts = (
         f"object {entry} ({meaning if known else 'as described'})",

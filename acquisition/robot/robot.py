@@ -254,8 +254,7 @@ def _refuse_idle_keys(c: Controller, place: Place) -> None:
 def _refuse_wide_guards(table: BusFile | Joint, guards: Mapping[str, float], place: Place) -> None:
     for name, most in guards.items():
         value = getattr(table, name)
-        if value is not None and value > most:
-            place.refuse(name, value, f"{most:g} at most")
+        place.require(value is None or value <= most, name, value, f"{most:g} at most")
 
 
 def _companion(path: Path, name: str, key: str) -> bytes:
@@ -274,8 +273,11 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     `dictionary:<name>`; of a dry run `simulated_controller.toml`.
     """
     at = Place(place)
-    if "robot.toml" not in files:
-        at.refuse(text="holds no robot.toml", expected="the robot's description as an attachment")
+    at.require(
+        "robot.toml" in files,
+        text="holds no robot.toml",
+        expected="the robot's description as an attachment",
+    )
     f = parse_toml(files["robot.toml"], RobotFile, place)
     if (law := files.get(SIMULATED_CONTROLLER)) is not None:
         controller = parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
@@ -285,12 +287,20 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
             at.refuse(*refusal.args)
     urdf = None
     if f.urdf is not None:
-        if "robot.urdf" not in files:
-            at.refuse("urdf", f.urdf, text="the URDF is missing next to the description")
+        at.require(
+            "robot.urdf" in files,
+            "urdf",
+            f.urdf,
+            text="the URDF is missing next to the description",
+        )
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
         # a typing error; the model looks at the tree
-        if f.payload.frame is not None and f.payload.frame not in urdf:
-            at.refuse("payload.frame", f.payload.frame, "a link of the URDF")
+        at.require(
+            f.payload.frame is None or f.payload.frame in urdf,
+            "payload.frame",
+            f.payload.frame,
+            "a link of the URDF",
+        )
     ratios = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     R = ratios if f.motor_matrix is None else np.array(f.motor_matrix, dtype=float)
     gravity = np.array(f.gravity_m_s2, dtype=float)
@@ -360,10 +370,12 @@ def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tu
             effort = float(text or 0)
         except ValueError:
             effort = math.nan
-        if not 0 <= effort < math.inf:
-            place.refuse(
-                f"urdf: joint {joint.name}: effort", text, "a number from 0; 0 states none"
-            )
+        place.require(
+            0 <= effort < math.inf,
+            f"urdf: joint {joint.name}: effort",
+            text,
+            "a number from 0; 0 states none",
+        )
         if effort and joint.si("effort") is None:
             joint = msgspec.structs.replace(joint, **{joint.key("effort"): effort})
         out.append(joint)

@@ -53,11 +53,11 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     """Decode TOML `text` into `kind`; errors have `place`, key, value and what was expected."""
     file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
-    if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
-        file.refuse(
-            text=f"{len(text)} bytes, a line of {longest}",
-            expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most",
-        )
+    file.require(
+        len(text) <= MAX_TOML_BYTES and longest <= MAX_LINE_BYTES,
+        text=f"{len(text)} bytes, a line of {longest}",
+        expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most",
+    )
     try:
         data = tomllib.loads(text.decode("utf-8"))
         _refuse_nonfinite(data, "", file)
@@ -119,8 +119,7 @@ def _value_at(data: Any, path: str) -> Any:
 
 
 def _refuse_nonfinite(data: Any, key: str, file: Place) -> None:
-    if isinstance(data, float) and not math.isfinite(data):
-        file.refuse(key, data, "a finite number")
+    file.require(not isinstance(data, float) or math.isfinite(data), key, data, "a finite number")
     items = (
         data.items()
         if isinstance(data, dict)
