@@ -190,8 +190,13 @@ def _effort(
         expected="measured efforts; this driver does not publish them",
         text="is zero in all rows",
     )
-    given = tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1)
-    units, factors = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
+    units, factors = si_units(
+        tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1),
+        robot.n,
+        EFFORT_UNITS,
+        "--effort-unit",
+        place,
+    )
     at_joint = all(unit in ("N m", "N") for unit in units)
     if at_joint and len(effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)

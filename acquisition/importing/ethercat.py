@@ -168,8 +168,7 @@ def _on_grid(
         time_ns = since + (time_ns - time_ns[0] - since + since[0] + 2**31) % 2**32 - 2**31
         del since
     period_ns = _period_ns(time_ns)
-    steps_s = np.diff(time_ns) * 1e-9
-    refuse_period(period_ns * 1e-9, nominal_ns * 1e-9, str(at), steps_s, "a cycle")
+    refuse_period(period_ns * 1e-9, nominal_ns * 1e-9, str(at), np.diff(time_ns) * 1e-9, "a cycle")
     if abs(period_ns / nominal_ns - 1) < _MAX_CLOCK_ERROR:
         period_ns = float(nominal_ns)
     number, certain = cycle_numbers(time_ns, period_ns)
@@ -205,9 +204,11 @@ def _on_grid(
         if (steps > 1).any()
         else "no gaps"
     )
-    name = "distributed clocks" if clock else "stamps of the capture"
-    doubled = f"{process.doubled or 'no'} doubled rows"
-    times = f"{name}: {1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, {doubled}"
+    times = (
+        f"{'distributed clocks' if clock else 'stamps of the capture'}: "
+        f"{1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, "
+        f"{process.doubled or 'no'} doubled rows"
+    )
     return (
         rows,
         chosen,

@@ -54,8 +54,7 @@ class JointStates:
         source = (message.header.frame_id, tuple(message.name))
         if source not in self._places:
             self._places[source] = self._checked(source)
-        places = self._places[source]
-        if places is None:
+        if (places := self._places[source]) is None:
             self._others += 1
             return
         self._changes += self._source not in (None, source)

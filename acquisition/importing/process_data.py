@@ -109,15 +109,13 @@ class ProcessData:
         return np.unique(found["packet"])
 
     def _row(self, part: Part) -> np.dtype[np.void]:
-        about = [
-            ("packet", "<i8"),
-            ("time_ns", "<i8"),
-            ("clock_ns", "<i8"),
-            ("counter", "<u2"),
-            ("index", "u1"),
-        ]
         return np.dtype(
-            [*about, *((f"{name}{i}", kind) for (name, i), (_, kind) in self._fields[part].items())]
+            [
+                *((name, "<i8") for name in ("packet", "time_ns", "clock_ns")),
+                ("counter", "<u2"),
+                ("index", "u1"),
+                *((f"{name}{i}", kind) for (name, i), (_, kind) in self._fields[part].items()),
+            ]
         )
 
     def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
@@ -180,8 +178,8 @@ class ProcessData:
             station = next(able, -1) if drive.file.station is None else drive.file.station
             if not objects.get(station, ({}, {}))[0]:
                 where = "a further slave" if station == -1 else f"station {station}"
-                why = f"no mapping of {where} for {drive.name} is in it"
-                self._why = why if free else self._why
+                if free:
+                    self._why = f"no mapping of {where} for {drive.name} is in it"
                 return
             free = free[free.index(station) + 1 :] if station in free else free
             yield station
@@ -209,7 +207,7 @@ class ProcessData:
         if size and parts:
             part = max(parts, key=self._seen.__getitem__)
             kind = f"<{entry.type[0].lower()}{size}"
-            fields.setdefault(part, {})[key] = (address - part[1], kind)
+            fields.setdefault(part, {})[key] = address - part[1], kind
 
     def _objects(self) -> dict[int, tuple[Located, Located]]:
         slaves = self._slaves[True]

@@ -248,8 +248,10 @@ def _ranges(table: Path, columns: Sequence[_Column], scanned: Sequence[TableColu
     x = read_columns(table, [c.key for c in columns], len(columns))
     limits = zip(columns, x.min(axis=0), x.max(axis=0), strict=True)
     ranges = {c.key: f"{low:.10g} to {high:.10g}" for c, low, high in limits}
-    told = [f"#   {c.key}: {ranges.get(c.key) or listed(c.texts)}" for c in scanned]
-    return ["# Columns, counted from 1:", *told]
+    return [
+        "# Columns, counted from 1:",
+        *(f"#   {c.key}: {ranges.get(c.key) or listed(c.texts)}" for c in scanned),
+    ]
 
 
 def _turn(table: Path, columns: Sequence[_Column]) -> float:
@@ -321,18 +323,21 @@ def _side(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
 def _effort_lines(columns: Sequence[_Column], maker: str) -> list[str]:
     kinds = {kind for c in columns for kind in c.words}
     ur, franka = maker == UR and "current" in kinds, maker == FRANKA and "torque" in kinds
-    stated = _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')
     unit = _first(
-        (ur, 'unit = "A" # UR RTDE'), (franka, 'unit = "N m" # libfranka'), (True, stated)
+        (ur, 'unit = "A" # UR RTDE'),
+        (franka, 'unit = "N m" # libfranka'),
+        (True, _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')),
     )
     of_motors = re.match(r'unit = "(m?[AV]|%|per mille|‰)"', unit) or "current" in kinds
-    side = _first(
-        (ur, 'side = "motor" # UR RTDE: of the joints\' motors'),
-        (franka, f'side = "joint" # libfranka: {TORQUE_SENSORS}'),
-        (of_motors, 'side = "motor" # as all currents, voltages and percentages of a rating'),
-        (True, f'side = "{FILL_IN}" # motor or joint'),
-    )
-    return [unit, side]
+    return [
+        unit,
+        _first(
+            (ur, 'side = "motor" # UR RTDE: of the joints\' motors'),
+            (franka, f'side = "joint" # libfranka: {TORQUE_SENSORS}'),
+            (of_motors, 'side = "motor" # as all currents, voltages and percentages of a rating'),
+            (True, f'side = "{FILL_IN}" # motor or joint'),
+        ),
+    ]
 
 
 def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | None]:

@@ -39,14 +39,16 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
     time_s, q = time_s[:MAX_COMPARED_ROWS], q[:MAX_COMPARED_ROWS]
     steps = np.diff(time_s)
     period = float(np.median(steps))
-    rows = row_numbers(time_s) * period
     if len(time_s) < 20 or np.std(steps[steps <= MIN_GAP_STEP * period]) < MIN_SCATTER * period:
         return None
     speed = np.sqrt(np.mean((np.diff(q, axis=0) / period) ** 2, axis=0))
     moving = speed > 0
     if not moving.any():
         return None
-    by_stamp, by_row = (_time_error_s(t, q[:, moving], speed[moving]) for t in (time_s, rows))
+    by_stamp, by_row = (
+        _time_error_s(t, q[:, moving], speed[moving])
+        for t in (time_s, row_numbers(time_s) * period)
+    )
     joint = int(np.argmin(by_row))
     if by_stamp[joint] <= max(MIN_ROUGHNESS_RATIO * by_row[joint], MIN_SCATTER * period):
         return None

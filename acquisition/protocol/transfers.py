@@ -308,8 +308,7 @@ class Confirmed:
     def _answered(self, answer: Transfer) -> bool:
         key, unseen = (answer.index, answer.sub), "was written, but the write was not seen"
         now = self.values.get(key, "was not seen")
-        asked = self._open.get(key) or [(unseen, now)]
-        written, before = asked.pop()
+        written, before = (self._open.get(key) or [(unseen, now)]).pop()
         if answer.kind == "abort":
             refusal = f"was refused by the drive (0x{answer.number:08X})"
             self.refused = f"{key[0]:04X}:{key[1]} {refusal}"
@@ -334,14 +333,11 @@ def _frame(command: int, index: int, sub: int, data: bytes) -> bytes:
 def _read(data: bytes, kinds: dict[int, str]) -> Transfer:
     if len(data) != 8:
         return Transfer(kind="other")
-    kind, index, sub = (
-        kinds.get(data[0] >> 5, "other"),
-        int.from_bytes(data[1:3], "little"),
-        data[3],
-    )
-    if kind in ("write", "value") and not data[0] & 2:
-        return Transfer(kind="other", index=index, sub=sub)
+    kind = kinds.get(data[0] >> 5, "other")
+    index, sub = int.from_bytes(data[1:3], "little"), data[3]
     if kind in ("write", "value"):
+        if not data[0] & 2:
+            return Transfer(kind="other", index=index, sub=sub)
         stated = bool(data[0] & 1)
         size = 4 - (data[0] >> 2 & 3) if stated else 4
         return Transfer(kind=kind, index=index, sub=sub, data=data[4 : 4 + size], stated=stated)

@@ -211,8 +211,7 @@ def _in_order(progress: _Progress, unusual: Bools) -> Bools:
     both = alone & caught_up[1:] & caught_up[:-1]
     ends = np.flatnonzero(np.diff(both, prepend=False, append=False))
     longest = int((ends[1::2] - ends[::2]).max(initial=0))
-    is_late = caught_up.any() or unusual.any()
-    hidden = min(longest + 1, MAX_LATE_IN_ORDER) if is_late else 0
+    hidden = min(longest + 1, MAX_LATE_IN_ORDER) if caught_up.any() or unusual.any() else 0
     in_order = np.zeros(len(caught_up), np.bool_)
     starts = _in_a_row(alone, MIN_IN_ORDER + hidden)
     for k in range(hidden, MIN_IN_ORDER + hidden + 1):

@@ -25,7 +25,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from ..errors import BadInputError, Place
+from ..errors import Place
 from ..files import NAMES, GrowingBytes, kind_of
 from .rows import CAPTURE_TOPIC
 from .writer import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc
@@ -82,10 +82,9 @@ class Messages:
 
     def items(self) -> Iterator[tuple[int, bytes]]:
         """Log time and content of each message."""
-        begin, data = 0, self.data.whole()
-        for stamp_ns, end in zip(self.stamps_ns, self.ends, strict=True):
+        data, begins = self.data.whole(), [0, *self.ends][:-1]
+        for stamp_ns, begin, end in zip(self.stamps_ns, begins, self.ends, strict=True):
             yield stamp_ns, bytes(data[begin:end])
-            begin = end
 
 
 def read_content(path: Path) -> tuple["Content", bool, str]:
@@ -94,29 +93,27 @@ def read_content(path: Path) -> tuple["Content", bool, str]:
     For a file without its end, returns what was written before the cut. Raises `BadInputError` when
     the file cannot be read, is not MCAP, is damaged, or is refused by `check_metadata`.
     """
-    place = str(path)
     try:
         with path.open("rb") as file:
-            return _read(_Records(file), place)
+            return _read(_Records(file), path)
     except OSError as error:
-        raise BadInputError(f"cannot be read: {error.strerror}", place=place) from error
+        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
 
 
-def _read(records: "_Records", place: str) -> tuple["Content", bool, str]:
+def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
+    place = Place(str(path))
     if records.first != _MAGIC:
-        ending, kind = Path(place).suffix.lower(), kind_of(Path(place)).replace("mcap", "")
-        if ending in _IMPORTED:
-            raise BadInputError(
-                f"is a {ending[1:].upper()} file",
-                place=place,
-                expected=f"a recording: first `robot-acquire import {place} --robot ROBOT.toml`",
-            )
-        raise BadInputError(
-            f"is {NAMES[kind]}" if kind else "is not an MCAP file",
-            place=place,
+        ending, kind = path.suffix.lower(), kind_of(path).replace("mcap", "")
+        place.require(
+            ending not in _IMPORTED,
+            text=f"is a {ending[1:].upper()} file",
+            expected=f"a recording: first `robot-acquire import {path} --robot ROBOT.toml`",
+        )
+        place.refuse(
+            text=f"is {NAMES[kind]}" if kind else "is not an MCAP file",
             expected="a recording, as `robot-acquire record` or `import` writes it",
         )
-    found = Content(place)
+    found = Content(str(path))
     for opcode, at, content in records:
         try:
             found.add(opcode, content, records.crc_before)
@@ -127,15 +124,14 @@ def _read(records: "_Records", place: str) -> tuple["Content", bool, str]:
                 # the last record of a cut file: incomplete, followed by nothing or by
                 # unwritten disk space
                 break
-            raise BadInputError(
-                f"{'' if isinstance(error, _ForeignError) else f'damaged at byte {at}: '}"
-                f"{str(error) or type(error).__name__}",
-                place=place,
-            ) from error
-    if records.has_end and not found.complete:
-        raise BadInputError(
-            "damaged: it has an end, but the records before do not lead to it", place=place
-        )
+            place.refuse(
+                text=f"{'' if isinstance(error, _ForeignError) else f'damaged at byte {at}: '}"
+                f"{str(error) or type(error).__name__}"
+            )
+    place.require(
+        found.complete or not records.has_end,
+        text="damaged: it has an end, but the records before do not lead to it",
+    )
     return found, not records.has_end, records.sha256()
 
 
@@ -224,31 +220,25 @@ class GrowingContent:
 
     def read(self) -> bool:
         """Whether there were new records."""
-        place, before = str(self._path), self._at
+        place, before = Place(str(self._path)), self._at
         try:
             there, ours = self._path.stat(), os.fstat(self._file.fileno())
-        except FileNotFoundError as error:
-            raise BadInputError(
-                "is gone: moved or deleted while it was written", place=place
-            ) from error
-        if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
-            raise BadInputError("was replaced by another file", place=place)
-        if there.st_size < self._at:
-            raise BadInputError(
-                f"was cut: {there.st_size} bytes, {self._at} of which were read before", place=place
-            )
+        except FileNotFoundError:
+            place.refuse(text="is gone: moved or deleted while it was written")
+        place.require(os.path.samestat(there, ours), text="was replaced by another file")
+        place.require(
+            there.st_size >= self._at,
+            text=f"was cut: {there.st_size} bytes, {self._at} of which were read before",
+        )
         self._file.seek(0)
-        if self._file.read(len(_MAGIC)) != _MAGIC:
-            raise BadInputError("is not a recording", place=place)
+        place.require(self._file.read(len(_MAGIC)) == _MAGIC, text="is not a recording")
         self._file.seek(self._at)
         data = self._file.read(_MAX_CHUNK_BYTES)
         for opcode, begin, content in _records(BytesIO(data).read, len(data)):
             try:
                 self.found.add(opcode, content)
             except _DAMAGE as error:
-                raise BadInputError(
-                    f"damaged at byte {before + begin}: {error}", place=place
-                ) from error
+                place.refuse(text=f"damaged at byte {before + begin}: {error}")
             self._at = before + begin + len(content)
         return self._at > before
 

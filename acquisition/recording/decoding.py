@@ -190,8 +190,7 @@ def decode(
     index_of = kept(np.concatenate([[0], np.cumsum(intervals.steps[:-1])]))
     clock = sync_times(syncs, index_of, int(intervals.steps.sum()), bus.period_ns)
     if len(syncs.rows) >= MIN_SYNCS:
-        steps_s = np.diff(syncs.times) * 1e-9
-        refuse_period(clock.period_s, bus.file.sync_period_s, place, steps_s)
+        refuse_period(clock.period_s, bus.file.sync_period_s, place, np.diff(syncs.times) * 1e-9)
 
     # The frames that answer each SYNC.
     answers = associate(pdos, repeats, syncs, times_of, intervals)
@@ -302,10 +301,9 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
         counts = _integers(traffic, rows_of, drive, drive.position)
         wraps = unwrap(counts, drive.position.bits)[1]
         if len(wraps):
-            first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
             yield (
                 f"{drive.name}: its position counter wrapped {len(wraps)} times, first at "
-                f"{first_s:.4g} s: positions are continued"
+                f"{(stamps[wraps[0]] - stamps[0]) * 1e-9:.4g} s: positions are continued"
             )
 
 
@@ -352,39 +350,37 @@ def _warnings(
 ) -> list[str]:
     nominal_s = bus.file.sync_period_s
     at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
-    texts = [
-        f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted "
-        "forward"
-        for k, by_s in clock.set_back
-    ]
-    if abs(clock.period_s / nominal_s - 1) > 0.01:
-        texts.append(
-            f"SYNC came every {clock.period_s * 1e3:.4g} ms: expected {nominal_s * 1e3:g} ms as "
-            "robot.toml says"
-        )
-    if len(clock.pauses):
-        longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
-        texts.append(
-            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
-            f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
-        )
-    elif clock.jitter_s[1] > 0.5 * nominal_s:
-        texts.append(
-            f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period "
-            f"of {nominal_s * 1e3:g} ms"
-        )
-    if lost:
-        texts.append(f"{lost} SYNC were answered but not recorded")
-    if missing := int(answered[-1] - answered[0] + 1 - len(answered)):
-        texts.append(
-            f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps"
-        )
+    pauses = len(clock.pauses)
+    longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])] if pauses else 0
+    missing = int(answered[-1] - answered[0] + 1 - len(answered))
     at_ends = len(clock.stamps) - int(answered[-1] - answered[0] + 1)
-    if at_ends > max(MAX_AT_ENDS, MAX_SHARE_AT_ENDS * len(clock.stamps)):
-        texts.append(
-            f"{at_ends} of {len(clock.stamps)} SYNC at the beginning and the end give no rows"
-        )
-    for count in counts:
-        if losses := [f"{count.losses[word]} {word}" for word in LOSSES if count.losses[word]]:
-            texts.append(f"{count.name}: {', '.join(losses)} of {count.received}")
-    return texts
+    found = {
+        f"SYNC came every {clock.period_s * 1e3:.4g} ms: expected {nominal_s * 1e3:g} ms as "
+        "robot.toml says": abs(clock.period_s / nominal_s - 1) > 0.01,
+        f"SYNC paused {pauses} times for more than 1.5 periods, the longest "
+        f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s": pauses,
+        f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of "
+        f"{nominal_s * 1e3:g} ms": not pauses and clock.jitter_s[1] > 0.5 * nominal_s,
+        f"{lost} SYNC were answered but not recorded": lost,
+        f"{missing} samples are missing in {np.count_nonzero(np.diff(answered) > 1)} gaps": missing,
+        f"{at_ends} of {len(clock.stamps)} SYNC at the beginning and the end give no rows": (
+            at_ends > max(MAX_AT_ENDS, MAX_SHARE_AT_ENDS * len(clock.stamps))
+        ),
+    }
+    return [
+        *(
+            f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted "
+            "forward"
+            for k, by_s in clock.set_back
+        ),
+        *(text for text, holds in found.items() if holds),
+        *(
+            f"{count.name}: {losses} of {count.received}"
+            for count in counts
+            if (
+                losses := ", ".join(
+                    f"{count.losses[word]} {word}" for word in LOSSES if count.losses[word]
+                )
+            )
+        ),
+    ]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import BadInputError
+from ..errors import BadInputError, Place
 from ..robot import resolve, robot_from_files
 from .content import GrowingContent
 from .decoding import decode
@@ -37,19 +37,15 @@ class RecordingFollower:
         self._path, self.ended, self.problem = path, False, ""
         self._content = GrowingContent(path)
         self._content.read()
-        found = self._content.found
+        found, place = self._content.found, Place(str(path))
         if found.metadata is None or "robot.toml" not in found.attachments:
-            raise BadInputError(
-                "has no description yet", place=str(path), expected="a recording that is written"
-            )
+            place.refuse(text="has no description yet", expected="a recording that is written")
         self.metadata, self.robot = (
             found.metadata,
             robot_from_files(found.attachments, f"{path}: robot.toml"),
         )
         if self.robot.bus is None:
-            raise BadInputError(
-                "is of no bus", place=str(path), expected="a recording of `robot-acquire record`"
-            )
+            place.refuse(text="is of no bus", expected="a recording of `robot-acquire record`")
         self._file = self.robot.bus
         self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)

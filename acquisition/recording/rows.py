@@ -59,9 +59,9 @@ def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> 
     """Row of samples of `n` joints: `stamp_ns`; `position`, `effort`, `reference` and fields of
     `OPTIONAL`, (n,) each.
     """
-    fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
-    fields += [("reference", "<f8", (n,))] if reference else []
-    return np.dtype(fields + [(name, "<f8", (n,)) for name in OPTIONAL if name in optional])
+    names = ["position", "effort", *["reference"] * reference]
+    names += [name for name in OPTIONAL if name in optional]
+    return np.dtype([("stamp_ns", "<i8"), *((name, "<f8", (n,)) for name in names)])
 
 
 def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> tuple[Gap, ...]:

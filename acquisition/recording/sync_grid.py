@@ -102,8 +102,7 @@ def sync_times(syncs: Syncs, index_of: Ints, grid: int, nominal_ns: int) -> Sync
         kept(np.append(index_of, grid)),
         kept(np.append(since if syncs.ours else freed, after_last)),
     )
-    at = kept(np.interp(k, *ends))
-    stamps = int(times[0]) + np.rint(at).astype(np.int64)
+    stamps = int(times[0]) + np.rint(kept(np.interp(k, *ends))).astype(np.int64)
     stamps = kept(np.maximum.accumulate(np.maximum(stamps, 0) - k) + k)
     return SyncTimes(
         stamps=stamps,

@@ -238,8 +238,12 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         """Add records of pcap; all of them are a file of pcap with nanoseconds, whose
         head is in the first ones.
         """
-        kind = "pcap", "robot_idim/pcap", "text", "parts of a pcap file"
-        self._add(CAPTURE_TOPIC, kind, stamp_ns, records)
+        self._add(
+            CAPTURE_TOPIC,
+            ("pcap", "robot_idim/pcap", "text", "parts of a pcap file"),
+            stamp_ns,
+            records,
+        )
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Add an event."""
@@ -296,8 +300,12 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         self._writer.add_message(self._channels[topic], stamp_ns, content, stamp_ns)
 
     def _block(self, topic: str, schema: str, block: Block, stamp_ns: int) -> None:
-        kind = "numpy", schema, "numpy", repr(block.dtype.descr)
-        self._add(topic, kind, stamp_ns, block.tobytes())
+        self._add(
+            topic,
+            ("numpy", schema, "numpy", repr(block.dtype.descr)),
+            stamp_ns,
+            block.tobytes(),
+        )
 
     def _json(
         self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any
@@ -305,8 +313,12 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         Place(f"{self._place}: {topic}").require(
             stamp_ns >= 0, "stamp_ns", stamp_ns, "a time from 0"
         )
-        kind = "json", schema, "jsonschema", json.dumps(layout)
-        self._add(topic, kind, stamp_ns, msgspec.json.encode(content))
+        self._add(
+            topic,
+            ("json", schema, "jsonschema", json.dumps(layout)),
+            stamp_ns,
+            msgspec.json.encode(content),
+        )
 
     def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
         """Add JointStates, serialized to CDR by the package rosbags."""

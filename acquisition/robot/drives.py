@@ -98,8 +98,7 @@ class Drive:
     def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
         """The PDO that carries an object."""
         pdos = self.tpdos if direction == "tpdo" else self.rpdos
-        carried = (pdo for pdo in pdos if entry.key in [e.key for e in pdo.entries])
-        return next(carried, None)
+        return next((pdo for pdo in pdos if entry.key in [e.key for e in pdo.entries]), None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,10 +134,11 @@ class Bus:
     @property
     def provenance(self) -> str:
         """Origin of the efforts by drive; equal drives are listed together."""
-        names_by_text: dict[str, list[str]] = {}
-        for drive in self.drives:
-            names_by_text.setdefault(drive.effort.provenance, []).append(drive.name)
-        return "; ".join(f"{', '.join(names)}: {text}" for text, names in names_by_text.items())
+        told = [(drive.name, drive.effort.provenance) for drive in self.drives]
+        return "; ".join(
+            f"{', '.join(name for name, other in told if other == text)}: {text}"
+            for text in dict.fromkeys(text for _, text in told)
+        )
 
 
 def refuse_load(bus: Bus, place: str) -> None:

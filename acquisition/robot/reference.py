@@ -180,8 +180,10 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
     obstacles are not checked.
     """
     distance = np.abs(end - start)
-    speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
-    acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
+    speed, acceleration = (
+        np.array([joint.si(quantity) for joint in robot.joints]) * APPROACH_SHARE
+        for quantity in ("speed", "acceleration")
+    )
     # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
     duration_s = float(
         np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration)).max(

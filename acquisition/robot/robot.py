@@ -311,9 +311,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         "robot.urdf",
         SIMULATED_CONTROLLER,
         *(name for name in files if name.startswith(_MESH)),
+        *(dictionary_label(d.dictionary) for d in (f.bus.drive if f.bus else ()) if d.dictionary),
     ]
-    if f.bus is not None:
-        names += [dictionary_label(d.dictionary) for d in f.bus.drive if d.dictionary is not None]
     return Robot(
         name=f.name,
         joints=f.joint if urdf is None else _with_urdf_efforts(f.joint, urdf, at),
@@ -358,14 +357,17 @@ def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tu
     """Joints without an effort limit get that of the URDF, unless it is 0 or missing."""
     try:
         # not of transmissions
-        limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).findall("joint")}
+        limits = {
+            joint.get("name"): limit.get("effort", "")
+            for joint in ET.fromstring(urdf).findall("joint")
+            for limit in joint.findall("limit")[:1]
+        }
     # reported by the code that needs the URDF's model
     except (ET.ParseError, ValueError, LookupError):
         return joints
     out = []
     for joint in joints:
-        limit = limits.get(joint.name)
-        text = "" if limit is None else limit.get("effort", "")
+        text = limits.get(joint.name, "")
         try:
             effort = float(text or 0)
         except ValueError:
