@@ -64,8 +64,10 @@ def refuse_clash(
     does not have it. `option` names the output. `of_kinds` are outputs by their kind, which is the
     ending of the other `outputs`.
     """
-    named = [(path.suffix.lower()[1:], path) for path in outputs if path is not None]
-    named += [(kind, path) for kind, path in (of_kinds or {}).items() if path is not None]
+    named = [
+        *((path.suffix.lower()[1:], path) for path in outputs if path is not None),
+        *((kind, path) for kind, path in (of_kinds or {}).items() if path is not None),
+    ]
     for k, (kind, output) in enumerate(named):
         place = Place(str(output))
         for path in inputs:

@@ -143,8 +143,10 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
     """
     frames, others = read_log(path)
     names = {name: f"CAN {name}" if name.isdecimal() else name for name in frames}
-    counts = {name: f"{len(some)} of {names[name]}" for name, some in frames.items()}
-    counts |= {what: f"{count} {what}" for what, count in others.items()}
+    counts = {
+        **{name: f"{len(some)} of {names[name]}" for name, some in frames.items()},
+        **{what: f"{count} {what}" for what, count in others.items()},
+    }
     Place(str(path)).require(
         names,
         text=f"holds no CAN frames{f' ({listed([*counts.values()])})' if counts else ''}",

@@ -29,8 +29,8 @@ from .process_data import (
     MAX_BACK,
     MAX_OFF,
     ProcessData,
-    parse_mapping,
 )
+from .slaves import parse_mapping
 from .time_base import ImportSummary
 
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
@@ -125,8 +125,10 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
         for block in joint_samples(_chosen(rows, chosen, stamp_ns, has_reference), robot, bus):
             writer.samples(block)
             t_s = (block["stamp_ns"] - first_ns) * np.float64(1e-9)
-            warnings += check_recorded_positions(robot, t_s, block["position"], str(at))
-            warnings += check_recorded_efforts(robot, block["effort"])
+            warnings += [
+                *check_recorded_positions(robot, t_s, block["position"], str(at)),
+                *check_recorded_efforts(robot, block["effort"]),
+            ]
         warnings = list(dict.fromkeys(warnings))
         for text in warnings:
             writer.event(last_ns, "warning", text)

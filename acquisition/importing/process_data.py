@@ -4,12 +4,12 @@ drives (CoE), in file order.
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NoReturn, TypeAlias
+from typing import NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
 
 from ..arrays import Bools, Ints
-from ..errors import BadInputError, Place, listed
+from ..errors import Place, listed
 from ..files import GrowingBytes, field_of, release_pages
 from ..protocol import ObjectEntry
 from ..recording import Block, in_parts, minimum_ahead
@@ -31,31 +31,17 @@ _MAPPING = (
     "inputs, gaps as 0:BITS"
 )
 
-# command, logical address and bytes of datagrams; whether they came back
-Part: TypeAlias = tuple[int, int, int, bool]
 # by quantity and drive: byte in a part, and type
 Fields: TypeAlias = dict[tuple[str, int], tuple[int, str]]
 
 
-def parse_mapping(texts: Sequence[str]) -> list[Entries]:
-    """Objects with their bits of each slave in `--mapping`."""
-    found = list[Entries]()
-    for text in texts:
-        try:
-            words = [word.split(":") for word in text.split(",")]
-            found.append(
-                [
-                    ((int(index, 16), int("".join(sub) or 0)), int(bits))
-                    for index, *sub, bits in words
-                ]
-            )
-        except ValueError:
-            found.append([])
-        if not found[-1] or not all(0 < bits < 2**14 for _, bits in found[-1]):
-            raise BadInputError(
-                key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16"
-            )
-    return found
+class Part(NamedTuple):
+    """Datagrams of one logical address, on their way out or `back`."""
+
+    command: int
+    address: int
+    size: int
+    back: bool
 
 
 class ProcessData:
@@ -93,7 +79,7 @@ class ProcessData:
         key = process["command"].astype(np.int64) << 44 | process["address"].astype(np.int64) << 12
         key |= process["length"].astype(np.int64) << 1 | (process["counter"] > 0)
         for k in np.unique(key):
-            part = int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1)
+            part = Part(int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1))
             parts[part] = process[key == k]
             self._seen[part] = self._seen.get(part, 0) + len(parts[part])
         if not self._fields:
@@ -152,13 +138,13 @@ class ProcessData:
         for i, (drive, station) in enumerate(stations):
             for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
                 at = objects[station][0].get(entry.key, (0, 0))
-                if 8 * at[1] != entry.bits:
-                    text = (
-                        f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not "
-                        "among its inputs"
-                    )
-                    names = listed([f"{index:04X}:{sub}" for index, sub in objects[station][0]])
-                    self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
+                names = [f"{index:04X}:{sub}" for index, sub in objects[station][0]]
+                self._place.require(
+                    8 * at[1] == entry.bits,
+                    text=f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not "
+                    "among its inputs",
+                    expected=f"one of {listed(names)} in robot.toml",
+                )
                 self._add_field(inputs, (name, i), entry, at, (LRD, LRW))
             at = objects[station][1].get(drive.target.key, (0, 0))
             self._add_field(outputs, ("target", i), drive.target, at, (LWR, LRW))
@@ -199,15 +185,15 @@ class ProcessData:
         parts = [
             part
             for part in self._seen
-            if part[0] in commands
-            and part[3] == back
-            and part[1] <= address
-            and address + size <= part[1] + part[2]
+            if part.command in commands
+            and part.back == back
+            and part.address <= address
+            and address + size <= part.address + part.size
         ]
         if size and parts:
             part = max(parts, key=self._seen.__getitem__)
             kind = f"<{entry.type[0].lower()}{size}"
-            fields.setdefault(part, {})[key] = address - part[1], kind
+            fields.setdefault(part, {})[key] = address - part.address, kind
 
     def _objects(self) -> dict[int, tuple[Located, Located]]:
         slaves = self._slaves[True]
@@ -219,9 +205,8 @@ class ProcessData:
                 "out"
             )
         bits = [sum(bits for _, bits in slave) for slave in self._mapping]
-        base = next(
-            (at for command, at, n, _ in self._seen if command != LWR and 8 * n == sum(bits)), None
-        )
+        inputs = (part for part in self._seen if part.command != LWR)
+        base = next((part.address for part in inputs if 8 * part.size == sum(bits)), None)
         if base is None:
             raise ValueError(f"--mapping has {sum(bits)} bits")
         placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
@@ -244,13 +229,13 @@ class ProcessData:
         joined, for long captures.
         """
         station = self._slaves[True].contradicts(self._slaves[False])
-        if station is not None:
-            text = (
-                f"the configuration of station {station} that came back is not the one that "
-                "went out"
-            )
-            self._place.refuse(text=text, expected="an undamaged capture of one start of the bus")
-        inputs = [part for part in self._fields if part[3]]
+        self._place.require(
+            station is None,
+            text=f"the configuration of station {station} that came back is not the one that "
+            "went out",
+            expected="an undamaged capture of one start of the bus",
+        )
+        inputs = [part for part in self._fields if part.back]
         if not inputs or not all(self._columns[part].tell() for part in inputs):
             self.refuse_no_rows()
         parts = {
@@ -261,9 +246,11 @@ class ProcessData:
         clock = sum(int((some["clock_ns"] >= 0).sum()) for some in in_parts(main)) > len(main) / 2
         # the stamps do not tell when later rows came, distributed clocks do
         for _, by_ns, since_ns in () if clock else steps_back(field_of(main, "time_ns")):
-            if by_ns > MAX_BACK * self._bus.period_ns:
-                text = f"times step back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s"
-                self._place.refuse(text=text, expected=ONE_CLOCK)
+            self._place.require(
+                by_ns <= MAX_BACK * self._bus.period_ns,
+                text=f"times step back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s",
+                expected=ONE_CLOCK,
+            )
         joined, begin = GrowingBytes(), 0
         for first in range(0, len(main), AT_ONCE):
             end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1
@@ -302,8 +289,8 @@ class ProcessData:
         whole = good.copy()
         for part, near in parts.items():
             other, _ = self._undoubled(near)
-            index, certain = (_join if part[3] else _sent)(main, other, period)
-            if part[3]:
+            index, certain = (_join if part.back else _sent)(main, other, period)
+            if part.back:
                 good &= certain
                 whole &= other["counter"][index] == full[part] if len(other) else False
             else:
@@ -316,7 +303,7 @@ class ProcessData:
     def _full(self, part: Part, rows: Block) -> int:
         """The full working counter: by FMMUs, else the highest that is no damage."""
         if self._slaves[True].mapped:
-            return self._slaves[True].full_counter(*part[:3])
+            return self._slaves[True].full_counter(part.command, part.address, part.size)
         count = sum(np.bincount(some["counter"], minlength=2**16) for some in in_parts(rows))
         return int(np.flatnonzero(count > _MIN_SHARE * len(rows))[-1])
 
@@ -339,21 +326,22 @@ class ProcessData:
         """Say what is missing in the capture."""
         most = sorted(self._seen, key=lambda part: -self._seen[part])[:4]
         shown = listed(
-            [f"{_NAMES[command]} of {n} bytes at 0x{address:X}" for command, address, n, _ in most]
+            [f"{_NAMES[part.command]} of {part.size} bytes at 0x{part.address:X}" for part in most]
         )
-        text, expected = (
-            f"no row of all drives with full working counters in {shown}",
-            "a bus in operation",
+        self._place.require(
+            any(part.back for part in self._seen),
+            text=f"no process data come back from the slaves; it has {shown}",
+            expected="a bus in operation, both directions: capture on the master's own interface",
         )
-        if not any(part[3] for part in self._seen):
-            text = f"no process data come back from the slaves; it has {shown}"
-            expected = "a bus in operation, both directions: capture on the master's own interface"
-        elif not self._fields:
-            text, expected = (
-                f"{self._why}{self._slaves[True].problem}; it has {shown}",
-                f"a capture from the start of the bus, or {_MAPPING}",
-            )
-        self._place.refuse(text=text, expected=expected)
+        self._place.require(
+            self._fields,
+            text=f"{self._why}{self._slaves[True].problem}; it has {shown}",
+            expected=f"a capture from the start of the bus, or {_MAPPING}",
+        )
+        self._place.refuse(
+            text=f"no row of all drives with full working counters in {shown}",
+            expected="a bus in operation",
+        )
 
 
 def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
+from ..errors import BadInputError
 from ..protocol import ANSWER, REQUEST, Confirmed, Key, Values, words_of
 
 APWR, FPRD, BWR, WRITES = 2, 4, 8, (2, 5, 8)  # commands
@@ -21,6 +22,27 @@ Way: TypeAlias = tuple[int, int, int]  # sync manager, object with its PDOs, bit
 INPUTS: Way = (3, 0x1C13, 1)
 OUTPUTS: Way = (2, 0x1C12, 2)
 _MAPPING = (INPUTS[1], OUTPUTS[1], *range(0x1600, 0x1800), *range(0x1A00, 0x1C00))
+
+
+def parse_mapping(texts: Sequence[str]) -> list[Entries]:
+    """Objects with their bits of each slave in `--mapping`."""
+    found = list[Entries]()
+    for text in texts:
+        try:
+            words = [word.split(":") for word in text.split(",")]
+            found.append(
+                [
+                    ((int(index, 16), int("".join(sub) or 0)), int(bits))
+                    for index, *sub, bits in words
+                ]
+            )
+        except ValueError:
+            found.append([])
+        if not found[-1] or not all(0 < bits < 2**14 for _, bits in found[-1]):
+            raise BadInputError(
+                key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16"
+            )
+    return found
 
 
 class Slaves:

@@ -353,8 +353,10 @@ def write_samples(
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)
-    overshoots = check_recorded_positions(robot, t_s, parts["position"], place)
-    overshoots += check_recorded_efforts(robot, parts["effort"])
+    overshoots = (
+        *check_recorded_positions(robot, t_s, parts["position"], place),
+        *check_recorded_efforts(robot, parts["effort"]),
+    )
     zero = [
         joint.name
         for joint, column in zip(robot.joints, parts["effort"].T, strict=True)

@@ -107,11 +107,15 @@ STANDARD |= {
     (INTERPOLATION_PERIOD, 2): "I8",
     (POSITION_LIMITS, 1): "I32",
     (POSITION_LIMITS, 2): "I32",
+    **{(index, sub): "U32" for index in POSITION_UNITS for sub in (1, 2)},
 }
-STANDARD |= {(index, sub): "U32" for index in POSITION_UNITS for sub in (1, 2)}
 # Further ones of CiA 301 and 402, which simulated drives without a dictionary do not need.
-_MORE_TYPES = {(0x1029, 1): "U8"} | dict.fromkeys(((0x1015, 0), (0x603F, 0)), "U16")
-_MORE_TYPES |= {(index, 0): "U32" for index in (0x1002, 0x1005, 0x1006, 0x1007, 0x1014, *TEXTS)}
+_MORE_TYPES = {
+    (0x1029, 1): "U8",
+    (0x1015, 0): "U16",
+    (0x603F, 0): "U16",
+    **{(index, 0): "U32" for index in (0x1002, 0x1005, 0x1006, 0x1007, 0x1014, *TEXTS)},
+}
 
 
 @dataclass(frozen=True, kw_only=True)

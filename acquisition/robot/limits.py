@@ -98,13 +98,11 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     overshoots, at, step_s = [], Place(place), np.diff(stamp_s)
     step_s = np.maximum(step_s, np.median(step_s)) if len(step_s) else step_s
     for joint, x in zip(robot.joints, q.T, strict=True):
-        overshoots += _position(joint, stamp_s, x, at)
-        overshoots += _speed(joint, stamp_s, step_s, x, at)
-    pairs = zip(q.T, robot.joints, strict=True) if len(q) else ()
+        overshoots += [*_position(joint, stamp_s, x, at), *_speed(joint, stamp_s, step_s, x, at)]
     turning = [
         (np.degrees([x.min(), x.max()]), joint.si("position"))
-        for x, joint in pairs
-        if joint.type == "revolute"
+        for x, joint in zip(q.T, robot.joints, strict=True)
+        if joint.type == "revolute" and len(q)
     ]
     within = all(by and by[0] <= min(0.0, x[0]) and max(0.0, x[1]) <= by[1] for x, by in turning)
     if within and any(np.ptp(x) > MIN_USED_RANGE * (by[1] - by[0]) for x, by in turning):
