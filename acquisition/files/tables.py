@@ -213,9 +213,12 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Pla
         text=f"column {column!r}: the file has no header line",
         expected=f"numbers from 1 to {len(names)}",
     )
-    if names.count(column) != 1:
-        found = "does not exist" if column not in names else f"exists {names.count(column)} times"
-        place.refuse(text=f"column {column!r} {found}", expected=f"one of {listed(names)}")
+    found = "does not exist" if column not in names else f"exists {names.count(column)} times"
+    place.require(
+        names.count(column) == 1,
+        text=f"column {column!r} {found}",
+        expected=f"one of {listed(names)}",
+    )
     return names.index(column)
 
 

@@ -1,6 +1,19 @@
 """Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles.
 
-Nothing is ever sent.
+Nothing is ever sent. In each cycle the master's datagrams pass all slaves, which write their inputs
+to them, read their outputs and count in the working counter, and come back:
+
+    captures        packets in the order of their times, and the datagrams in them
+    slaves          logical address of each object that a slave maps, by its FMMUs and by CoE
+    process_data    rows: the integers of all drives, of datagrams with full working counters
+    this file       number of the cycle of each row, the time of each cycle
+
+1. **Cycles**: rows are late by delays of the capture, which do not last. So a row is no later than
+   the least of the next rows, counted in periods; a step of whole periods in that is cycles without
+   a row. The number of a delayed row is certain if those of the rows before and after it agree.
+2. **Times**: whole periods from a common start, the median over all rows.
+3. **Reference**: what a master sends in a cycle is the target that the drives have in the next one,
+   so a row needs the row of the cycle before.
 """
 
 from collections.abc import Iterator

@@ -205,16 +205,14 @@ def rows_to_interpolate(
     time_s, parts = time_s[rows], {name: taken(x, rows) for name, x in parts.items()}
     steps = np.diff(time_s)
     k, most = int(np.argmax(steps)), largest_gap_periods or MOST_MISSING * len(steps)
-    if steps[k] > (most + 0.5) * report.period_s:
-        after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
-        place.refuse(
-            "time",
-            expected=(
-                f"{most:g} periods of {report.period_s:.6g} s at most; import the "
-                "parts before and after it separately, or set time.largest_gap_periods"
-            ),
-            text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
-        )
+    place.require(
+        steps[k] <= (most + 0.5) * report.period_s,
+        "time",
+        expected=f"{most:g} periods of {report.period_s:.6g} s at most; import the parts before "
+        "and after it separately, or set time.largest_gap_periods",
+        text=f"a gap of {steps[k]:.6g} s after {time_s[k] - time_s[0]:.6g} s, "
+        f"{steps[k] / report.period_s:.1f} periods",
+    )
     return time_s, parts, replace(report, off=report.rows - len(rows))
 
 
@@ -313,13 +311,12 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
     duration_s = float(time_s[-1] - time_s[0])
     period = duration_s / len(steps)
     off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
-    if off.max() > 0.5 * period:
-        row = int(np.argmax(off))
-        place.refuse(
-            f"row {row + 1}",
-            expected=f"{0.5 * period:.6g} s at most; {way_out}",
-            text=f"{off[row]:.6g} s off a uniform grid",
-        )
+    place.require(
+        off.max() <= 0.5 * period,
+        f"row {int(np.argmax(off)) + 1}",
+        expected=f"{0.5 * period:.6g} s at most; {way_out}",
+        text=f"{off.max():.6g} s off a uniform grid",
+    )
     # Rounded within the scatter of the times: 1000, not 1000.00000013.
     scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
     return GridValues(

@@ -143,16 +143,15 @@ class Bus:
 
 def refuse_load(bus: Bus, place: str) -> None:
     """Refuse PDOs that do not fit between two SYNCs; for sessions that send, not for listeners."""
-    if bus.load > MAX_LOAD:
-        period_s = bus.file.sync_period_s
-        Place(place, "bus").refuse(
-            "sync_period_s",
-            period_s,
-            f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or "
-            "fewer PDOs",
-            text=f"{bus.load:.0%} of {bus.file.bitrate} bit/s",
-            shown=f"{period_s:g}",
-        )
+    period_s = bus.file.sync_period_s
+    Place(place, "bus").require(
+        bus.load <= MAX_LOAD,
+        "sync_period_s",
+        period_s,
+        f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or fewer PDOs",
+        text=f"{bus.load:.0%} of {bus.file.bitrate} bit/s",
+        shown=f"{period_s:g}",
+    )
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
@@ -208,9 +207,11 @@ def refuse_pdos(bus: Bus, place: str) -> None:
             )
             name = f"identifier 0x{pdo.can_id:03X}"
             usual = range(cia.LOWEST_CAN_ID, cia.HIGHEST_CAN_ID + 1)
-            if pdo.can_id not in usual and pdo.can_id not in FREE_CAN_IDS:
-                expected = f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}"
-                at.refuse(text=name, expected=expected)
+            at.require(
+                pdo.can_id in usual or pdo.can_id in FREE_CAN_IDS,
+                text=name,
+                expected=f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}",
+            )
             if pdo.can_id in used:
                 at.refuse(text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own")
             used[pdo.can_id] = f"a PDO of {drive.name}"

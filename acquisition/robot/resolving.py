@@ -235,13 +235,13 @@ def _pdos(
                 "an identifier: only the first four PDOs have a usual one",
             )
         pdo = cia.Pdo(number=number, can_id=can_id, entries=entries)
-        if pdo.bits > cia.MAX_PDO_BITS:
-            sizes = " + ".join(str(e.bits // 8) for e in entries)
-            at.refuse(
-                f"{way}[{k}].objects",
-                text=f"{sizes} = {pdo.length} bytes",
-                expected="8 at most; use a second PDO",
-            )
+        sizes = " + ".join(str(e.bits // 8) for e in entries)
+        at.require(
+            pdo.bits <= cia.MAX_PDO_BITS,
+            f"{way}[{k}].objects",
+            text=f"{sizes} = {pdo.length} bytes",
+            expected="8 at most; use a second PDO",
+        )
         pdos.append(pdo)
     return tuple(pdos)
 
