@@ -21,8 +21,8 @@ CLASSES = (
     "SdoAbortedError",
 )
 # Of each way to raise: the names of the positional arguments.
-POSITIONS = dict.fromkeys(CLASSES, ("text",))
-POSITIONS |= {
+POSITIONS = {
+    **dict.fromkeys(CLASSES, ("text",)),
     "refuse": ("key", "value", "expected"),
     "require": ("holds", "key", "value", "expected"),
 }

@@ -100,8 +100,7 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
     plain = robot_from_files(
         {"robot.toml": ROBOT.replace("zero_deg = 90\n", "").encode()}, "plain.toml"
     )
-    result = run(tmp_path, plain, table_map, table)
-    recording = read_recording(result.out)
+    recording = read_recording(run(tmp_path, plain, table_map, table).out)
     samples = recording.samples
     assert samples["position"] == pytest.approx(np.deg2rad(Q))
     assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
