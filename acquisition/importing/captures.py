@@ -4,6 +4,7 @@ some thousands at a time.
 
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -60,11 +61,9 @@ class Packets(NamedTuple):
 
 def is_capture(path: Path) -> bool:
     """Whether a file begins as pcap or pcapng do."""
-    try:
-        with path.open("rb") as file:
-            return (head := file.read(4)) == _BLOCKS or head in _RECORDS
-    except OSError:
-        return False
+    with suppress(OSError), path.open("rb") as file:
+        return (head := file.read(4)) == _BLOCKS or head in _RECORDS
+    return False
 
 
 def packets(

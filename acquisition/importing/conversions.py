@@ -152,11 +152,11 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
         text=f"holds no CAN frames{f' ({listed([*counts.values()])})' if counts else ''}",
         expected="some of classic CAN",
     )
-    if len(names) > 1 and channel not in names:
-        Place(str(path)).refuse(
-            text=f"frames: {listed([*counts.values()])}",
-            expected=f"one of {listed([*map(repr, names)])} as bus.channel in robot.toml",
-        )
+    Place(str(path)).require(
+        len(names) == 1 or channel in names,
+        text=f"frames: {listed([*counts.values()])}",
+        expected=f"one of {listed([*map(repr, names)])} as bus.channel in robot.toml",
+    )
     taken = channel if len(names) > 1 else next(iter(names))
     told = f"frames of {names[taken]} are used; " if len(names) > 1 else ""
     left_out = [text for what, text in counts.items() if what != taken]

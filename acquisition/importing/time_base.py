@@ -52,20 +52,19 @@ class TimeReport:
     @property
     def text(self) -> str:
         """The report in one line."""
-        parts = [
+        parts = {
             f"{self.clock} of {self.rows} rows: steps {1e3 * self.shortest_s:.4g} to "
-            f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms",
-            f"jitter sd {1e3 * self.jitter_s:.4g} ms",
-            f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps",
-            f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows",
-        ]
-        if self.off:
-            parts.append(f"{self.off} rows left out whose {self.clock} the motion contradicts")
-        if self.stamps_off_s is not None:
-            parts.append(f"stamps sd {1e3 * self.stamps_off_s:.4g} ms about the {self.clock}")
-        if self.grid_hz is not None:
-            parts.append(f"interpolated to {self.grid_hz:.9g} Hz")
-        return ", ".join(parts)
+            f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms": True,
+            f"jitter sd {1e3 * self.jitter_s:.4g} ms": True,
+            f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps": True,
+            f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows": True,
+            f"{self.off} rows left out whose {self.clock} the motion contradicts": self.off,
+            f"stamps sd {1e3 * (self.stamps_off_s or 0.0):.4g} ms about the {self.clock}": (
+                self.stamps_off_s is not None
+            ),
+            f"interpolated to {self.grid_hz or 0.0:.9g} Hz": self.grid_hz is not None,
+        }
+        return ", ".join(text for text, holds in parts.items() if holds)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

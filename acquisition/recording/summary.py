@@ -1,6 +1,6 @@
 """Overview of a recording: tables for people, JSON for programs."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -120,7 +120,9 @@ def as_tables(found: Mapping[str, Any]) -> Group:
     if found["first_ns"] is None:
         since = "at, s"
     tables = [
-        _table(("", ""), [(Text(name, style="bold"), value) for name, value in _facts(found)]),
+        _table(
+            ("", ""), [(Text(name, style="bold"), value) for name, value in _facts(found).items()]
+        ),
         _table(
             ("joint", "position", "", "unit", "effort", "", "unit"),
             [
@@ -155,51 +157,44 @@ def _seconds(stamp_ns: int, found: Mapping[str, Any]) -> str:
     return f"{(stamp_ns - (found['first_ns'] or 0)) * 1e-9:.6f}"
 
 
-def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "robot", found["robot"]
-    yield "source", found["source"]
-    yield "created", f"{found['created']} by {found['software']}"
-    yield "end", "missing: only what was written before the cut" if found["cut"] else "whole"
-    if found["samples"]:
-        yield (
-            "samples",
-            f"{found['samples']} at {found['sample_rate_hz']:g} Hz, {found['duration_s']:g} s, "
-            f"{'with' if found['has_reference'] else 'without'} reference",
-        )
-        missing = sum(gap.missing for gap in found["gaps"] if not gap.late)
-        late = sum(gap.late for gap in found["gaps"])
-        yield (
-            "gaps",
-            f"{len(found['gaps'])}, {missing} samples missing, {late} SYNC late"
-            if found["gaps"]
-            else "none",
-        )
-        sd, worst = (1e3 * value for value in found["step_jitter_s"])
-        yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
-    else:
-        yield "samples", found["no_samples"]
-    yield from (
-        (key.partition("_")[0], found[key])
-        for key in ("times", "rows", "effort_provenance", "payload_text")
-        if found[key]
-    )
-    for count in found["frames"]:
-        yield (
-            f"CAN {count['channel']}",
-            f"{count['frames']} frames, {count['sent']} of them sent, {count['duration_s']:g} s",
-        )
-    if found["events"]:
-        yield "events", str(len(found["events"]))
-    if found["health"] is not None:
-        yield (
-            "health",
-            ", ".join(f"{name} {value:g}" for name, value in found["health"].counters.items()),
-        )
-    yield (
-        "attached",
-        ", ".join(f"{name} ({size} bytes)" for name, size in found["attachments"].items()),
-    )
-    yield "sha256", found["sha256"]
+def _facts(found: Mapping[str, Any]) -> dict[str, str]:
+    missing = sum(gap.missing for gap in found["gaps"] if not gap.late)
+    late = sum(gap.late for gap in found["gaps"])
+    sd, worst = (1e3 * value for value in found["step_jitter_s"])
+    of_samples = {
+        "samples": f"{found['samples']} at {found['sample_rate_hz']:g} Hz, "
+        f"{found['duration_s']:g} s, {'with' if found['has_reference'] else 'without'} reference",
+        "gaps": f"{len(found['gaps'])}, {missing} samples missing, {late} SYNC late"
+        if found["gaps"]
+        else "none",
+        "steps": f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out",
+    }
+    counters = {} if found["health"] is None else found["health"].counters
+    optional = {
+        **{
+            key.partition("_")[0]: found[key]
+            for key in ("times", "rows", "effort_provenance", "payload_text")
+        },
+        **{
+            f"CAN {count['channel']}": f"{count['frames']} frames, {count['sent']} of them sent, "
+            f"{count['duration_s']:g} s"
+            for count in found["frames"]
+        },
+        "events": found["events"] and str(len(found["events"])),
+        "health": ", ".join(f"{name} {value:g}" for name, value in counters.items()),
+    }
+    return {
+        "robot": found["robot"],
+        "source": found["source"],
+        "created": f"{found['created']} by {found['software']}",
+        "end": "missing: only what was written before the cut" if found["cut"] else "whole",
+        **(of_samples if found["samples"] else {"samples": found["no_samples"]}),
+        **{name: text for name, text in optional.items() if text},
+        "attached": ", ".join(
+            f"{name} ({size} bytes)" for name, size in found["attachments"].items()
+        ),
+        "sha256": found["sha256"],
+    }
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]]) -> Table:
