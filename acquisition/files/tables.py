@@ -120,8 +120,8 @@ def _parse_csv(
     """Names, whether there is a header, separator (None: blanks), rows with their line numbers,
     decimal commas as points.
     """
-    marked = data.startswith((b"\xff\xfe", b"\xfe\xff"))  # byte order marks
-    text = data.decode("utf-16" if marked else "utf-8-sig", errors="replace")
+    is_utf_16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))  # byte order marks
+    text = data.decode("utf-16" if is_utf_16 else "utf-8-sig", errors="replace")
     if "\N{REPLACEMENT CHARACTER}" in text:
         text = data.decode("cp1252", errors="replace")  # Windows in western Europe
     text = text.replace('"', "")
@@ -141,7 +141,6 @@ def _parse_csv(
         ]
     first = lines[0][1].lstrip("# \t")
     separator = next((mark for mark in ";\t," if mark in first), None)
-    names = [cell.strip() for cell in first.split(separator)]
     rows = [lines[0], *((k, line) for k, line in lines[1:] if not line.startswith("#"))]
     if separator != "," and "," in text and not any(_POINT.search(line) for _, line in rows[1:]):
         rows = [(k, line.replace(",", ".")) for k, line in rows]
@@ -150,8 +149,10 @@ def _parse_csv(
     above = rows[0][1].lstrip("# \t").split(separator)
     pairs = zip(above, below + ["0"] * len(above), strict=False)
     has_header = any(_number(x) is None and _number(under) is not None for x, under in pairs)
-    if not has_header:
-        names = [f"column {k}" for k in range(1, len(names) + 1)]
+    names = [
+        cell.strip() if has_header else f"column {k}"
+        for k, cell in enumerate(first.split(separator), 1)
+    ]
     rows = rows[has_header or first != lines[0][1] :]
     while has_header and len(rows) > 1 and not _has_numbers(rows[0][1]):
         del rows[0]  # of units or types

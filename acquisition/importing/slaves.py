@@ -119,8 +119,11 @@ class Slaves:
         unknown = [f"{at} {word}" for at, word in words if isinstance(word, str)]
         if unknown and (way[1], 0) in objects:
             self.problem = self.problem or f": station {station}: {unknown[0]}"
-        known = (word for _, word in words if isinstance(word, int) and not unknown)
-        return [((word >> 16, word >> 8 & 0xFF), word & 0xFF) for word in known]
+        return [
+            ((word >> 16, word >> 8 & 0xFF), word & 0xFF)
+            for _, word in words
+            if isinstance(word, int) and not unknown
+        ]
 
     def _state(self, station: int) -> tuple[bytes, Values]:
         return bytes(self.registers.get(station, b"")), dict(self.written[station].values)

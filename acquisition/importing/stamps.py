@@ -189,11 +189,10 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
     for first, last in edges.reshape(-1, 2):
         run = slice(first, last + 1)
         ticks[run] = counted[run] + np.rint(np.median(by_stamp[run] - counted[run]))
-    rows = np.arange(len(q))
     anchors = np.unique(
         np.concatenate([[0], np.flatnonzero(known), np.flatnonzero(known) + 1, [len(q) - 1]])
     )
-    return np.maximum.accumulate(np.rint(np.interp(rows, anchors, ticks[anchors])))
+    return np.maximum.accumulate(np.rint(np.interp(np.arange(len(q)), anchors, ticks[anchors])))
 
 
 def smallest_difference(q: Array) -> Array:

@@ -48,12 +48,12 @@ class ObjectDictionary:
     @property
     def identity(self) -> list[tuple[int, str, int]]:
         """Vendor and product, if stated in 1018h or [DeviceInfo]: sub-index, name, number."""
-        asked = (
-            (sub, name, self.entries[IDENTITY, sub].value or number)
-            for sub, name, number in ((1, "vendor", self.vendor), (2, "product", self.product))
+        return [
+            (sub, name, number)
+            for sub, name, stated in ((1, "vendor", self.vendor), (2, "product", self.product))
             if (IDENTITY, sub) in self.entries
-        )
-        return [one for one in asked if one[2]]
+            and (number := self.entries[IDENTITY, sub].value or stated)
+        ]
 
 
 @lru_cache(maxsize=32)

@@ -158,8 +158,9 @@ def contradicted(direction: str, pdo: Pdo, values: Values) -> list[tuple[Key, in
         if isinstance(value, int) and value & (NOT_VALID | _IDENTIFIER) == pdo.can_id
         for k in range(len(stated))
     ]
-    found = ((key, values.get(key)) for key in keys)
-    return [(key, n) for key, n in found if isinstance(n, int) and n != stated[key[1]]]
+    return [
+        (key, n) for key in keys if isinstance(n := values.get(key), int) and n != stated[key[1]]
+    ]
 
 
 def frame_bits(length: int) -> int:

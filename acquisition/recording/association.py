@@ -112,6 +112,7 @@ def associate(
     progress = _progress(pdos, syncs.rows, intervals)
     stretches = _stretches(progress, intervals)
     cuts = stretches.cuts
+
     # Count what is lost while all drives answer.
     first, end = np.searchsorted(syncs.rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
     span = np.clip(cuts, first - 1, max(first - 1, end))
@@ -121,6 +122,7 @@ def associate(
         for again, x in zip(repeats, grown, strict=True)
     ]
     asked = max(1, int(progress.edges[span[-1]] - progress.edges[span[0]]))
+
     # Keep the stretches that are whole and in no doubt.
     damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
     again = interval_of(np.concatenate(repeats), syncs.rows)

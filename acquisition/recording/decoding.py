@@ -176,6 +176,8 @@ def decode(
     traffic = Traffic(frames)
     times_of = partial(traffic.at, "time_ns")
     syncs = _syncs(traffic, bus, place)
+
+    # What was received of each PDO that holds a position or an effort.
     carriers = _carriers(bus)
     pdos, repeats, short = zip(
         *(_frames_of(traffic, syncs, pdo, name, place) for pdo, name in carriers.items()),

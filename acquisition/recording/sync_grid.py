@@ -119,8 +119,10 @@ def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int
     back = np.flatnonzero(steps < 0)
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 1
     jumps = np.cumsum(np.where(steps < 0, usual - steps, 0))
-    set_back = tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back)
-    return kept(times + np.append(0, jumps)), set_back
+    return (
+        kept(times + np.append(0, jumps)),
+        tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back),
+    )
 
 
 def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Ints, float]:

@@ -128,9 +128,8 @@ class Robot:
         """Drive gains (n,), motor torque per unit of recorded effort; ones if not known."""
         if self.identified_gain is not None:
             return self.identified_gain
-        gain = np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
-        gain.flags.writeable = False
-        return gain
+        gains = [1.0 if m.gain is None else m.gain for m in self.motors]
+        return np.broadcast_to(gains, self.n)  # read-only
 
     @cached_property
     def saturation(self) -> Array:
@@ -301,8 +300,11 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
             f.payload.frame,
             "a link of the URDF",
         )
-    ratios = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
-    R = ratios if f.motor_matrix is None else np.array(f.motor_matrix, dtype=float)
+    R = (
+        np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
+        if f.motor_matrix is None
+        else np.array(f.motor_matrix, dtype=float)
+    )
     gravity = np.array(f.gravity_m_s2, dtype=float)
     for array in (R, gravity):
         array.flags.writeable = False
