@@ -248,7 +248,6 @@ def _mat_columns(
         text=", ".join(sizes),
         expected=f"variables of one length, {count} columns in all",
     )
-    turned, labels = [], []
     for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
         Place(f"{place}: {shown}").require(
             part.shape != (rows, rows) or upright,
@@ -256,9 +255,12 @@ def _mat_columns(
             expected=f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if "
             "columns are",
         )
-        turned.append(part if len(part) == rows else part.T)
-        wide = turned[-1].shape[1]
-        labels += [str(name)] if wide == 1 else [f"{name}(:,{k + 1})" for k in range(wide)]
+    turned = [part if len(part) == rows else part.T for part, _ in parts]
+    labels = [
+        str(name) if part.shape[1] == 1 else f"{name}(:,{k})"
+        for name, part in zip(names, turned, strict=True)
+        for k in range(1, part.shape[1] + 1)
+    ]
     return np.hstack(turned), labels
 
 

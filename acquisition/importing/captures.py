@@ -180,9 +180,8 @@ def datagrams(given: Packets) -> Block:
         fits = at + _HEAD.itemsize + 2 <= end[packet]
         found = np.zeros(int(fits.sum()), _FOUND)
         found["packet"], found["at"] = packet[fits], at[fits] + _HEAD.itemsize
-        head = gather(data, at[fits], _HEAD)
-        for name in ("command", "index", "address", "length"):
-            found[name] = head[name]
+        copied = ["command", "index", "address", "length"]
+        found[copied] = gather(data, at[fits], _HEAD)[copied]
         more, found["length"] = found["length"] & 0x8000 != 0, found["length"] & 0x7FF
         after = found["at"] + found["length"]
         found["counter"] = gather(data, np.minimum(after, len(data) - 2), "<u2")

@@ -74,16 +74,13 @@ def fourier_reference(
     q, dq, ddq = FourierReference(
         period_s=period_s, center=np.zeros(robot.n), sine=sine, cosine=cosine
     ).at(np.linspace(0.0, period_s, 2000))
-    middle, scale = np.empty(robot.n), np.empty(robot.n)
-    for j, joint in enumerate(robot.joints):
-        low, high = joint.si("position")
-        middle[j] = (low + high) / 2
-        scale[j] = (high - low) / np.ptp(q[:, j])
-        for limit, peak in ((joint.si("speed"), dq), (joint.si("acceleration"), ddq)):
-            if limit is not None:
-                scale[j] = min(scale[j], limit / np.abs(peak[:, j]).max())
+    low, high = np.array([joint.si("position") for joint in robot.joints]).T
+    scale = (high - low) / np.ptp(q, axis=0)
+    for quantity, peak in (("speed", dq), ("acceleration", ddq)):
+        limits = [joint.si(quantity) or np.inf for joint in robot.joints]
+        scale = np.minimum(scale, limits / np.abs(peak).max(axis=0))
     scale *= share
-    center = middle - scale * (q.max(axis=0) + q.min(axis=0)) / 2
+    center = (low + high) / 2 - scale * (q.max(axis=0) + q.min(axis=0)) / 2
     sine, cosine = (x * scale[:, None] for x in (sine, cosine))
     return FourierReference(period_s=period_s, center=center, sine=sine, cosine=cosine)
 
