@@ -72,7 +72,8 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
         Place(str(path)).refuse(
             text="holds no samples and no frames before its cut: nothing can be repaired"
         )
-    notes, warnings = {**recording.metadata, "recovered_from": recording.sha256}, tuple[str, ...]()
+    notes = {**recording.metadata, "recovered_from": recording.sha256}
+    warnings: tuple[str, ...] = ()
     with rewritten(recording, replace(recording.header, notes=notes), out) as writer:
         if recording.frames:
             frames = max(recording.frames.values(), key=len)

@@ -121,10 +121,8 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
     no capture, or it has no process data that come back, no mapping, or another period.
     """
     robot, warnings = header.robot, list[str]()
-    process, head = (
-        ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at),
-        PCAP_HEAD,
-    )
+    mapping = parse_mapping(header.notes.get(MAPPING_NOTE, "").split())
+    process, head = ProcessData(bus, mapping, at), PCAP_HEAD
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for given in packets(file, at, warnings, MAX_BACK * bus.period_ns):
             kept = process.add(given)

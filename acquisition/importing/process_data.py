@@ -64,10 +64,8 @@ class ProcessData:
         found = datagrams(given)
         mail = (found["command"] == FPRD) & (found["address"] >> 16 >= MAILBOX)
         for one in found[np.isin(found["command"], WRITES) | mail]:
-            content, back = (
-                given.data[one["at"] : one["at"] + one["length"]].tobytes(),
-                bool(one["counter"]),
-            )
+            content = given.data[one["at"] : one["at"] + one["length"]].tobytes()
+            back = bool(one["counter"])
             if self._slaves[back].take(int(one["command"]), int(one["address"]), content) and back:
                 self._since = self._packets + int(one["packet"])  # rows before a change are dropped
                 self._fields, self._columns, self._seen = {}, {}, {}

@@ -166,7 +166,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     time_s, scatter_s = _times(source, time, parts)
     # Counted ticks: rows of one tick are one row, even with different stamps.
     is_new = np.concatenate([[True], np.diff(time_s) > 0]) | (time.ticks != FROM_VELOCITY)
-    rows, repeated = np.flatnonzero(is_new), int((~is_new).sum())
+    rows = np.flatnonzero(is_new)
     time_s, parts = taken(time_s, rows), {name: taken(x, rows) for name, x in parts.items()}
     place = Place(
         f"{source.table('time.table', time.table)}: "
@@ -202,10 +202,8 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]",
     )
     assert grid.report is not None
-    return replace(
-        grid,
-        report=replace(grid.report, doubled=grid.report.doubled + repeated, stamps_off_s=scatter_s),
-    )
+    doubled = grid.report.doubled + len(is_new) - len(rows)
+    return replace(grid, report=replace(grid.report, doubled=doubled, stamps_off_s=scatter_s))
 
 
 def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Array, float | None]:

@@ -82,7 +82,8 @@ class Messages:
 
     def items(self) -> Iterator[tuple[int, bytes]]:
         """Log time and content of each message."""
-        data, begins = self.data.whole(), [0, *self.ends][:-1]
+        data = self.data.whole()
+        begins = [0, *self.ends][:-1]
         for stamp_ns, begin, end in zip(self.stamps_ns, begins, self.ends, strict=True):
             yield stamp_ns, bytes(data[begin:end])
 

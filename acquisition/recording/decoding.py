@@ -206,7 +206,8 @@ def decode(
     _refuse_missing(answers, max_missing, place)
 
     rows_of = dict(zip(carriers, map(kept, answers.rows), strict=True))
-    stamps, syncs_lost = kept(clock.stamps[answers.answered]), int(np.sum(intervals.steps - 1))
+    stamps = kept(clock.stamps[answers.answered])
+    syncs_lost = int(np.sum(intervals.steps - 1))
     return Decoded(
         traffic=traffic,
         robot=robot,

@@ -37,7 +37,8 @@ class RecordingFollower:
         self._path, self.ended, self.problem = path, False, ""
         self._content = GrowingContent(path)
         self._content.read()
-        found, place = self._content.found, Place(str(path))
+        found = self._content.found
+        place = Place(str(path))
         if found.metadata is None or "robot.toml" not in found.attachments:
             place.refuse(text="has no description yet", expected="a recording that is written")
         self.metadata, self.robot = (

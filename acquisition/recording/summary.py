@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Group
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from ..arrays import Ints
@@ -116,9 +116,8 @@ def as_tables(found: Mapping[str, Any]) -> Group:
     """The overview for a terminal. Texts from the file are shown as plain text,
     without control characters.
     """
-    since = f"s from the first {'sample' if found['samples'] else 'frame'}"
-    if found["first_ns"] is None:
-        since = "at, s"
+    first = "sample" if found["samples"] else "frame"
+    since = "at, s" if found["first_ns"] is None else f"s from the first {first}"
     tables = [
         _table(
             ("", ""), [(Text(name, style="bold"), value) for name, value in _facts(found).items()]
@@ -199,10 +198,9 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]]) -> Table:
     """Texts without markup and without control characters, numbers in five digits."""
-    table = Table(box=None, show_header=any(columns))
-    for column in columns:
-        # long hashes and names are wrapped, not shortened
-        table.add_column(column, overflow="fold")
+    # long hashes and names are wrapped, not shortened
+    folded = (Column(column, overflow="fold") for column in columns)
+    table = Table(*folded, box=None, show_header=any(columns))
     for row in rows:
         cells = (f"{cell:.5g}" if isinstance(cell, float) else cell for cell in row)
         table.add_row(*(Text(one_line(cell)) if isinstance(cell, str) else cell for cell in cells))

@@ -199,10 +199,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         place.refuse(text=text, expected=f"a robot.toml{way_out.format(path)}")
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
-    if document.bus is not None:
-        _refuse_wide_guards(document.bus, MAX_BUS_GUARDS, place.at("bus"))
-    for i, joint in enumerate(document.joint):
-        _refuse_wide_guards(joint, MAX_JOINT_GUARDS, place.at(f"joint[{i}]"))
+    _refuse_wide_guards(document, place)
     if document.urdf is not None:
         files["robot.urdf"] = _companion(path, document.urdf, "urdf")
         if document.urdf_meshes:
@@ -250,10 +247,14 @@ def _refuse_idle_keys(c: Controller, place: Place) -> None:
             )
 
 
-def _refuse_wide_guards(table: BusFile | Joint, guards: Mapping[str, float], place: Place) -> None:
-    for name, most in guards.items():
-        value = getattr(table, name)
-        place.require(value is None or value <= most, name, value, f"{most:g} at most")
+def _refuse_wide_guards(document: RobotFile, place: Place) -> None:
+    joints = ((f"joint[{i}]", joint, MAX_JOINT_GUARDS) for i, joint in enumerate(document.joint))
+    for table, stated, guards in (("bus", document.bus, MAX_BUS_GUARDS), *joints):
+        for name, most in guards.items():
+            value = getattr(stated, name, None)  # also without a bus
+            place.at(table).require(
+                value is None or value <= most, name, value, f"{most:g} at most"
+            )
 
 
 def _companion(path: Path, name: str, key: str) -> bytes:

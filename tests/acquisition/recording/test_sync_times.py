@@ -15,8 +15,12 @@ START_NS, PERIOD_NS = 1_000_000_000, 2_000_000
 def timed(times, *, ours: bool, index=None, nominal_ns: int = PERIOD_NS) -> SyncTimes:
     index = np.arange(len(times)) if index is None else np.array(index)
     times = np.array(times, np.int64)
-    rows, period = np.arange(len(times), dtype=np.int32), usual_period(times, nominal_ns)
-    syncs = Syncs(rows=rows, times=times, ours=ours, period=period)
+    syncs = Syncs(
+        rows=np.arange(len(times), dtype=np.int32),
+        times=times,
+        ours=ours,
+        period=usual_period(times, nominal_ns),
+    )
     return sync_times(syncs, index, int(index[-1]) + 1, nominal_ns)
 
 
