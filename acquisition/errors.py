@@ -4,8 +4,9 @@ import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, TypeVar
 
+T = TypeVar("T")
 _NO_VALUE: Final = object()
 _MAX_VALUE_LENGTH = 80  # files may contain anything
 _KEYWORDS = {
@@ -195,3 +196,17 @@ class Place:
         """Raise as `refuse` unless a condition holds."""
         if not holds:
             self.refuse(key, value, expected, text=text, shown=shown)
+
+    def given(
+        self,
+        found: T | None,
+        key: str = "",
+        value: Any = _NO_VALUE,
+        expected: str = "",
+        *,
+        text: str = "",
+    ) -> T:
+        """Return what was found; raise as `refuse` if that is None."""
+        if found is None:
+            self.refuse(key, value, expected, text=text)
+        return found

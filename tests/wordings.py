@@ -25,6 +25,7 @@ POSITIONS = {
     **dict.fromkeys(CLASSES, ("text",)),
     "refuse": ("key", "value", "expected"),
     "require": ("holds", "key", "value", "expected"),
+    "given": ("found", "key", "value", "expected"),
 }
 
 

@@ -25,14 +25,13 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
     )
     meshes, size = dict[str, bytes](), 0
     for name in names:
-        file = find_mesh(name, folder)
-        if file is None:
-            at.refuse(
-                "urdf: mesh",
-                name,
-                f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}",
-                text="does not exist",
-            )
+        file = at.given(
+            find_mesh(name, folder),
+            "urdf: mesh",
+            name,
+            f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}",
+            text="does not exist",
+        )
         try:
             size += file.stat().st_size
             at.require(

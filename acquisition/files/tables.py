@@ -182,10 +182,9 @@ def _csv_columns(
         for k, line in rows:  # slow, but only for an error that names the cell
             cells = line.split(separator)
             for column, label in zip(chosen, labels, strict=True):
-                if _number(cells[column]) is None:
-                    Place(f"{place}: line {k}").refuse(
-                        label, cells[column].strip()[:40], "a number"
-                    )
+                Place(f"{place}: line {k}").given(
+                    _number(cells[column]), label, cells[column].strip()[:40], "a number"
+                )
         place.refuse(text=str(error))
     return values, labels
 

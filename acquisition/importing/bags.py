@@ -180,10 +180,9 @@ def _effort(
     robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place
 ) -> tuple[Array, str, str]:
     """Joint efforts (N, n), their origin, and what they are. A bag does not contain their unit."""
-    if effort is None:
-        place.refuse(
-            expected="measured torques or currents in them", text="messages have no effort"
-        )
+    effort = place.given(
+        effort, expected="measured torques or currents in them", text="messages have no effort"
+    )
     place.require(
         effort.any(),
         "effort",

@@ -151,17 +151,16 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     """The rows on a uniform grid: by the stated rate, or by their times."""
     time, given_hz = table_map.time, table_map.sample_rate_hz
     if time is None:
-        if given_hz is None:
-            source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
+        rate_hz = source.place.given(given_hz, "sample_rate_hz", None, "it, or a [time] table")
         source.place.require(
-            given_hz >= 1,
+            rate_hz >= 1,
             "sample_rate_hz",
-            given_hz,
-            f"a rate in Hz, not a period: {1 / given_hz:g}?",
+            rate_hz,
+            f"a rate in Hz, not a period: {1 / rate_hz:g}?",
         )
-        time_s = np.arange(len(parts["position"])) / given_hz
+        time_s = np.arange(len(parts["position"])) / rate_hz
         return grid_of_new_rows(time_s, parts, source.place) or GridValues(
-            parts=parts, start_s=0.0, rate_hz=given_hz
+            parts=parts, start_s=0.0, rate_hz=rate_hz
         )
     time_s, scatter_s = _times(source, time, parts)
     # Counted ticks: rows of one tick are one row, even with different stamps.
@@ -291,15 +290,13 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     all; returns their number. Calls `warn` if samples are missing.
     """
     recording = read_recording(path)
-    if recording.samples is None:
-        Place(str(path)).refuse(
-            text=recording.no_samples,
-            expected=(
-                "some; `robot-acquire import`, with a corrected --robot, makes them from frames "
-                "that are not lost"
-            ),
-        )
-    samples, robot = recording.samples, recording.robot
+    robot = recording.robot
+    samples = Place(str(path)).given(
+        recording.samples,
+        text=recording.no_samples,
+        expected="some; `robot-acquire import`, with a corrected --robot, makes them from frames "
+        "that are not lost",
+    )
     missing = [gap.missing for gap in gaps(samples, recording.sample_rate_hz) if not gap.late]
     if missing:
         warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")

@@ -45,9 +45,9 @@ class RecordingFollower:
             found.metadata,
             robot_from_files(found.attachments, f"{path}: robot.toml"),
         )
-        if self.robot.bus is None:
-            place.refuse(text="is of no bus", expected="a recording of `robot-acquire record`")
-        self._file = self.robot.bus
+        self._file = place.given(
+            self.robot.bus, text="is of no bus", expected="a recording of `robot-acquire record`"
+        )
         self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)
         self._last: Block | None = None  # the last row that was given

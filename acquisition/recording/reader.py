@@ -156,14 +156,15 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     path = Path(path)
     place = Place(str(path))
     found, cut, sha256 = read_content(path)
-    metadata, attachments, topics = found.metadata, found.attachments, found.messages
+    attachments, topics = found.attachments, found.messages
     note = " (the file is cut before its description)" if cut else ""
     expected = (
         "a recording of robot-acquire, which `robot-acquire import --topic NAME` makes of a "
         "ROS 2 bag, and `mcap filter` keeps with --include-metadata --include-attachments"
     )
-    if metadata is None:
-        place.refuse(text=f"holds no metadata record 'recording'{note}", expected=expected)
+    metadata = place.given(
+        found.metadata, text=f"holds no metadata record 'recording'{note}", expected=expected
+    )
     place.require(
         "robot.toml" in attachments,
         text=f"holds no robot.toml{note}",
@@ -208,15 +209,17 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
     text, skipped = blocks.layout, 0
     if (earlier := _EXTRA.fullmatch(text)) is not None:
         text, skipped = f"{earlier[1]}]", int(earlier[2])
-    dtype = next((layout for layout in known if repr(layout.descr) == text), None)
-    if dtype is None:
-        Place(place).refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
+    dtype = Place(place).given(
+        next((layout for layout in known if repr(layout.descr) == text), None),
+        text=f"layout {blocks.layout[:200]!r}",
+        expected=str(known[-1].descr),
+    )
     whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
-    if any(end % whole.itemsize for end in blocks.ends):
-        Place(place).refuse(
-            text=f"{blocks.ends[-1]} bytes",
-            expected=f"blocks of whole rows of {whole.itemsize} bytes",
-        )
+    Place(place).require(
+        all(end % whole.itemsize == 0 for end in blocks.ends),
+        text=f"{blocks.data.tell()} bytes",
+        expected=f"blocks of whole rows of {whole.itemsize} bytes",
+    )
     rows = np.frombuffer(blocks.data.whole(), whole)
     if skipped:
         rows = rows[list(dtype.names or ())]

@@ -179,14 +179,16 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         place = Place(f"{self._place}: /samples")
         # without what is skipped
         layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])
-        if layout not in sample_layouts(self._robot):
-            place.refuse(
-                text=f"rows of {block.dtype}", expected=f"sample_dtype of {self._robot.n} joints"
-            )
-        if self._layout not in (None, layout):
-            place.refuse(
-                text=f"rows of {block.dtype}", expected=f"{self._layout} as in the block before"
-            )
+        place.require(
+            layout in sample_layouts(self._robot),
+            text=f"rows of {block.dtype}",
+            expected=f"sample_dtype of {self._robot.n} joints",
+        )
+        place.require(
+            self._layout in (None, layout),
+            text=f"rows of {block.dtype}",
+            expected=f"{self._layout} as in the block before",
+        )
         if len(block) == 0:
             return
         check_samples(block, self._last_stamp_ns, str(place))

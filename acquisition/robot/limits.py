@@ -224,17 +224,13 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) 
             return []
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
-    if step[k] > _MIN_JUMP_RATIO * neighbour:
-        place.refuse(
-            text=(
-                f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
-                f"({speed}; {limit})"
-            ),
-            expected=(
-                "motion: a counter that wrapped, lost or foreign samples, or two recordings glued "
-                "together"
-            ),
-        )
+    place.require(
+        step[k] <= _MIN_JUMP_RATIO * neighbour,
+        text=f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
+        f"({speed}; {limit})",
+        expected="motion: a counter that wrapped, lost or foreign samples, or two recordings "
+        "glued together",
+    )
     place.refuse(
         text=f"joint {joint.name} at {speed}, {when}: {limit}",
         expected=(

@@ -38,15 +38,16 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
     `traffic` is what the drives of a log confirmed, by node: for drives with `mapping = "traffic"`,
     and for a warning where another mapping is not that.
     """
-    if robot.bus is None:
-        Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")
+    written = Place(place).given(
+        robot.bus, "bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`"
+    )
     seen = traffic or {}
     drives = tuple(
-        _drive(robot, i, file, place, seen.get(file.node)) for i, file in enumerate(robot.bus.drive)
+        _drive(robot, i, file, place, seen.get(file.node)) for i, file in enumerate(written.drive)
     )
     contradictions = tuple(
         f"bus.drive[{i}]: {drive.name} confirmed {index:04X}:{sub} = 0x{number:X}, which is not "
-        f"{way} {pdo.number} (0x{pdo.can_id:X}) by mapping = {robot.bus.drive[i].mapping!r}: "
+        f"{way} {pdo.number} (0x{pdo.can_id:X}) by mapping = {drive.file.mapping!r}: "
         "correct it"
         for i, drive in enumerate(drives)
         if drive.node in seen
@@ -54,9 +55,9 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
         for pdo in pdos
         for (index, sub), number in cia.contradicted(way, pdo, seen[drive.node].values)
     )
-    bus = Bus(file=robot.bus, drives=drives, notes=contradictions)
+    bus = Bus(file=written, drives=drives, notes=contradictions)
     refuse_pdos(bus, place)
-    for i, file in enumerate(robot.bus.drive):
+    for i, file in enumerate(written.drive):
         refuse_counts(robot, i, file, Place(place, f"bus.drive[{i}]"))
     return bus
 
@@ -117,9 +118,12 @@ def _objects(robot: Robot, file: DriveFile, at: Place) -> _Objects:
     types = cia.STANDARD | stated
     if file.dictionary is None:
         return _Objects(file=file, dictionary=None, types=types, usable=types, at=at)
-    content = robot.files.get(dictionary_label(file.dictionary))
-    if content is None:
-        at.refuse("dictionary", file.dictionary, text="is missing next to the description")
+    content = at.given(
+        robot.files.get(dictionary_label(file.dictionary)),
+        "dictionary",
+        file.dictionary,
+        text="is missing next to the description",
+    )
     dictionary = cia.load_dictionary(content, file.dictionary, file.node)
     types = cia.STANDARD | {k: e.type for k, e in dictionary.entries.items() if e.type} | stated
     usable = types.keys() & (dictionary.entries.keys() | stated.keys())
@@ -233,13 +237,12 @@ def _pdos(
     for k, written in enumerate(files):
         entries = tuple(objects.entry(f"{way}[{k}].objects", name) for name in written.objects)
         number = written.number or k + 1
-        can_id = written.can_id or cia.usual_can_id(way, number, objects.file.node)
-        if can_id is None:
-            at.refuse(
-                f"{way}[{k}].can_id",
-                None,
-                "an identifier: only the first four PDOs have a usual one",
-            )
+        can_id = at.given(
+            written.can_id or cia.usual_can_id(way, number, objects.file.node),
+            f"{way}[{k}].can_id",
+            None,
+            "an identifier: only the first four PDOs have a usual one",
+        )
         pdo = cia.Pdo(number=number, can_id=can_id, entries=entries)
         sizes = " + ".join(str(e.bits // 8) for e in entries)
         at.require(
@@ -266,18 +269,20 @@ def _effort(
 ) -> cia.EffortCodec:
     kind, usual, meaning = cia.EFFORT_OBJECTS.get(entry.key, ("", "", ""))
     known = kind == entry.type
-    name = getattr(file, f"{word}_rule") or (usual if known else None)
-    if name is None:
-        at.refuse(
-            f"{word}_rule",
-            None,
-            f"one of {', '.join(cia.RULES)}",
-            text=f"{entry} ({entry.type}) is not known",
-        )
+    name: str = at.given(
+        getattr(file, f"{word}_rule") or (usual if known else None),
+        f"{word}_rule",
+        None,
+        f"one of {', '.join(cia.RULES)}",
+        text=f"{entry} ({entry.type}) is not known",
+    )
     rule = cia.RULES[name]
-    rated = getattr(file, rule.rated) if rule.rated else 1.0
-    if rated is None:
-        at.refuse(rule.rated, None, f"the rated value that {name!r} multiplies")
+    rated: float = at.given(
+        getattr(file, rule.rated) if rule.rated else 1.0,
+        rule.rated,
+        None,
+        f"the rated value that {name!r} multiplies",
+    )
     scale = float((file.effort_sign or file.sign) * rule.factor * rated)
     at.require(
         rule.unit == motor.recorded_unit,

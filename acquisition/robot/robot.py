@@ -112,11 +112,12 @@ class Robot:
     @cached_property
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
-        if self.controller.bandwidth_hz is None:
-            Place(f"robot {self.name}").refuse(
-                "controller.bandwidth_hz", None, "the bandwidth of the position loop, Hz"
-            )
-        return self.controller.bandwidth_hz
+        return Place(f"robot {self.name}").given(
+            self.controller.bandwidth_hz,
+            "controller.bandwidth_hz",
+            None,
+            "the bandwidth of the position loop, Hz",
+        )
 
     @cached_property
     def gain_known(self) -> bool:
@@ -194,9 +195,8 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     place = Place(str(path))
     files = {"robot.toml": read_bytes(path)}
     begin = files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
-    if begin in _OTHER_FILES:
-        text, way_out = _OTHER_FILES[begin]
-        place.refuse(text=text, expected=f"a robot.toml{way_out.format(path)}")
+    text, way_out = _OTHER_FILES.get(begin, ("", ""))
+    place.require(not text, text=text, expected=f"a robot.toml{way_out.format(path)}")
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
     _refuse_wide_guards(document, place)
@@ -236,15 +236,15 @@ def _refuse_idle_keys(c: Controller, place: Place) -> None:
     )
     for name in idle:
         value = getattr(c, name)
-        if value is not None:
-            place.refuse(
-                name,
-                list(value) if isinstance(value, tuple) else value,
-                "controller.structure with it"
-                if c.structure is None
-                else f"none, structure = {c.structure!r} has no integral",
-                text="does nothing",
-            )
+        place.require(
+            value is None,
+            name,
+            list(value) if isinstance(value, tuple) else value,
+            "controller.structure with it"
+            if c.structure is None
+            else f"none, structure = {c.structure!r} has no integral",
+            text="does nothing",
+        )
 
 
 def _refuse_wide_guards(document: RobotFile, place: Place) -> None:
