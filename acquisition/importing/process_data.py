@@ -153,7 +153,7 @@ class ProcessData:
         return {} if not whole else inputs | outputs if has_targets else inputs
 
     def _stations(self, objects: Mapping[int, tuple[Located, Located]]) -> Iterator[int]:
-        """The slave of each drive, up to one whose inputs are not known."""
+        """Yield the slave of each drive, up to one whose inputs are not known."""
         named = {file.station for file in self._bus.file.drive}
         free = [station for station, (inputs, _) in objects.items() if inputs]
         free = [station for station in free if station not in named]

@@ -187,7 +187,7 @@ def _answers(
     steps: Rows,
     losses: Sequence[dict[str, int]],
 ) -> list[Rows]:
-    """For each PDO the frames in the intervals to keep; adds the late ones to its losses."""
+    """Return for each PDO the frames in the intervals to keep; add the late ones to its losses."""
     # the interval of each of the SYNCs
     asked = kept(np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep]))
     rows = []
@@ -222,7 +222,7 @@ def _in_order(progress: _Progress, unusual: Bools) -> Bools:
 
 
 def _in_a_row(values: Bools, count: int) -> Ints:
-    """The first of each `count` true ones in a row."""
+    """Return the first of each `count` true ones in a row."""
     sums = _sums(values)
     return np.flatnonzero(sums[count:] - sums[:-count] == count)
 
@@ -246,8 +246,8 @@ def _cuts(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
 def _late(
     progress: _Progress, stretches: _Stretches, intervals: Intervals, damaged: Bools, again: Rows
 ) -> tuple[Bools, Bools]:
-    """Stretches between two proven edges in which PDOs are late, and those of them within reach of
-    an interval (k,) that is `damaged`, or in which a PDO came `again`.
+    """Find stretches in which PDOs are late between two proven edges, and those of them within
+    reach of an interval (k,) that is `damaged`, or in which a PDO came `again`.
     """
     damaged[: stretches.pending] = damaged[stretches.cuts[-2] :] = False  # answers are pending
     # A drive that is late, again and again at its usual time: rather a PDO was lost,

@@ -249,7 +249,7 @@ def _syncs(traffic: Traffic, bus: Bus, place: str) -> Syncs:
 def _frames_of(
     traffic: Traffic, syncs: Syncs, pdo: Pdo, name: str, place: str
 ) -> tuple[Rows, Rows, int]:
-    """Frames of a PDO, those that repeat one of them, and the number of those too short for it."""
+    """Return the frames of a PDO, those that repeat one, and the number of those too short."""
     rows, short = traffic.of(pdo)
     rows, again = without_repeats(rows, syncs.rows, traffic.at("data", rows))
     Place(place).require(

@@ -102,7 +102,7 @@ class _Objects:
     at: Place
 
     def entry(self, key: str, name: str) -> cia.ObjectEntry:
-        """The object with this name, which a key of the table states."""
+        """Return the object with this name, which a key of the table states."""
         number = parse_object(name)
         if number not in self.usable:
             why = "its type is not known"
@@ -199,7 +199,7 @@ def _refuse_unmapped(
 
 
 def _mapped(objects: _Objects, confirmed: cia.Confirmed | None) -> cia.Values:
-    """Values of the parameters of PDOs, from the source that `mapping` names; none for a table."""
+    """Return the parameters of PDOs from the source that `mapping` names; none for a table."""
     if objects.file.mapping == "traffic" and confirmed is not None:
         return confirmed.values
     if objects.file.mapping != "dictionary" or objects.dictionary is None:
@@ -209,7 +209,7 @@ def _mapped(objects: _Objects, confirmed: cia.Confirmed | None) -> cia.Values:
 
 
 def _motion(robot: Robot, i: int, file: DriveFile, codec: cia.PositionCodec) -> Motion:
-    """The limits of the joints that motor `i` moves, at the motor."""
+    """Return the limits of the joints that motor `i` moves, at the motor."""
     ratios = np.abs(robot.R[i])
     per_joint = float(ratios.sum() * file.counts_per_unit)
     slides = robot.joints[int(np.argmax(ratios))].type == "prismatic"
@@ -227,8 +227,8 @@ def _motion(robot: Robot, i: int, file: DriveFile, codec: cia.PositionCodec) -> 
 def _pdos(
     way: str, objects: _Objects, mapped: cia.Values, default: tuple[cia.ObjectEntry, ...]
 ) -> tuple[cia.Pdo, ...]:
-    """The PDOs of one direction, as `mapped` or as described, else as few as possible with the
-    `default` objects in order.
+    """Return the PDOs of one direction, as `mapped` or as described, else as few as possible with
+    the `default` objects in order.
     """
     pdos, at = [], objects.at
     if objects.file.mapping != "table":
