@@ -42,8 +42,7 @@ T = TypeVar("T", bound="DataclassInstance")
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files"}  # of shtab, `FILE`
 STATUSES = (
     "exit status: 0 done; 1 an error, in one line on standard error; 2 wrong usage; "
-    "3 done, but the result is not to be trusted (robot-identify fit, fleet, validate); 130 "
-    "interrupted by Ctrl-C"
+    "3 a result that is not to be trusted (fit, fleet, validate); 130 Ctrl-C"
 )
 # letters that two words have in common, of all their letters, for one to be meant by the other
 _ALIKE = 0.75
@@ -242,6 +241,22 @@ def add_path(
 def add_flag(parser: "argparse._ActionsContainer", name: str, help: str) -> None:
     """Declare an option without a value."""
     parser.add_argument(name, action="store_true", help=help)
+
+
+def add_bus(parser: "argparse._ActionsContainer", *, required: bool) -> None:
+    """Declare the bus of a command without robot.toml."""
+    parser.add_argument(
+        "--interface",
+        required=required,
+        metavar="NAME",
+        help="interface name of python-can: socketcan, udp_multicast, ...",
+    )
+    parser.add_argument(
+        "--channel",
+        required=required,
+        metavar="NAME",
+        help="channel, such as can0 or a multicast group",
+    )
 
 
 def add_overwrite(parser: "argparse._ActionsContainer") -> None:

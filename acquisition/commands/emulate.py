@@ -1,67 +1,109 @@
-"""`robot-acquire emulate`: simulated drives that any CANopen master can use."""
+"""`robot-acquire emulate`: simulated drives that any CANopen master can use, or the frames that the
+drives of a recording sent.
+"""
 
 import argparse
 import sys
+from typing import TYPE_CHECKING
 
-from ..errors import BadInputError, Place
-from .command_line import add_flag, add_path
+from ..errors import BadInputError, Place, one_line
+from .command_line import add_bus, add_flag, add_path
+
+if TYPE_CHECKING:
+    from ..robot import Bus, Robot
+    from ..simulated import DrivenPlant
+
+OF_DESCRIPTION, OF_RECORDING = "a robot.toml", "a recording"
+OPTIONS = {
+    OF_DESCRIPTION: ("replay", "unsupervised", "duration"),
+    OF_RECORDING: ("interface", "channel", "speed", "onto_bus"),
+}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "robot", "ROBOT.toml", "description of robot and drives")
-    add_path(parser, "--replay", "LOG.mcap", "the drives follow the samples of this recording")
-    add_flag(
-        parser, "--unsupervised", "simulate drives that do not detect a lost SYNC or a lost master"
+    add_path(
+        parser, "file", "FILE", "robot.toml, or a recording whose drives' frames and SYNC are sent"
     )
-    parser.add_argument(
+    description = parser.add_argument_group(f"of {OF_DESCRIPTION}")
+    add_path(description, "--replay", "LOG.mcap", "the drives follow the samples of this recording")
+    add_flag(
+        description,
+        "--unsupervised",
+        "simulate drives that do not detect a lost SYNC or a lost master",
+    )
+    description.add_argument(
         "--duration", type=float, metavar="S", help="seconds to run (default: until Ctrl-C)"
     )
+    recording = parser.add_argument_group(f"of {OF_RECORDING}")
+    add_bus(recording, required=False)
+    recording.add_argument(
+        "--speed", type=float, metavar="X", help="speed factor, above 0 (default 1)"
+    )
+    add_flag(recording, "--onto-bus", "allow an interface that may lead to hardware")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Simulate the drives until the duration is over or a signal arrives."""
+    """Emulate what the file describes, until it is over or a signal arrives."""
+    from ..files import is_recording
+
+    kind, other = (
+        (OF_RECORDING, OF_DESCRIPTION)
+        if is_recording(options.file)
+        else (OF_DESCRIPTION, OF_RECORDING)
+    )
+    for name in OPTIONS[other]:
+        if getattr(options, name) not in (None, False):
+            raise BadInputError(
+                f"is only for {other}",
+                place=f"--{name.replace('_', '-')}",
+                expected=f"none with {options.file}",
+            )
+    if kind is OF_RECORDING:
+        _play(options)
+    else:
+        _simulate(options)
+
+
+def _play(options: argparse.Namespace) -> None:
+    """Send the frames of a recording, and print their number."""
+    from ..robot import BusFile
+    from ..session import Stop, replay, stop_on_signals
+
+    for name in ("interface", "channel"):
+        if getattr(options, name) is None:
+            raise BadInputError(
+                key=f"--{name}", value=None, expected=f"the {name} to send the frames on"
+            )
+    file = BusFile(
+        interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
+    )
+    speed, stop = 1.0 if options.speed is None else options.speed, Stop()
+    with stop_on_signals(stop):
+        count = replay(options.file, file, stop, speed=speed, onto_bus=options.onto_bus)
+    print(one_line(f"{count} frames sent on {options.interface} {options.channel}"))
+
+
+def _simulate(options: argparse.Namespace) -> None:
+    """Simulate the drives of a description."""
     import time
 
-    import numpy as np
-
-    from ..recording import read_recording
     from ..robot import load_robot, resolve
     from ..session import Stop, stop_on_signals
-    from ..simulated import (
-        DrivenPlant,
-        SimulatedDrives,
-        TablePlant,
-        cascaded_loops,
-        driven_plant,
-        serve,
-    )
+    from ..simulated import SimulatedDrives, serve
 
-    robot = load_robot(options.robot)
-    bus = resolve(robot, str(options.robot))
+    robot = load_robot(options.file)
+    bus = resolve(robot, str(options.file))
     if bus.file.interface == "virtual":
-        Place(str(options.robot), "bus").refuse(
+        Place(str(options.file), "bus").refuse(
             "interface",
             "virtual",
             "udp_multicast or socketcan",
             text="other programs cannot join it",
         )
-    if options.replay is None:
-        mechanism = driven_plant(robot, bus)
-    else:
-        recording = read_recording(options.replay)
-        if recording.samples is None:
-            raise BadInputError(
-                recording.no_samples, place=str(options.replay), expected="some to replay"
-            )
-        mechanism = DrivenPlant(
-            plant=TablePlant(recording.samples, recording.sample_rate_hz),
-            loops=cascaded_loops(robot, np.ones(robot.n)),  # they have no effect
-        )
-    stop, end_s = (
-        Stop(),
-        time.monotonic() + (options.duration if options.duration is not None else float("inf")),
-    )
+    mechanism = _mechanism(options, robot, bus)
+    stop = Stop()
+    end_s = time.monotonic() + (float("inf") if options.duration is None else options.duration)
     text = (
         f"simulated drives, nodes {', '.join(str(drive.node) for drive in bus.drives)}, "
         f"on {bus.file.interface} {bus.file.channel}"
@@ -73,3 +115,23 @@ def run(options: argparse.Namespace) -> None:
             lambda: bool(stop.reason) or time.monotonic() > end_s,
             ready=lambda: print(text, file=sys.stderr, flush=True),
         )
+
+
+def _mechanism(options: argparse.Namespace, robot: "Robot", bus: "Bus") -> "DrivenPlant":
+    """What the drives move: the described robot, or the samples of `--replay`."""
+    import numpy as np
+
+    from ..recording import read_recording
+    from ..simulated import DrivenPlant, TablePlant, cascaded_loops, driven_plant
+
+    if options.replay is None:
+        return driven_plant(robot, bus)
+    recording = read_recording(options.replay)
+    if recording.samples is None:
+        raise BadInputError(
+            recording.no_samples, place=str(options.replay), expected="some to replay"
+        )
+    return DrivenPlant(
+        plant=TablePlant(recording.samples, recording.sample_rate_hz),
+        loops=cascaded_loops(robot, np.ones(robot.n)),  # they have no effect
+    )

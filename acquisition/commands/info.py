@@ -1,8 +1,9 @@
-"""`robot-acquire info`: the contents of a recording."""
+"""`robot-acquire info`: the contents of a recording, its joint samples as CSV too."""
 
 import argparse
 import sys
 
+from ..errors import one_line
 from .command_line import Progress, add_flag, add_path
 
 
@@ -10,13 +11,21 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap", "the recording")
     add_flag(parser, "--json", "print JSON, for programs")
+    add_path(parser, "--csv", "OUT.csv", "write the joint samples to this table")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the recording's overview."""
+    """Print the recording's overview; write the table and print its size."""
+    warnings: list[str] = []
+    rows = None
     with Progress("reading"):
+        from ..files import refuse_clash
+        from ..importing import export_csv
         from ..recording import as_tables, overview, read_recording
 
+        if options.csv is not None:
+            refuse_clash([options.recording], of_kinds={"csv": options.csv})
+            rows = export_csv(options.recording, options.csv, warnings.append)
         found = overview(read_recording(options.recording))
     if options.json:
         import msgspec
@@ -31,3 +40,8 @@ def run(options: argparse.Namespace) -> None:
         with console.capture() as shown:
             console.print(as_tables(found))
         print(*(line.rstrip() for line in shown.get().splitlines()), sep="\n")
+    for text in warnings:
+        print(one_line(f"warning: {text}"), file=sys.stderr)
+    if rows is not None:
+        text = one_line(f"{options.csv}: {rows} rows")
+        print(text, file=sys.stderr if options.json else sys.stdout)  # JSON stays JSON

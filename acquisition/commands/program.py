@@ -8,23 +8,21 @@ PROGRAM = Program(
     description="Record robots and their drives.",
     package=__package__,
     commands={
-        "scan": "find the drives of an unknown bus, by listening and SDO reads only",
-        "check": "check which drives answer, and whether they match the description",
+        "scan": "find the drives of an unknown bus; listens and reads only",
+        "check": "go or no go: which drives answer, do they match robot.toml",
         "record": "record drives; nothing moves without --track",
-        "mark": "add a note to the recording in progress",
-        "disable": "stop and disable all drives, even if another program enabled them; never "
-        "refused",
-        "emulate": "simulated drives that any CANopen master can use",
-        "import": "make a recording from tables, a ROS 2 bag, a CAN log, or the frames of a "
-        "recording, which may be cut off",
-        "info": "show what a recording contains",
-        "export": "export joint samples as CSV",
-        "replay": "play the drives' frames and SYNC of a recording onto an idle bus",
+        "disable": "stop and disable all drives, whoever enabled them",
+        "emulate": "put simulated drives, or those of a recording, on a bus",
+        "import": "make a recording from tables, bags, logs or recorded frames",
+        "info": "show what a recording contains, and write it as CSV",
     },
     gone={
         "decode": "use import LOG.mcap -o OUT.mcap",
         "recover": "use import CUT.mcap -o OUT.mcap",
         "simulate": "use emulate",
+        "mark": "press the key m in robot-acquire record, or pipe a line into it",
+        "export": "use info LOG.mcap --csv OUT.csv",
+        "replay": "use emulate LOG.mcap --interface NAME --channel NAME",
     },
     errors=(RobotIdimError,),
 )

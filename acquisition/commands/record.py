@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ..errors import BadInputError, BusFaultError, one_line
 from ..options import RecordOptions
 from .command_line import add_flag, add_options, add_path, from_options
+from .terminal import STDIN, Notes, StatusLine
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -55,18 +56,19 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     moves = options.track is not None and not options.dry_run
-    if moves and not options.yes and not sys.stdin.isatty():
+    if moves and not options.yes and not os.isatty(STDIN):
         raise BadInputError(
             "nobody can confirm the joint positions",
             place="--track",
             expected="a terminal, or --yes",
         )
     stop, line = Stop(), StatusLine()
+    notes = Notes(line)
 
     def confirm(words: list[str], faults: list[str]) -> bool:
         if options.yes and not faults:
             return True
-        return sys.stdin.isatty() and _ask(words + faults, stop, line)
+        return os.isatty(STDIN) and _ask(words + faults, stop, line)
 
     def announce(outcome: "Outcome") -> None:
         """Name the drives that may still be enabled, before the recording is closed."""
@@ -75,15 +77,25 @@ def run(options: argparse.Namespace) -> int:
             _tell(outcome.alarm)
 
     def show(status: "Status", left_s: float | None) -> None:
-        line.show(*live_line(robot, status, left_s))
+        if not notes.typing:
+            line.show(*live_line(robot, status, left_s))
 
     if sys.stderr.isatty():
         print(
             f"watch it in a second terminal: robot-identify view {options.output} --follow",
             file=sys.stderr,
         )
+        if os.isatty(STDIN):
+            print("to note something: m, the text, Enter", file=sys.stderr)
     line.show(("starting", False))
-    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=_tell)
+    interface = UserInterface(
+        stop=stop,
+        confirm=confirm,
+        show=show,
+        announce=announce,
+        note=_tell,
+        notes=notes.take,
+    )
     try:
         with stop_on_signals(stop):
             outcome, recorded = record(
@@ -94,6 +106,7 @@ def run(options: argparse.Namespace) -> int:
                 interface,
             )
     finally:
+        notes.close()
         line.show()
     return _report(options.output, robot, outcome, recorded)
 
@@ -133,10 +146,13 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
 def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
     """Show joint positions and drives in fault, and ask for confirmation; a stop means no."""
     import select
+    import termios
 
     line.show()
     for text in words:
         _tell(text)
+    with suppress(termios.error):  # what was typed before the question does not answer it
+        termios.tcflush(STDIN, termios.TCIFLUSH)
     print(
         "Are these joint positions right, and may the robot move? yes or no: ",
         end="",
@@ -144,41 +160,10 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
         flush=True,
     )
     while not stop.reason:
-        if select.select([sys.stdin], [], [], 0.1)[0]:
-            return sys.stdin.readline().strip().lower() in ("yes", "y")
+        if select.select([STDIN], [], [], 0.1)[0]:
+            return os.read(STDIN, 4096).strip().lower() in (b"yes", b"y")
     print(file=sys.stderr)
     return False
-
-
-class StatusLine:
-    """The status line of a session on the terminal, if there is one; the SYNC loop writes it after
-    the drives have answered.
-
-    A drawing thread would hold Python's lock when SYNC is due. The loop does not wait for a
-    stopped terminal (Ctrl-S).
-    """
-
-    def __init__(self) -> None:
-        self._rows, self._terminal = 0, -1
-        if sys.stderr.isatty():
-            # opened again, because other processes share standard error and expect it to block
-            with suppress(OSError):
-                self._terminal = os.open(
-                    os.ttyname(sys.stderr.fileno()), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
-                )
-
-    def show(self, *parts: tuple[str, bool]) -> None:
-        """Replace the line by `parts`, bold and red where the flag is true; without them remove it.
-
-        Never raises: a terminal that is gone must not end the session that it shows.
-        """
-        if self._terminal >= 0 and (parts or self._rows):
-            text = "".join(f"\x1b[1;31m{part}\x1b[0m" if bad else part for part, bad in parts)
-            above = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
-            with suppress(OSError, ValueError):  # it is full or gone; a name of surrogates
-                os.write(self._terminal, f"\r{above}\x1b[J{text}".encode())
-                width = os.get_terminal_size(self._terminal).columns or 80
-                self._rows = -(-sum(len(part) for part, _ in parts) // width)
 
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:

@@ -6,13 +6,12 @@ import argparse
 from contextlib import closing
 
 from ..errors import BadInputError, one_line
-from .command_line import Progress, add_path
-from .replay import add_bus
+from .command_line import Progress, add_bus, add_path
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_bus(parser)
+    add_bus(parser, required=True)
     parser.add_argument(
         "--bitrate",
         type=int,

@@ -7,7 +7,6 @@ frames to rows on the SYNC grid. It may use `robot`, `protocol` and `files`.
 from .decoding import Decoded, decode, refuse_period
 from .following import RecordingFollower
 from .mapped import resolve_mapped
-from .marks import add_mark, take_marks
 from .measured import in_gaps, measured_rows
 from .reader import NO_SAMPLES, Event, Recording, read_recording, rewritten
 from .rows import (

@@ -267,7 +267,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
             os.fsync(self._file.fileno())
 
     def fileno(self) -> int:
-        """Descriptor of the file, for locks."""
+        """Descriptor of the file, which another name may have."""
         return self._file.fileno()
 
     def move_to(self, path: Path) -> None:

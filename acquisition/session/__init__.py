@@ -7,6 +7,7 @@ Every way out of motion leaves the drives disabled. It may use `simulated`, `bus
 
 from .logs import InlineLog
 from .recorder import RecordedSummary, Recorder, Status, write_decoded
-from .running import INTERRUPTED, RecordOptions, UserInterface, record, replay, stop_on_signals
+from .replaying import replay
+from .running import INTERRUPTED, RecordOptions, UserInterface, record, stop_on_signals
 from .session import Outcome, Stop, Task, run_active
 from .timing import DEVIATIONS, real_time_scheduling, scheduling_words, sync_jitter

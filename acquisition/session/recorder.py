@@ -127,9 +127,11 @@ class Recorder:
             self._recent.append(block)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Write an event, and flush unless it is a phase."""
+        """Write an event, and flush unless it is a phase or a note, of which there may be many."""
         self._writer.event(stamp_ns, kind, text)
-        if kind != "phase":
+        if kind == "operator":
+            self._is_empty = False
+        elif kind != "phase":
             self._writer.flush()
 
     def tick(self, stamp_ns: int, drops: int, *, now: bool = False) -> Status | None:
@@ -139,7 +141,6 @@ class Recorder:
         elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
         if 0 <= elapsed_s < FLUSH_S and not now:
             return None
-        self._note_marks(stamp_ns)
         recent = np.concatenate(self._recent) if self._recent else np.zeros(0, recording.FRAME)
         self._recent = []
         self._watch_file()
@@ -188,7 +189,6 @@ class Recorder:
             text = f"frames left out: {self._fd_frames} of CAN FD"
             self._writer.event(stamp_ns, "warning", text)
             found = replace(found, warnings=(*found.warnings, text))
-        self._note_marks(stamp_ns, last=True)
         self.close()
         return replace(found, path=None if self._is_empty else self._path)
 
@@ -204,11 +204,6 @@ class Recorder:
             self._path = new
         elif shutil.disk_usage(self._writer.fileno()).free < MIN_FREE_BYTES:
             self._ends = self._ends or "disk nearly full"
-
-    def _note_marks(self, stamp_ns: int, *, last: bool = False) -> None:
-        for age_ns, text in recording.take_marks(self._path, self._writer, last=last):
-            self._is_empty = False
-            self._writer.event(max(0, stamp_ns - age_ns), "operator", text)
 
     def close(self) -> None:
         """Close the file as it is; one without frames and notes of the operator is removed."""

@@ -51,6 +51,7 @@ class Task:
     reference: Array | None = None  # joint positions (N, n), one row per SYNC, rad or m
     place: str = "reference"  # name of the reference in errors
     before_motion: Callable[[bus.Master], Iterable[str]] = lambda _: ()
+    notes: Callable[[], Iterable[str]] = tuple  # new ones of the operator
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,6 +282,7 @@ class _Session:
                     self._note_once("mark", f"node {watch.drive.node} ({watch.drive.name}): {text}")
         if error is not None:
             raise error
+        self.note("operator", *self._task.notes())
         status = self._log.poll(now_ns)
         if status is not None and status.ends and not self._stop.reason:
             self._stop.reason, self.cut_short = status.ends, True

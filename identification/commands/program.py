@@ -12,19 +12,17 @@ PROGRAM = Program(
     commands={
         "fit": "identify base parameters from one or more recordings",
         "friction": "choose friction terms by cross-validation",
-        "fleet": "fit every recording in folders: a table that marks what has changed",
+        "fleet": "fit all recordings of folders, and mark what has changed",
         "view": "draw a recording in Rerun, before a fit",
         "compare": "compare the parameters of two fits",
         "validate": "torque error of a fit on other recordings",
         "init": "make a robot.toml from a URDF; missing values are marked",
         "export": "export a fit as URDF, MJCF or robot.toml for simulation",
         "base": "base parameters of a robot, with their expressions",
-        "excite": "an exciting trajectory that makes the parameters as identifiable as possible "
-        "within the limits",
+        "excite": "make an exciting trajectory within the limits",
         "simulate": "make a recording of a simulated robot with known parameters",
-        "study": "how far to trust least squares and iv: on a simulated robot, or on a recording "
-        "with other settings, noise and starts",
-        "demo": "record simulated drives, fit, and compare with the true parameters",
+        "study": "show how far to trust LS and IV, on a robot or a recording",
+        "demo": "record simulated drives, fit, compare with the true values",
     },
     gone=GONE,
     errors=(RobotIdimError,),

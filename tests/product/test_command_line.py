@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
-from conftest import IDENTIFY, REPLAY, ROOT
+from conftest import ACQUIRE, IDENTIFY, REPLAY, ROOT
 
 from acquisition.commands import STATUSES, Progress, run_command
 from acquisition.commands import main as acquire
@@ -29,7 +29,7 @@ FIT = REPLAY / "scara" / "fit.json"
         (identify, f"validate {FIT} {SESSION} --json j", ["j"]),
         (identify, f"compare {FIT} {FIT} --report r.html", ["r.html"]),
         (identify, f"simulate {SCARA} -o m --duration-s 2", ["m"]),
-        (acquire, f"export {SESSION} -o c", ["c"]),
+        (acquire, f"info {SESSION} --csv c", ["c"]),
         (acquire, f"info {SESSION}", []),
     ],
     ids=lambda given: given.split()[0] if isinstance(given, str) else None,
@@ -63,7 +63,7 @@ raise SystemExit(run_command("p", (), command))
     [
         ("ID base SCARA --json j | head -1", 0, "", ["j"]),
         pytest.param("ID base SCARA --json j > /dev/full", 1, NO_SPACE, ["j"], marks=needs_full),
-        ("ACQ export SESSION -o c >&-", 0, "", ["c"]),
+        ("ACQ info SESSION --csv c >&-", 0, "", ["c"]),
         ("ACQ info none.mcap 2>&-", 1, "", []),
         pytest.param("ACQ info none.mcap 2>/dev/full", 1, "", [], marks=needs_full),
         ("PYTHON without_streams.py >&- 2>&- <&-", 0, "", ["number"]),
@@ -163,6 +163,14 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
     for status in ("0", "1", "2", "3", "130"):
         assert f"| {status} |" in readme
         assert f" {status} " in STATUSES
+
+
+@pytest.mark.parametrize(("program", "lines"), [(ACQUIRE, 24), (IDENTIFY, 30)])
+def test_the_help_of_a_program_is_one_screen(program, lines, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        program.main(["--help"])
+    assert capsys.readouterr().out.count("\n") <= lines
 
 
 def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
@@ -273,6 +281,11 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
             acquire,
             "decode a.mcap -o b.mcap",
             "error: decode is gone: use import LOG.mcap -o OUT.mcap",
+        ),
+        (
+            acquire,
+            "mark a.mcap bumped",
+            "error: mark is gone: press the key m in robot-acquire record, or pipe a line into it",
         ),
         (
             identify,

@@ -135,7 +135,19 @@ def test_known_errors_are_one_line_and_leave_nothing(folder, capsys, monkeypatch
             "--duration = 0.0: expected more than 0",
         ),
         (["record", str(REPLAY / "emps" / "robot.toml"), "-o", "out"], "bus is missing"),
-        (["replay", "old.mcap", "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
+        (
+            ["emulate", "old.mcap", "--interface", "virtual", "--channel", "x"],
+            "is not an MCAP file",
+        ),
+        (
+            ["emulate", "old.mcap", "--channel", "x"],
+            "--interface is missing: expected the interface",
+        ),
+        (
+            ["emulate", "old.mcap", "--duration", "1"],
+            "--duration: is only for a robot.toml: expected",
+        ),
+        (["emulate", "robot.toml", "--onto-bus"], "--onto-bus: is only for a recording: expected"),
     ):
         assert told in refused(capsys, command)
     assert sorted(folder.iterdir()) == before
@@ -156,19 +168,18 @@ def test_inputs_are_not_replaced(folder, capsys):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-@pytest.mark.parametrize(
-    "command", ["import", "import --topic /t", "import --map m.toml", "export"]
-)
+@pytest.mark.parametrize("command", ["import", "import --topic /t", "import --map m.toml", "info"])
 @pytest.mark.parametrize(("name", "content"), [("log.mcap", b"old"), ("log.bin", b"\x89MCAP0")])
 def test_a_recording_is_not_replaced(folder, capsys, command, name, content):
     log = folder / name
     log.write_bytes(content)
     of_robot = ["--robot", str(SCARA)] if command.startswith("import") else []
-    arguments = [*command.split(), "missing", *of_robot, "-o", str(log)]
+    output = "--csv" if command == "info" else "-o"
+    arguments = [*command.split(), "missing", *of_robot, output, str(log)]
     told = refused(capsys, arguments)
     assert told.startswith(f"robot-acquire: {log}: already exists")
-    assert ("--overwrite" in told) == (command != "export")
-    if command != "export":
+    assert ("--overwrite" in told) == (command != "info")
+    if command != "info":
         assert "already exists" not in refused(capsys, [*arguments, "--overwrite"])
     assert log.read_bytes() == content
 

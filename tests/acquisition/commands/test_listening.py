@@ -21,7 +21,7 @@ from acquisition.bus.frames import other_node, sign_of_master
 from acquisition.commands import main
 from acquisition.errors import BusFaultError, RefusedError, RobotIdimError
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
-from acquisition.session import InlineLog, Stop, Task, replay, running
+from acquisition.session import InlineLog, Stop, Task, replay, replaying
 from acquisition.simulated import LockStepLink, SimulatedDrives
 
 ROBOT = robot_of(bus_text(2))
@@ -89,7 +89,7 @@ def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
         closing(open_link(file, passive=False)) as ours,
     ):
         somebody.send(can_id, b"\x01")
-        monkeypatch.setattr(running, "open_link", lambda *_, **__: ours)
+        monkeypatch.setattr(replaying, "open_link", lambda *_, **__: ours)
         with pytest.raises(RefusedError) as caught:
             replay(tracked, file, Stop())
     assert service_of(Frame(0, can_id, b"\x01"), 0x80) in caught.value.why
@@ -101,7 +101,7 @@ def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
     file = bus_file("replay_silent")
     ear = Ear(file.channel)
     options = ["--interface", "virtual", "--channel", file.channel, "--speed", "1000"]
-    assert main(["replay", str(tracked), *options]) == 0
+    assert main(["emulate", str(tracked), *options]) == 0
     recorded = next(iter(read_recording(tracked).frames.values()))
     drives = np.isin(
         recorded["can_id"], [0x80, 0x81, 0x82, 0x181, 0x182, 0x581, 0x582, 0x701, 0x702]
@@ -118,7 +118,7 @@ def test_replay_keeps_the_timing_whatever_the_clock_of_the_recording_was(tracked
     frames = next(iter(recording.frames.values())).copy()
     frames["time_ns"] += 1_700_000_000_000_000_000
     monkeypatch.setattr(
-        running, "read_recording", lambda _: replace(recording, frames={"test": frames})
+        replaying, "read_recording", lambda _: replace(recording, frames={"test": frames})
     )
     # A clock that waiting alone moves: what else this machine does cannot decide.
     now_s, sent = [0.0], []
@@ -127,8 +127,8 @@ def test_replay_keeps_the_timing_whatever_the_clock_of_the_recording_was(tracked
         send=lambda can_id, data: sent.append((now_s[-1], can_id)),
         close=lambda: None,
     )
-    monkeypatch.setattr(running, "open_link", lambda *_, **__: link)
-    monkeypatch.setattr(running, "time", SimpleNamespace(monotonic=lambda: now_s[-1]))
+    monkeypatch.setattr(replaying, "open_link", lambda *_, **__: link)
+    monkeypatch.setattr(replaying, "time", SimpleNamespace(monotonic=lambda: now_s[-1]))
     assert replay(tracked, bus_file(), Stop(), speed=4.0) == len(sent)
     syncs_s = np.array([at_s for at_s, can_id in sent if can_id == 0x80])
     recorded_ns = frames["time_ns"][frames["can_id"] == 0x80]
@@ -146,7 +146,7 @@ def test_replay_stops_at_the_first_stranger(tracked, monkeypatch):
         return Frame(0, 0x701, b"\0") if len(sent) == 20 else None
 
     link = SimpleNamespace(take=take, send=lambda *frame: sent.append(frame), close=lambda: None)
-    monkeypatch.setattr(running, "open_link", lambda *_, **__: link)
+    monkeypatch.setattr(replaying, "open_link", lambda *_, **__: link)
     with pytest.raises(RefusedError) as caught:
         replay(tracked, bus_file(), Stop(), speed=1000.0)
     assert len(sent) == 20

@@ -229,7 +229,7 @@ def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys)
     why = "12.0% of the PDOs of a drive are missing: expected 5% at most"
     assert why in recorder.finish(3 * 10**9).no_samples
     assert read_recording(log).samples is None
-    for command in (["info", log], ["export", log, "-o", tmp_path / "a.csv"]):
+    for command in (["info", log], ["info", log, "--csv", tmp_path / "a.csv"]):
         assert why in told(capsys, *command)
     with pytest.raises(BadInputError, match=why):
         load_signals(log)
@@ -266,7 +266,7 @@ def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
     ):
         recorder_of(tmp_path / f"{name}.mcap", block).finish(3 * 10**9)
         assert words in told(capsys, "info", tmp_path / f"{name}.mcap")
-    exported = told(capsys, "export", tmp_path / "b.mcap", "-o", tmp_path / "b.csv")
+    exported = told(capsys, "info", tmp_path / "b.mcap", "--csv", tmp_path / "b.csv")
     assert "warning: 2 samples are missing in 1 gaps" in exported
 
 

@@ -19,7 +19,8 @@ from made_up_buses import bus_text, robot_of
 
 import acquisition.session.running as running
 from acquisition.bus import Frame
-from acquisition.commands.record import StatusLine, live_line
+from acquisition.commands.record import live_line
+from acquisition.commands.terminal import StatusLine
 from acquisition.errors import BusFaultError
 from acquisition.recording import read_recording
 from acquisition.robot import Robot
@@ -136,9 +137,14 @@ def test_a_passive_recording_ends_after_its_time_or_at_ctrl_c_and_holds_its_faul
     monkeypatch.setattr(running, "time", SimpleNamespace(**clock))
     monkeypatch.setattr(running, "ProcessLog", inline)
     monkeypatch.setattr(InlineLog, "poll", poll)
-    options, operator = RecordOptions(passive=True, duration_s=duration_s), UserInterface(stop=stop)
+    notes = ["bumped"]
+    options, operator = (
+        RecordOptions(passive=True, duration_s=duration_s),
+        UserInterface(stop=stop, notes=lambda: [notes.pop()] if notes else []),
+    )
     with pytest.raises(BusFaultError) if fault else nullcontext():
         record(robot_of(bus_text(1)), "robot.toml", out, options, operator)
     assert now_ms == [until_s * 1000]
     events = [(found.kind, found.text) for found in read_recording(out).events]
     assert [found for found in events if found[0] in ("end", "fault")] == [event]
+    assert ("operator", "bumped") in events

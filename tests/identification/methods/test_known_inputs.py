@@ -175,7 +175,7 @@ def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
     )
     same = identify_ls(replace(signals, effort_timing="unknown"), Overrides())
     assert identify_ls(read, Overrides()).beta == pytest.approx(same.beta, rel=1e-9)
-    assert acquire(["export", log, "-o", path["b.csv"]]) == 0
+    assert acquire(["info", log, "--csv", path["b.csv"]]) == 0
     head, row, *_ = (tmp_path / "b.csv").read_text().splitlines()
     own = (
         "axis_position_m,axis_effort_N,axis_reference_m,axis_velocity_m_s,axis_known_torque_N,"

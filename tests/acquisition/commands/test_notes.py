@@ -1,0 +1,186 @@
+"""Notes of the operator: lines of standard input, in a terminal by the key m, as events of the
+recording, which `info` shows.
+"""
+
+import os
+import pty
+import signal
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from made_up_buses import bus_text, robot_of
+
+from acquisition.commands import main
+from acquisition.commands.terminal import MAX_NOTE_BYTES, Notes, StatusLine
+from acquisition.errors import RobotIdimError
+from acquisition.recording import read_recording
+from acquisition.session import Recorder
+
+
+@pytest.fixture
+def standard_input() -> Iterator[Callable[[int], None]]:
+    """Makes a descriptor the standard input of this process until the test ends."""
+    before = os.dup(0)
+    yield lambda descriptor: (os.dup2(descriptor, 0), os.close(descriptor))
+    os.dup2(before, 0)
+    os.close(before)
+
+
+@pytest.fixture
+def keys(standard_input, monkeypatch) -> Iterator[int]:
+    """A terminal as standard input, as if this process stood before it; writes what is typed."""
+    controller, terminal = os.openpty()
+    standard_input(terminal)
+    monkeypatch.setattr(Notes, "_in_foreground", lambda _: True)
+    yield controller
+    os.close(controller)
+
+
+def dry_run(tmp_path: Path) -> list[str]:
+    """The notes in the recording of half a second."""
+    (tmp_path / "robot.toml").write_text(bus_text(2))
+    out = tmp_path / "log.mcap"
+    command = ["record", str(tmp_path / "robot.toml"), "-o", str(out)]
+    assert main([*command, "--dry-run", "--duration", "0.5"]) == 0
+    return [event.text for event in read_recording(out).events if event.kind == "operator"]
+
+
+def test_lines_of_a_pipe_are_notes(tmp_path, standard_input):
+    read, write = os.pipe()
+    os.write(write, b"tool\x1b[1m\t changed\r\n\n\xff\n" + b"x" * (MAX_NOTE_BYTES + 3) + b"\nend")
+    os.close(write)
+    standard_input(read)
+    assert dry_run(tmp_path) == [
+        "tool�[1m changed", "�", "x" * MAX_NOTE_BYTES, "xxx", "end"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", ["/dev/null", "/dev/zero", "/"])
+def test_no_standard_input_ends_a_session(tmp_path, standard_input, path):
+    standard_input(os.open(path, os.O_RDONLY))
+    notes = dry_run(tmp_path)
+    assert (len(notes) > 100) == (path == "/dev/zero")
+
+
+def taken(notes: Notes, done: Callable[[list[str]], bool]) -> list[str]:
+    """What is noted until that is enough, or ten seconds are over."""
+    found, until_s = [], time.monotonic() + 10
+    while not done(found) and time.monotonic() < until_s:
+        found += notes.take()
+        time.sleep(0.001)
+    return found
+
+
+def test_the_key_begins_a_note_that_the_terminal_edits(keys):
+    before, notes = termios.tcgetattr(0), Notes(StatusLine())
+    assert notes.take() == []
+    assert termios.tcgetattr(0)[3] == before[3], "the line mode stays"
+    os.write(keys, b"not this\nxm")
+    assert taken(notes, lambda _: notes.typing) == []
+    os.write(keys, b"two motors\x7f\x7f mm\nm \nm pasted m\n")
+    assert taken(notes, lambda found: len(found) == 2) == ["two moto mm", "pasted m"]
+    os.write(keys, b"m")
+    assert taken(notes, lambda _: notes.typing) == []
+    os.write(keys, b"not ended")
+    notes.close()
+    assert termios.tcgetattr(0) == before
+    os.write(keys, b"behind\n")
+    assert os.read(0, 100) == b"behind\n", "what was typed into the note is not the shell's"
+
+
+def test_in_the_background_the_terminal_is_left_alone(keys, monkeypatch):
+    before, notes = termios.tcgetattr(0), Notes(StatusLine())
+    monkeypatch.setattr(Notes, "_in_foreground", lambda _: False)
+    os.write(keys, b"m text\n")
+    assert notes.take() == []
+    notes.close()
+    assert termios.tcgetattr(0) == before
+    assert os.read(0, 100) == b"m text\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(RobotIdimError("x"), 1), (KeyboardInterrupt(), 130)]
+)
+def test_an_error_gives_the_terminal_back(tmp_path, keys, monkeypatch, error, status):
+    before = termios.tcgetattr(0)
+
+    def record(*arguments):
+        arguments[-1].notes()
+        assert termios.tcgetattr(0) != before
+        raise error
+
+    monkeypatch.setattr("acquisition.session.record", record)
+    (tmp_path / "robot.toml").write_text(bus_text(2))
+    assert main(["record", str(tmp_path / "robot.toml"), "-o", "a", "--dry-run"]) == status
+    assert termios.tcgetattr(0) == before
+
+
+@pytest.mark.parametrize(("answer", "moves"), [(b"yes\n", True), (b"m yes\n", False)])
+def test_what_is_typed_before_the_question_does_not_answer_it(
+    tmp_path, keys, monkeypatch, capsys, answer, moves
+):
+    asked = []
+
+    def record(*arguments):
+        threading.Timer(0.3, os.write, (keys, answer)).start()
+        asked.append(arguments[-1].confirm(["joint_1 = 0 deg"], []))
+        raise RobotIdimError("enough")
+
+    monkeypatch.setattr("acquisition.session.record", record)
+    (tmp_path / "robot.toml").write_text(bus_text(2))
+    os.write(keys, (b"no" if moves else b"yes") + b"\n")
+    command = ["record", str(tmp_path / "robot.toml"), "-o", "a.mcap", "--track", "ref.csv"]
+    assert main(command) == 1
+    assert asked == [moves]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_session_on_a_terminal_takes_notes_and_gives_it_back(tmp_path, number):
+    (tmp_path / "robot.toml").write_text(bus_text(2))
+    out = tmp_path / "log.mcap"
+    command = [sys.executable, "-m", "acquisition", "record", str(tmp_path / "robot.toml")]
+    process, terminal = pty.fork()
+    if not process:
+        os.chdir(ROOT)
+        os.execv(sys.executable, [*command, "-o", str(out), "--dry-run"])
+
+    def await_text(text: bytes) -> None:
+        shown, until_s = b"", time.monotonic() + 60
+        while text not in shown and time.monotonic() < until_s:
+            shown = shown[-100:] + os.read(terminal, 10_000)
+        assert text in shown
+
+    before = termios.tcgetattr(terminal)
+    for typed, answer in ((b"", b"frames/s"), (b"m", b"note: "), (b"tool changed\n", b"frames/s")):
+        os.write(terminal, typed)
+        await_text(answer)
+    os.write(terminal, b"m")
+    await_text(b"note: ")
+    os.write(terminal, b"half of one")
+    os.kill(process, number)
+    await_text(b"samples")
+    assert termios.tcgetattr(terminal) == before
+    os.close(terminal)
+    os.waitpid(process, 0)
+    events = [(event.kind, event.text) for event in read_recording(out).events]
+    assert ("operator", "tool changed") in events
+    assert ("end", f"stopped by {number.name}") in events
+    assert [text for kind, text in events if kind == "operator"] == ["tool changed"]
+
+
+def test_info_shows_notes_behind_many_other_events(tmp_path, capsys):
+    path = tmp_path / "log.mcap"
+    recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
+    for k in range(25):
+        recorder.event(k, "mark", f"event {k}.")
+    recorder.event(26, "operator", "bumped")
+    recorder.finish(100)
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert ("bumped" in shown, "event 24." in shown) == (True, False)
