@@ -5,7 +5,6 @@ There is one list for a session, which writes, and for `check`, which only reads
 read before anything is written, so that a refusal leaves the drives as they are.
 """
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -264,14 +263,12 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     limits of the joints times the ratio; and the ramp of its quick stop.
     """
     axis = axis_of(drive)
-    low, high, home, turns, shaft, rpm, unit = (
+    low, high, home, rpm, unit = (
         read_if_there(master, drive, index + axis, sub) or 0
         for index, sub in (
             (cia.POSITION_LIMITS, 1),
             (cia.POSITION_LIMITS, 2),
             (cia.HOME_OFFSET, 0),
-            (cia.GEAR, 1),
-            (cia.GEAR, 2),
             (cia.MAX_RPM, 0),
             (cia.VELOCITY_UNIT, 0),
         )
@@ -281,43 +278,44 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
     span = most - least if low < high and not home else 0.0
     fastest = drive.motion.rpm if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
-    wider = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
+    joints = "the joints' limits x ratio"
+    if span:
+        name = f"position limits {cia.POSITION_LIMITS + axis:04X}"
+        is_wide = max(low - least, most - high) <= TOLERANCE * span
+        text = f"{least:.0f} to {most:.0f} within, {joints}"
+        yield _compared(drive, name, f"{low} to {high}", text, ok=is_wide)
+    if fastest:
+        name, text = f"motor speed {cia.MAX_RPM + axis:04X}", f"{fastest:.0f} at least, {joints}"
+        yield _compared(drive, name, f"{rpm} rpm", text, ok=rpm >= (1 - TOLERANCE) * fastest)
+    if span and fastest and drive.motion.ratio:
+        # Where a ratio is missing or wrong, both are the same multiple.
+        less, more = sorted([(high - low) / span, rpm / fastest])
+        if less >= MIN_MULTIPLE:
+            name = f"ratio {cia.POSITION_LIMITS + axis:04X} {cia.MAX_RPM + axis:04X}"
+            found = f"range and speed are {less:.4g} and {more:.4g} times {joints}"
+            text = f"once: is {_described_ratio(drive.motion.ratio)}, right?"
+            yield _compared(drive, name, found, text, ok=more > (1 + MULTIPLES_DIFFER) * less)
+    yield from _gear(master, drive)
     ramp, faster = stop_ramp(master, drive)
-    joints, ratio = "the joints' limits x ratio", drive.motion.ratio or 0.0
-    known = f"the ratio of its motor in robot.toml, {ratio:g}"
-    for stated, name, found, expected, ok in (
-        (
-            span,
-            f"position limits {cia.POSITION_LIMITS + axis:04X}",
-            f"{low} to {high}",
-            f"{least:.0f} to {most:.0f} within, {joints}",
-            max(low - least, most - high) <= TOLERANCE * span,
-        ),
-        (
-            fastest,
-            f"motor speed {cia.MAX_RPM + axis:04X}",
-            f"{rpm} rpm",
-            f"{fastest or 0.0:.0f} at least, {joints}",
-            rpm >= (1 - TOLERANCE) * (fastest or 0.0),
-        ),
-        (
-            # Where a ratio is missing or wrong, both are the same multiple.
-            ratio and wider[0] >= MIN_MULTIPLE,
-            f"ratio {cia.POSITION_LIMITS + axis:04X} {cia.MAX_RPM + axis:04X}",
-            f"range and speed are {wider[0]:.4g} and {wider[1]:.4g} times {joints}",
-            f"once: is {known}, right?",
-            wider[1] > (1 + MULTIPLES_DIFFER) * wider[0],
-        ),
-        # Where the description reduces more, a further stage is outside of the drive.
-        (
-            ratio and shaft,
-            f"gear {cia.GEAR + axis:04X}",
-            f"{turns}/{shaft}",
-            f"at most {known}",
-            ratio * shaft >= (1 - TOLERANCE) * turns,
-        ),
-        (ramp, "quick stop ramp", ramp, faster, not faster),
-    ):
-        if stated:
-            refusal = "" if ok else f"{found}: expected {expected}"
-            yield Need(drive=drive, name=name, found=found, refusal=refusal, track=True)
+    yield _compared(drive, "quick stop ramp", ramp, faster, ok=not faster)
+
+
+def _gear(master: Master, drive: Drive) -> Iterator[Need]:
+    """The gear that the drive states; where the description reduces more, a further stage is
+    outside of the drive.
+    """
+    index = cia.GEAR + axis_of(drive)
+    turns, shaft = (read_if_there(master, drive, index, sub) or 0 for sub in (1, 2))
+    if drive.motion.ratio and shaft:
+        is_enough = drive.motion.ratio * shaft >= (1 - TOLERANCE) * turns
+        text = f"at most {_described_ratio(drive.motion.ratio)}"
+        yield _compared(drive, f"gear {index:04X}", f"{turns}/{shaft}", text, ok=is_enough)
+
+
+def _described_ratio(ratio: float) -> str:
+    return f"the ratio of its motor in robot.toml, {ratio:g}"
+
+
+def _compared(drive: Drive, name: str, found: str, expected: str, *, ok: bool) -> Need:
+    refusal = "" if ok else f"{found}: expected {expected}"
+    return Need(drive=drive, name=name, found=found, refusal=refusal, track=True)

@@ -44,23 +44,13 @@ def run(options: argparse.Namespace) -> int:
     from ..robot import load_robot, parse_payload
     from ..session import Stop, UserInterface, record, stop_on_signals
 
-    if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
-        raise BadInputError(
-            key="--duration", value=options.duration_s, expected="more than 0, and finite"
-        )
+    _check_options(options)
     robot = load_robot(options.robot)
     if options.payload is not None:
         payload = parse_payload(options.payload, robot).describe(robot.joints[-1].name)
         print(
             f"payload {payload}: no limit of robot.toml counts it; is it within the rated payload?",
             file=sys.stderr,
-        )
-    moves = options.track is not None and not options.dry_run
-    if moves and not options.yes and not os.isatty(STDIN):
-        raise BadInputError(
-            "nobody can confirm the joint positions",
-            place="--track",
-            expected="a terminal, or --yes",
         )
     stop, line = Stop(), StatusLine()
     notes = Notes(line)
@@ -109,6 +99,20 @@ def run(options: argparse.Namespace) -> int:
         notes.close()
         line.show()
     return _report(options.output, robot, outcome, recorded)
+
+
+def _check_options(options: argparse.Namespace) -> None:
+    if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
+        raise BadInputError(
+            key="--duration", value=options.duration_s, expected="more than 0, and finite"
+        )
+    moves = options.track is not None and not options.dry_run
+    if moves and not options.yes and not os.isatty(STDIN):
+        raise BadInputError(
+            "nobody can confirm the joint positions",
+            place="--track",
+            expected="a terminal, or --yes",
+        )
 
 
 def _tell(text: str) -> None:

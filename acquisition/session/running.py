@@ -35,7 +35,7 @@ from ..robot import (
     table_reference,
 )
 from ..simulated import LockStepLink, SimulatedDrives, describe_loops, driven_plant
-from .logs import InlineLog, ProcessLog
+from .logs import InlineLog, OnStatus, ProcessLog
 from .process import STOPPING, Role
 from .recorder import RecordedSummary, Recorder, Status, refuse_taken
 from .session import Outcome, Stop, Task, run_active
@@ -112,20 +112,7 @@ def record(
         else _on_bus(bus, robot, out, place, options, payload)
     )
     with opened as (link, log):
-        started_ns = link.now_ns()
-        whole_s = (
-            task.duration_s
-            if task.reference is None
-            else len(task.reference) * bus.file.sync_period_s
-        )
-
-        def show(status: Status, now_ns: int) -> None:
-            operator.show(
-                status,
-                None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9),
-            )
-
-        log.on_status = show
+        log.on_status = _left_shown(task, bus.file.sync_period_s, link.now_ns(), operator)
         # After the recorder has started.
         with real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted:
             if granted is not None and isinstance(log, ProcessLog):
@@ -139,6 +126,17 @@ def record(
         except RobotIdimError as error:
             # the first error may be the cause of the second
             raise outcome.error or error from error
+
+
+def _left_shown(task: Task, period_s: float, started_ns: int, operator: UserInterface) -> OnStatus:
+    """Show each status with the seconds that are left of the task."""
+    whole_s = task.duration_s if task.reference is None else len(task.reference) * period_s
+
+    def show(status: Status, now_ns: int) -> None:
+        left_s = None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
+        operator.show(status, left_s)
+
+    return show
 
 
 def _task_of(

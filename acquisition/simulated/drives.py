@@ -177,10 +177,7 @@ class SimulatedDrives:
 
     def _move(self) -> None:
         """Step control loops and plant by one period."""
-        # A torque demand (6074h) is that of the last step: it leads the torque by the lag
-        # of the current loop. Any other effort is the mean torque since the last SYNC: it
-        # is half a period late.
-        loops, T = self._loops, self._period_s
+        T = self._period_s
         stopping = np.array([node.state is cia.State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = (
             np.array([node.state is cia.State.OPERATION_ENABLED for node in self.nodes]) | stopping
@@ -190,10 +187,8 @@ class SimulatedDrives:
             return
         position, _ = self._measured()
         # A drive that was enabled at this SYNC starts from its measured position.
-        start, before = (
-            np.where(self._held, position, self._target),
-            np.where(self._held, 0.0, self._travel),
-        )
+        start = np.where(self._held, position, self._target)
+        before = np.where(self._held, 0.0, self._travel)
         # Quick stop: the target's speed falls by the ramp that 605Ah selects, else at
         # the acceleration limit.
         stated = np.array([_ramp(node, node.values) for node in self.nodes])
@@ -202,12 +197,26 @@ class SimulatedDrives:
         target = np.where(stopping, start + slower, self._targets(position, enabled & ~stopping))
         travel = np.where(enabled, target - start, 0.0)
         first, last = travel, travel
-        if loops.smooth:  # the speed at a target, of the parabola through it and the two before it
+        if self._loops.smooth:  # of the parabola through a target and the two before it
             first, last = self._speed, np.where(enabled, 1.5 * travel - 0.5 * before, 0.0)
+        self._run_loops(start, enabled, lambda share: cubic(share, travel, first, last))
+        self._target, self._travel, self._speed, self._held = target, travel, last, ~enabled
+        for i, node in enumerate(self.nodes):
+            stays = node.values.get((cia.QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
+            if stopping[i] and travel[i] == 0.0 and not stays:
+                node.state = cia.State.SWITCH_ON_DISABLED
+
+    def _run_loops(
+        self, start: Array, enabled: Bools, way_at: Callable[[float], tuple[Array, Array]]
+    ) -> None:
+        """Move the plant by the control loops of a period: `way_at` gives the distance of the
+        reference from `start` (n,) and its speed at a share of the period.
+        """
+        loops, T = self._loops, self._period_s
         decay, total = np.exp(-T / SUBSTEPS / loops.current_s), np.zeros(len(start))
         for k in range(SUBSTEPS):
             position, dq = self._measured()
-            way, speed = cubic((k + 1) / SUBSTEPS, travel, first, last)
+            way, speed = way_at((k + 1) / SUBSTEPS)
             error, ahead = start + way - position, loops.feedforward * speed / T
             x = loops.position_share * error - (1 - loops.feedforward) * dq
             self._integral = np.where(enabled, self._integral + x * T / SUBSTEPS, 0.0)
@@ -220,12 +229,10 @@ class SimulatedDrives:
             self._actual = demand + (self._actual - demand) * decay
             self.plant.step(self._robot.joint_effort(self._actual[None])[0], ~enabled, T / SUBSTEPS)
             total = total + self._actual
+        # A torque demand (6074h) is that of the last step: it leads the torque by the lag
+        # of the current loop. Any other effort is the mean torque since the last SYNC: it
+        # is half a period late.
         self._reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
-        self._target, self._travel, self._speed, self._held = target, travel, last, ~enabled
-        for i, node in enumerate(self.nodes):
-            stays = node.values.get((cia.QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
-            if stopping[i] and travel[i] == 0.0 and not stays:
-                node.state = cia.State.SWITCH_ON_DISABLED
 
     def _targets(self, position: Array, enabled: Bools) -> Array:
         """Motor targets (n,) from 607Ah; the present position where a drive is not
