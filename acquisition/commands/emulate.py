@@ -11,6 +11,7 @@ from .command_line import add_bus, add_flag, add_path
 
 if TYPE_CHECKING:
     from ..robot import Bus, Robot
+    from ..session import Stop
     from ..simulated import DrivenPlant
 
 OF_DESCRIPTION, OF_RECORDING = "a robot.toml", "a recording"
@@ -46,12 +47,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Emulate what the file describes, until it is over or a signal arrives."""
     from ..files import is_recording
+    from ..session import Stop, stop_on_signals
 
-    kind, other = (
-        (OF_RECORDING, OF_DESCRIPTION)
-        if is_recording(options.file)
-        else (OF_DESCRIPTION, OF_RECORDING)
-    )
+    is_played = is_recording(options.file)
+    other = OF_DESCRIPTION if is_played else OF_RECORDING
     for name in OPTIONS[other]:
         if getattr(options, name) not in (None, False):
             raise BadInputError(
@@ -59,16 +58,15 @@ def run(options: argparse.Namespace) -> None:
                 place=f"--{name.replace('_', '-')}",
                 expected=f"none with {options.file}",
             )
-    if kind is OF_RECORDING:
-        _play(options)
-    else:
-        _simulate(options)
+    stop = Stop()
+    with stop_on_signals(stop):
+        (_play if is_played else _simulate)(options, stop)
 
 
-def _play(options: argparse.Namespace) -> None:
+def _play(options: argparse.Namespace, stop: "Stop") -> None:
     """Send the frames of a recording, and print their number."""
     from ..robot import BusFile
-    from ..session import Stop, replay, stop_on_signals
+    from ..session import replay
 
     for name in ("interface", "channel"):
         if getattr(options, name) is None:
@@ -78,18 +76,16 @@ def _play(options: argparse.Namespace) -> None:
     file = BusFile(
         interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
     )
-    speed, stop = 1.0 if options.speed is None else options.speed, Stop()
-    with stop_on_signals(stop):
-        count = replay(options.file, file, stop, speed=speed, onto_bus=options.onto_bus)
-    print(one_line(f"{count} frames sent on {options.interface} {options.channel}"))
+    speed = 1.0 if options.speed is None else options.speed
+    count = replay(options.file, file, stop, speed=speed, onto_bus=options.onto_bus)
+    print(one_line(f"{count} frames sent on {file.interface} {file.channel}"))
 
 
-def _simulate(options: argparse.Namespace) -> None:
+def _simulate(options: argparse.Namespace, stop: "Stop") -> None:
     """Simulate the drives of a description."""
     import time
 
     from ..robot import load_robot, resolve
-    from ..session import Stop, stop_on_signals
     from ..simulated import SimulatedDrives, serve
 
     robot = load_robot(options.file)
@@ -102,19 +98,17 @@ def _simulate(options: argparse.Namespace) -> None:
             text="other programs cannot join it",
         )
     mechanism = _mechanism(options, robot, bus)
-    stop = Stop()
     end_s = time.monotonic() + (float("inf") if options.duration is None else options.duration)
     text = (
         f"simulated drives, nodes {', '.join(str(drive.node) for drive in bus.drives)}, "
         f"on {bus.file.interface} {bus.file.channel}"
         f"{f'; {mechanism.warning}' if mechanism.warning else ''}"
     )
-    with stop_on_signals(stop):
-        serve(
-            SimulatedDrives(robot, bus, mechanism, supervised=not options.unsupervised),
-            lambda: bool(stop.reason) or time.monotonic() > end_s,
-            ready=lambda: print(text, file=sys.stderr, flush=True),
-        )
+    serve(
+        SimulatedDrives(robot, bus, mechanism, supervised=not options.unsupervised),
+        lambda: bool(stop.reason) or time.monotonic() > end_s,
+        ready=lambda: print(text, file=sys.stderr, flush=True),
+    )
 
 
 def _mechanism(options: argparse.Namespace, robot: "Robot", bus: "Bus") -> "DrivenPlant":
