@@ -5,6 +5,7 @@ There is one list for a session, which writes, and for `check`, which only reads
 read before anything is written, so that a refusal leaves the drives as they are.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,6 +23,10 @@ TOLERANCE, NO_LIMIT = 0.01, 2**32 - 1  # of ranges, speeds and ratios; a speed
 # A drive's range and speed that are the same multiple of the limits at the motor, at least this,
 # show a wrong ratio.
 MIN_MULTIPLE, MULTIPLES_DIFFER = 2.0, 0.1
+LIMITS = (
+    *((cia.POSITION_LIMITS, 1), (cia.POSITION_LIMITS, 2), (cia.HOME_OFFSET, 0)),
+    *((cia.GEAR, 1), (cia.GEAR, 2), (cia.MAX_RPM, 0), (cia.VELOCITY_UNIT, 0)),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,58 +267,52 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     """Position limits, motor speed and gear, where the drive states them, compared with the
     limits of the joints times the ratio; and the ramp of its quick stop.
     """
-    axis = axis_of(drive)
-    low, high, home, rpm, unit = (
-        read_if_there(master, drive, index + axis, sub) or 0
-        for index, sub in (
-            (cia.POSITION_LIMITS, 1),
-            (cia.POSITION_LIMITS, 2),
-            (cia.HOME_OFFSET, 0),
-            (cia.MAX_RPM, 0),
-            (cia.VELOCITY_UNIT, 0),
-        )
+    axis, ratio = axis_of(drive), drive.motion.ratio or 0.0
+    low, high, home, turns, shaft, rpm, unit = (
+        read_if_there(master, drive, index + axis, sub) or 0 for index, sub in LIMITS
     )
     low, high = cia.signed(low, 32), cia.signed(high, 32)
     least, most = drive.motion.position or (0.0, 0.0)
     # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
     span = most - least if low < high and not home else 0.0
     fastest = drive.motion.rpm if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
-    joints = "the joints' limits x ratio"
+    joints, known = "the joints' limits x ratio", f"the ratio of its motor in robot.toml, {ratio:g}"
     if span:
-        name = f"position limits {cia.POSITION_LIMITS + axis:04X}"
-        is_wide = max(low - least, most - high) <= TOLERANCE * span
-        text = f"{least:.0f} to {most:.0f} within, {joints}"
-        yield _compared(drive, name, f"{low} to {high}", text, ok=is_wide)
+        yield _compared(
+            drive,
+            f"position limits {cia.POSITION_LIMITS + axis:04X}",
+            f"{low} to {high}",
+            f"{least:.0f} to {most:.0f} within, {joints}",
+            ok=max(low - least, most - high) <= TOLERANCE * span,
+        )
     if fastest:
-        name, text = f"motor speed {cia.MAX_RPM + axis:04X}", f"{fastest:.0f} at least, {joints}"
-        yield _compared(drive, name, f"{rpm} rpm", text, ok=rpm >= (1 - TOLERANCE) * fastest)
-    if span and fastest and drive.motion.ratio:
-        # Where a ratio is missing or wrong, both are the same multiple.
-        less, more = sorted([(high - low) / span, rpm / fastest])
-        if less >= MIN_MULTIPLE:
-            name = f"ratio {cia.POSITION_LIMITS + axis:04X} {cia.MAX_RPM + axis:04X}"
-            found = f"range and speed are {less:.4g} and {more:.4g} times {joints}"
-            text = f"once: is {_described_ratio(drive.motion.ratio)}, right?"
-            yield _compared(drive, name, found, text, ok=more > (1 + MULTIPLES_DIFFER) * less)
-    yield from _gear(master, drive)
+        yield _compared(
+            drive,
+            f"motor speed {cia.MAX_RPM + axis:04X}",
+            f"{rpm} rpm",
+            f"{fastest:.0f} at least, {joints}",
+            ok=rpm >= (1 - TOLERANCE) * fastest,
+        )
+    # Where a ratio is missing or wrong, both are the same multiple.
+    less, more = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
+    if ratio and less >= MIN_MULTIPLE:
+        yield _compared(
+            drive,
+            f"ratio {cia.POSITION_LIMITS + axis:04X} {cia.MAX_RPM + axis:04X}",
+            f"range and speed are {less:.4g} and {more:.4g} times {joints}",
+            f"once: is {known}, right?",
+            ok=more > (1 + MULTIPLES_DIFFER) * less,
+        )
+    if ratio and shaft:  # where the description reduces more, a further stage is outside
+        yield _compared(
+            drive,
+            f"gear {cia.GEAR + axis:04X}",
+            f"{turns}/{shaft}",
+            f"at most {known}",
+            ok=ratio * shaft >= (1 - TOLERANCE) * turns,
+        )
     ramp, faster = stop_ramp(master, drive)
     yield _compared(drive, "quick stop ramp", ramp, faster, ok=not faster)
-
-
-def _gear(master: Master, drive: Drive) -> Iterator[Need]:
-    """The gear that the drive states; where the description reduces more, a further stage is
-    outside of the drive.
-    """
-    index = cia.GEAR + axis_of(drive)
-    turns, shaft = (read_if_there(master, drive, index, sub) or 0 for sub in (1, 2))
-    if drive.motion.ratio and shaft:
-        is_enough = drive.motion.ratio * shaft >= (1 - TOLERANCE) * turns
-        text = f"at most {_described_ratio(drive.motion.ratio)}"
-        yield _compared(drive, f"gear {index:04X}", f"{turns}/{shaft}", text, ok=is_enough)
-
-
-def _described_ratio(ratio: float) -> str:
-    return f"the ratio of its motor in robot.toml, {ratio:g}"
 
 
 def _compared(drive: Drive, name: str, found: str, expected: str, *, ok: bool) -> Need:

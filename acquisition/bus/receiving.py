@@ -52,10 +52,8 @@ class Receiver:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, 100_000))
         size, receive = socket.CMSG_SPACE(_TIMESPEC_BYTES), sock.recvmsg
         while not self.stopped:
-            try:
+            with suppress(BlockingIOError, InterruptedError):
                 self._items.append(receive(_FD_BYTES, size)[:3])
-            except (BlockingIOError, InterruptedError):
-                continue
         until_s = time.monotonic() + self.DRAIN_S
         with suppress(BlockingIOError):  # the queue is empty
             while time.monotonic() < until_s:

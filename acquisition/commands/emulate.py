@@ -4,15 +4,10 @@ drives of a recording sent.
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from ..errors import BadInputError, Place, one_line
 from .command_line import add_bus, add_flag, add_path
-
-if TYPE_CHECKING:
-    from ..robot import Bus, Robot
-    from ..session import Stop
-    from ..simulated import DrivenPlant
 
 OF_DESCRIPTION, OF_RECORDING = "a robot.toml", "a recording"
 OPTIONS = {
@@ -47,7 +42,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Emulate what the file describes, until it is over or a signal arrives."""
     from ..files import is_recording
-    from ..session import Stop, stop_on_signals
+    from ..robot import BusFile
+    from ..session import Stop, replay, stop_on_signals
 
     is_played = is_recording(options.file)
     other = OF_DESCRIPTION if is_played else OF_RECORDING
@@ -58,35 +54,37 @@ def run(options: argparse.Namespace) -> None:
                 place=f"--{name.replace('_', '-')}",
                 expected=f"none with {options.file}",
             )
+    if is_played and None in (options.interface, options.channel):
+        key = "--interface" if options.interface is None else "--channel"
+        raise BadInputError(key=key, value=None, expected="the bus to send the frames on")
     stop = Stop()
     with stop_on_signals(stop):
-        (_play if is_played else _simulate)(options, stop)
-
-
-def _play(options: argparse.Namespace, stop: "Stop") -> None:
-    """Send the frames of a recording, and print their number."""
-    from ..robot import BusFile
-    from ..session import replay
-
-    for name in ("interface", "channel"):
-        if getattr(options, name) is None:
-            raise BadInputError(
-                key=f"--{name}", value=None, expected=f"the {name} to send the frames on"
-            )
-    file = BusFile(
-        interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
-    )
-    speed = 1.0 if options.speed is None else options.speed
-    count = replay(options.file, file, stop, speed=speed, onto_bus=options.onto_bus)
+        if not is_played:
+            return _simulate(options, lambda: bool(stop.reason))
+        file = BusFile(
+            interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
+        )
+        speed = 1.0 if options.speed is None else options.speed
+        count = replay(options.file, file, stop, speed=speed, onto_bus=options.onto_bus)
     print(one_line(f"{count} frames sent on {file.interface} {file.channel}"))
 
 
-def _simulate(options: argparse.Namespace, stop: "Stop") -> None:
+def _simulate(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
     """Simulate the drives of a description."""
     import time
 
+    import numpy as np
+
+    from ..recording import read_recording
     from ..robot import load_robot, resolve
-    from ..simulated import SimulatedDrives, serve
+    from ..simulated import (
+        DrivenPlant,
+        SimulatedDrives,
+        TablePlant,
+        cascaded_loops,
+        driven_plant,
+        serve,
+    )
 
     robot = load_robot(options.file)
     bus = resolve(robot, str(options.file))
@@ -97,7 +95,18 @@ def _simulate(options: argparse.Namespace, stop: "Stop") -> None:
             "udp_multicast or socketcan",
             text="other programs cannot join it",
         )
-    mechanism = _mechanism(options, robot, bus)
+    if options.replay is None:
+        mechanism = driven_plant(robot, bus)
+    else:
+        recording = read_recording(options.replay)
+        if recording.samples is None:
+            raise BadInputError(
+                recording.no_samples, place=str(options.replay), expected="some to replay"
+            )
+        mechanism = DrivenPlant(
+            plant=TablePlant(recording.samples, recording.sample_rate_hz),
+            loops=cascaded_loops(robot, np.ones(robot.n)),  # they have no effect
+        )
     end_s = time.monotonic() + (float("inf") if options.duration is None else options.duration)
     text = (
         f"simulated drives, nodes {', '.join(str(drive.node) for drive in bus.drives)}, "
@@ -106,26 +115,6 @@ def _simulate(options: argparse.Namespace, stop: "Stop") -> None:
     )
     serve(
         SimulatedDrives(robot, bus, mechanism, supervised=not options.unsupervised),
-        lambda: bool(stop.reason) or time.monotonic() > end_s,
+        lambda: stopped() or time.monotonic() > end_s,
         ready=lambda: print(text, file=sys.stderr, flush=True),
-    )
-
-
-def _mechanism(options: argparse.Namespace, robot: "Robot", bus: "Bus") -> "DrivenPlant":
-    """What the drives move: the described robot, or the samples of `--replay`."""
-    import numpy as np
-
-    from ..recording import read_recording
-    from ..simulated import DrivenPlant, TablePlant, cascaded_loops, driven_plant
-
-    if options.replay is None:
-        return driven_plant(robot, bus)
-    recording = read_recording(options.replay)
-    if recording.samples is None:
-        raise BadInputError(
-            recording.no_samples, place=str(options.replay), expected="some to replay"
-        )
-    return DrivenPlant(
-        plant=TablePlant(recording.samples, recording.sample_rate_hz),
-        loops=cascaded_loops(robot, np.ones(robot.n)),  # they have no effect
     )

@@ -45,10 +45,6 @@ class StatusLine:
                 width = os.get_terminal_size(self._terminal).columns or 80
                 self._rows = -(-sum(len(part) for part, _ in parts) // width)
 
-    def leave(self) -> None:
-        """Let the line stand: the next one is below it."""
-        self._rows = 0
-
 
 class Notes:
     """Notes of the operator: lines of standard input, in a terminal from the key `m` to Enter.
@@ -58,21 +54,17 @@ class Notes:
     """
 
     def __init__(self, line: StatusLine) -> None:
-        self._line = line
+        self._line, self._is_terminal = line, os.isatty(STDIN)
         self._read = b""  # and not returned yet
-        self._ended = False
-        self._is_terminal = os.isatty(STDIN)
         self._modes: list[Any] = []  # of the terminal before
         self.typing = False  # whether the key has been pressed, and Enter has not
 
     def take(self) -> list[str]:
         """Return the next note if there is one. Never waits or raises."""
         line = b""
-        try:
-            if not self._ended and (not self._is_terminal or self._has_terminal()):
+        with suppress(OSError, termios.error):  # closed; a terminal that is gone
+            if not self._is_terminal or self._in_foreground():
                 line = self._next_line()
-        except (OSError, termios.error):  # closed; a terminal that is gone
-            self._ended = True
         text = one_line(line.decode(errors="replace"))
         return [text] if text else []
 
@@ -87,14 +79,9 @@ class Notes:
         """Whether this process may use its terminal; in the background the system would halt it."""
         return os.tcgetpgrp(STDIN) == os.getpgrp()
 
-    def _has_terminal(self) -> bool:
-        if (may_read := self._in_foreground()) and not self._modes:
-            self._modes = termios.tcgetattr(STDIN)
-            self._await_key(True)
-        return may_read
-
     def _await_key(self, awaited: bool) -> None:
         """Let `m` end a line, or Enter alone as before."""
+        self._modes = self._modes or termios.tcgetattr(STDIN)
         modes = [*self._modes[:6], list(self._modes[6])]
         if awaited:
             modes[6][termios.VEOL] = b"m"
@@ -102,9 +89,12 @@ class Notes:
         self.typing = not awaited
 
     def _next_line(self) -> bytes:
+        if self._is_terminal and not self._modes:
+            self._await_key(True)
+        ended = False
         if b"\n" not in self._read and select.select([STDIN], [], [], 0)[0]:
             read = os.read(STDIN, MAX_NOTE_BYTES - len(self._read))
-            self._ended = not read and not self._is_terminal  # a terminal goes on after Ctrl-D
+            ended = not read and not self._is_terminal  # a terminal goes on after Ctrl-D
             self._read += read
         if self._is_terminal and not self.typing:
             _, key, self._read = self._read.partition(b"m")
@@ -113,10 +103,10 @@ class Notes:
             self._await_key(False)
             self._line.show(("note: ", False))
         text, end, rest = self._read.partition(b"\n")
-        if not (end or self._ended or len(text) == MAX_NOTE_BYTES):
+        if not (end or ended or len(text) == MAX_NOTE_BYTES):
             return b""
         self._read = rest
         if self._is_terminal:
-            self._line.leave()
+            self._line.show()  # the text stays, above the next line
             self._await_key(True)
         return text

@@ -92,8 +92,8 @@ class ProcessLog:
         """`offset_ns`: the session's clock, used for its events, minus the monotonic clock."""
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
-        watched, watching = context.Pipe() if role is Role.GUARD else (None, None)
-        self._watchdog_pipe = None if watching is None else WatchdogPipe(watching)
+        watched, watching = context.Pipe()  # only a guard reads it
+        self._watchdog_pipe = WatchdogPipe(watching)
         self._frames: list[Frame] = []
         self.on_status: OnStatus = lambda status, stamp_ns: None
         arguments = ((other, watched), path.absolute(), dict(robot.files), place, role, payload)
@@ -107,8 +107,7 @@ class ProcessLog:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         other.close()
-        if watched is not None:
-            watched.close()
+        watched.close()
         if offset_ns is not None:
             self._send(("clock", offset_ns))
         self._expect("ready", MAX_START_S)
@@ -130,13 +129,11 @@ class ProcessLog:
         """Send a sign of life to the second stop: only from code whose progress shows that the
         session runs, never a thread.
         """
-        if self._watchdog_pipe is not None:
-            self._watchdog_pipe.alive()
+        self._watchdog_pipe.alive()
 
     def ended(self) -> None:
         """Disarm the second stop."""
-        if self._watchdog_pipe is not None:
-            self._watchdog_pipe.ended()
+        self._watchdog_pipe.ended()
 
     def poll(self, stamp_ns: int) -> Status | None:
         """Latest status, None if there is no new one.
@@ -146,7 +143,7 @@ class ProcessLog:
         Raises `BusFaultError` when the recorder has ended, hangs, or stops the drives.
         """
         self.alive()
-        if self._watchdog_pipe is not None and (reason := self._watchdog_pipe.stopped()):
+        if reason := self._watchdog_pipe.stopped():
             raise BusFaultError(reason)
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._hand_over()
@@ -179,8 +176,7 @@ class ProcessLog:
 
     def close(self) -> None:
         """Disconnect from the process, which then closes its file."""
-        if self._watchdog_pipe is not None:
-            self._watchdog_pipe.close()
+        self._watchdog_pipe.close()
         self._connection.close()
         self._process.join(30)
 

@@ -160,7 +160,7 @@ class Role(Enum):
 
 
 def run(
-    pipes: tuple[Connection, Connection | None],
+    pipes: tuple[Connection, Connection],
     path: Path,
     files: Mapping[str, bytes],
     place: str,
@@ -187,7 +187,7 @@ def run(
         receiver = None if bus is None else Receiver(bus)
         try:
             ours = np.zeros(0, np.int64) if role is Role.LISTENER else _master_ids(robot, place)
-            watchdog = None if watched is None else Watchdog(watched, resolve(robot, place))
+            watchdog = Watchdog(watched, resolve(robot, place)) if role is Role.GUARD else None
             done = _record(connection, recorder, receiver, ours, watchdog)
         finally:
             recorder.close()

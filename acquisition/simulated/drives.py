@@ -317,15 +317,14 @@ class LockStepLink:
             due_ns = self.drives.due_ns()
             if self._to_drives:
                 self._from_drives += self.drives.receive(self._time_ns, *self._to_drives.popleft())
-                continue
-            if due_ns is not None and due_ns <= self._time_ns:
+            elif due_ns is not None and due_ns <= self._time_ns:
                 self._from_drives += self.drives.advance(self._time_ns)
-                continue
-            if self._time_ns >= until_ns:
+            elif self._time_ns >= until_ns:
                 return None
-            self._time_ns = (
-                until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
-            )
+            else:
+                self._time_ns = (
+                    until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
+                )
         frame = Frame(self._time_ns, *self._from_drives.popleft())
         self._tap(frame)
         return frame

@@ -201,6 +201,11 @@ class SimulatedNode:
         )
 
 
+def _entries_of(index: int, count: int) -> dict[Key, str]:
+    """Types of an array or a record of U32."""
+    return {(index, sub): "U32" if sub else "U8" for sub in range(count + 1)}
+
+
 def simulated_node(drive: Drive) -> SimulatedNode:
     """A drive with the objects of its dictionary; without one, the usual objects and
     those in the description.
@@ -220,35 +225,34 @@ def simulated_node(drive: Drive) -> SimulatedNode:
                 values[index, sub] = value | cia.NOT_VALID
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
-        used += drive.extras
-        types = dict(cia.STANDARD) | {e.key: e.type for e in used}
-        types |= {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
-        types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
-        types |= {
-            (cia.CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)
-        }
+        types = (
+            dict(cia.STANDARD)
+            | {entry.key: entry.type for entry in (*used, *drive.extras)}
+            | {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
+            | _entries_of(cia.IDENTITY, 4)
+            | _entries_of(cia.CONSUMER_HEARTBEAT, CONSUMERS)
+        )
         for communication, mapping in cia.PARAMETERS.values():
             for k in range(4):
-                types |= {
-                    (communication + k, 0): "U8",
-                    (communication + k, 1): "U32",
-                    (communication + k, 2): "U8",
-                }
-                types |= {(mapping + k, sub): "U32" if sub else "U8" for sub in range(9)}
-        values = dict.fromkeys(types, 0) | {
-            (cia.DEVICE_TYPE, 0): 0x00020192,
-            (cia.CONSUMER_HEARTBEAT, 0): CONSUMERS,
-        }
-        # CiA 402: fault signal; off.
-        values |= {
-            (cia.IDENTITY, 0): 4,
-            (cia.ABORT_CONNECTION, 0): 1,
-            (cia.FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1,
-        }
-        values |= dict.fromkeys(((option, 0) for option in cia.STOP_OPTIONS), 2)  # quick stop ramp
-        values |= {
-            (first + k, 1): cia.NOT_VALID for first, _ in cia.PARAMETERS.values() for k in range(4)
-        }
+                types |= _entries_of(communication + k, 1) | {(communication + k, 2): "U8"}
+                types |= _entries_of(mapping + k, 8)
+        # CiA 402: fault signal; off; quick stop ramp.
+        values = (
+            dict.fromkeys(types, 0)
+            | {
+                (cia.DEVICE_TYPE, 0): 0x00020192,
+                (cia.CONSUMER_HEARTBEAT, 0): CONSUMERS,
+                (cia.IDENTITY, 0): 4,
+                (cia.ABORT_CONNECTION, 0): 1,
+                (cia.FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1,
+            }
+            | dict.fromkeys(((option, 0) for option in cia.STOP_OPTIONS), 2)
+            | {
+                (first + k, 1): cia.NOT_VALID
+                for first, _ in cia.PARAMETERS.values()
+                for k in range(4)
+            }
+        )
     values |= {(index, 0): raw for index, raw in drive.rated.items() if (index, 0) in values}
     node = SimulatedNode(drive=drive, types=types, values=values, read_only=read_only)
     node.tick()

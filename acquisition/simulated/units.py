@@ -29,9 +29,7 @@ def units_and_limits(bus: Bus, i: int) -> dict[tuple[int, int], int]:
         for index, units in zip(POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):
             values |= {(index, 1): units.numerator, (index, 2): units.denominator}
         speeds[motor_speed] = drive.motion.rpm or 0.0
-    values |= {
-        (index, 0): int(saturated(np.array(speed), "U32")) for index, speed in speeds.items()
-    }
+    values |= {(index, 0): int(saturated(np.array(x), "U32")) for index, x in speeds.items()}
     if drive.motion.position is not None:
         low, high = saturated(np.array(drive.motion.position), "I32").tolist()
         values |= {(position, 1): low, (position, 2): high}

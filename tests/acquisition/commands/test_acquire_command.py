@@ -141,7 +141,7 @@ def test_known_errors_are_one_line_and_leave_nothing(folder, capsys, monkeypatch
         ),
         (
             ["emulate", "old.mcap", "--channel", "x"],
-            "--interface is missing: expected the interface",
+            "--interface is missing: expected the bus to send",
         ),
         (
             ["emulate", "old.mcap", "--duration", "1"],
