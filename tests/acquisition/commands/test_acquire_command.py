@@ -68,7 +68,7 @@ def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
 def test_info_tells_everything_and_passes_no_terminal_codes_on(tmp_path, capsys):
     log, start_ns = tmp_path / "a.mcap", 1_795_260_831_000_000_000
     write(log, robot_named("scara"))
-    assert main(["info", str(log), "--json"]) == 0
+    assert main(["info", str(log), "--json", "--csv", str(tmp_path / "a.csv")]) == 0
     found, recording = json.loads(capsys.readouterr().out), read_recording(log)
     position = recording.samples["position"][:, 1]
     assert (found["samples"], found["cut"], found["sha256"]) == (240, False, recording.sha256)
