@@ -27,7 +27,7 @@ OUTPUTS = [
     (IDENTIFY, f"study {SESSION}", "--report"),
     (IDENTIFY, f"fleet {REPLAY / 'scara'}", "-o"),
     (IDENTIFY, f"view {SESSION}", "-o"),
-    (ACQUIRE, f"export {SESSION}", "-o"),
+    (ACQUIRE, f"info {SESSION}", "--csv"),
     (ACQUIRE, f"import {SESSION} --overwrite", "-o"),
 ]
 ENDINGS = {"--report": [".md", ".html"], "fleet": [".csv", ".parquet"], "view": [".rrd", ".html"]}
@@ -74,7 +74,7 @@ def test_no_output_replaces_a_file_of_another_kind(
         (IDENTIFY, f"simulate {SCARA} -o out --duration-s 1 --overwrite"),
         (IDENTIFY, f"view {SESSION} -o out"),
         (IDENTIFY, f"friction {SESSION} --report out.md"),
-        (ACQUIRE, f"export {SESSION} -o out"),
+        (ACQUIRE, f"info {SESSION} --csv out"),
     ],
     ids=lambda x: str(x)[:9],
 )
