@@ -316,5 +316,10 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
 
 
 def _compared(drive: Drive, name: str, found: str, expected: str, *, ok: bool) -> Need:
-    refusal = "" if ok else f"{found}: expected {expected}"
-    return Need(drive=drive, name=name, found=found, refusal=refusal, track=True)
+    return Need(
+        drive=drive,
+        name=name,
+        found=found,
+        refusal="" if ok else f"{found}: expected {expected}",
+        track=True,
+    )

@@ -34,8 +34,10 @@ def entry_of(file: BusFile) -> int:
 
 def heartbeat_consumers(master: Master, node: int) -> list[int]:
     """Entries of a drive's 1016h, from sub-index 1. Raises `BusFaultError` where it has none."""
-    count = master.read(node, cia.CONSUMER_HEARTBEAT, 0)
-    return [master.read(node, cia.CONSUMER_HEARTBEAT, k + 1) for k in range(count)]
+    return [
+        master.read(node, cia.CONSUMER_HEARTBEAT, k + 1)
+        for k in range(master.read(node, cia.CONSUMER_HEARTBEAT, 0))
+    ]
 
 
 def free_entry(entries: list[int], master_node: int) -> int | None:
@@ -196,11 +198,10 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
         )
     speed, min_ramp = drive.motion.speed, MIN_RAMP_SHARE * (drive.motion.acceleration or 0.0)
     rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
-    enough = ramp >= min_ramp - 1  # drives state whole counts
     return (
         f"{ramp / scale:.4g} {unit}/s²{rest}",
         ""
-        if enough
+        if ramp >= min_ramp - 1  # drives state whole counts
         else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit",
     )
 

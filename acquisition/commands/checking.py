@@ -95,8 +95,12 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
 def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
     """What robot.toml lacks for a session that sends, or for motion."""
     if lines := lines_to_fill_in(robot):
-        text = f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses"
-        yield Finding(FILL_IN, text, ok=False, track=True)
+        yield Finding(
+            FILL_IN,
+            f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses",
+            ok=False,
+            track=True,
+        )
     if missing := missing_limits(robot):
         yield Finding("limits", "; ".join(missing), ok=False, track=True)
     try:
@@ -130,8 +134,10 @@ def table(findings: list[Finding]) -> list[str]:
 
 def verdicts(findings: list[Finding]) -> dict[str, str]:
     """Return what a recording and motion may do: `go`, or `no go` with what forbids it."""
-    recording = [finding for finding in findings if not finding.track]
-    return {"recording": _verdict(recording), "motion": _verdict(findings)}
+    return {
+        "recording": _verdict([finding for finding in findings if not finding.track]),
+        "motion": _verdict(findings),
+    }
 
 
 def _verdict(findings: list[Finding]) -> str:
@@ -256,8 +262,8 @@ def _jitter(master: Master) -> Finding:
 def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
     """Reported joint positions, and whether the drives are homed."""
     try:
-        words = ", ".join(position_words(robot, joint_positions(robot, master)))
-        yield Finding("joint positions", f"{words}: check that the robot stands there")
+        words = position_words(robot, joint_positions(robot, master))
+        yield Finding("joint positions", f"{', '.join(words)}: check that the robot stands there")
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             homed = is_homed(master, drive, file)
             text = (

@@ -211,8 +211,12 @@ def add_options(
             how |= {"choices": get_args(kind), "type": str.lower}
         if default is not None and kind is not bool and "default" not in how["help"]:
             how["help"] += f" (default {_default_text(default)})"
-        flag = how.pop("flag") or f"--{field.name.replace('_', '-')}"
-        parser.add_argument(flag, dest=field.name, default=defaults.get(field.name), **how)
+        parser.add_argument(
+            how.pop("flag") or f"--{field.name.replace('_', '-')}",
+            dest=field.name,
+            default=defaults.get(field.name),
+            **how,
+        )
 
 
 def _default_text(default: Any) -> str:
@@ -301,10 +305,9 @@ class _Stream:
         return getattr(self.stream, name)
 
     def _unless_failed(self, call: Callable[[], object]) -> None:
-        if self.error is not None:
-            return
         try:
-            call()
+            if self.error is None:
+                call()
         except OSError as error:
             self.error = error
             # Python flushes again at exit and would report the error, so the

@@ -15,7 +15,7 @@ from .command_line import Progress, add_options, add_overwrite, add_path
 
 if TYPE_CHECKING:
     from ..importing import ImportSummary
-    from ..robot import Payload, Robot
+    from ..robot import Robot
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -87,25 +87,28 @@ def run(options: argparse.Namespace) -> None:
         of_kinds={"mcap": options.output},
     )
     with Progress("importing"):
-        found = _imported(options)
+        from ..importing import is_bag
+
+        bag = options.topic is not None or (options.map is None and is_bag(options.tables[0]))
+        found = _imported(options, bag)
     if found is not None:
-        is_mapped = options.map is not None or _is_bag(options)
-        _print(found, sys.stdout if is_mapped else sys.stderr)
+        _print(found, sys.stdout if bag or options.map is not None else sys.stderr)
 
 
-def _is_bag(options: argparse.Namespace) -> bool:
-    from ..importing import is_bag
-
-    return options.topic is not None or (options.map is None and is_bag(options.tables[0]))
-
-
-def _imported(options: argparse.Namespace) -> "ImportSummary | None":
+def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
     """Import by the kind of the first file; None where the user has to complete a map first."""
     from ..files import is_recording
-    from ..importing import import_log, import_recording, import_tables, is_log
+    from ..importing import (
+        BagOptions,
+        import_bag,
+        import_log,
+        import_recording,
+        import_tables,
+        is_log,
+    )
     from ..robot import load_robot, parse_payload
 
-    out, tables, bag = options.output, options.tables, _is_bag(options)
+    out, tables = options.output, options.tables
     if options.mapping and (options.topic or options.map or not is_log(tables[0])):
         raise BadInputError(
             key="--mapping", value=options.mapping[0], expected="an EtherCAT capture"
@@ -127,28 +130,20 @@ def _imported(options: argparse.Namespace) -> "ImportSummary | None":
             expected="the robot's description; only recordings have their own",
         )
     if bag:
-        return _import_bag(options, robot, payload)
+        _refuse_as_bag(options)
+        topic, _, other = (name.strip() for name in (options.topic or "").partition(","))
+        asked = BagOptions(
+            topic=topic,
+            reference_topic=other,
+            effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
+            resample_hz=options.resample_hz,
+        )
+        return import_bag(tables[0], robot, out, asked, payload)
     _refuse_bag_options(options)
     if options.map is not None:
         return import_tables(tables, robot, options.map, out, payload)
     _refuse_as_log(tables)
     return import_log(tables[0], out, robot, str(options.robot), payload, options.mapping)
-
-
-def _import_bag(
-    options: argparse.Namespace, robot: "Robot", payload: "Payload | None"
-) -> "ImportSummary":
-    from ..importing import BagOptions, import_bag
-
-    _refuse_as_bag(options)
-    topic, _, other = (name.strip() for name in (options.topic or "").partition(","))
-    asked = BagOptions(
-        topic=topic,
-        reference_topic=other,
-        effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
-        resample_hz=options.resample_hz,
-    )
-    return import_bag(options.tables[0], robot, options.output, asked, payload)
 
 
 def _print(found: "ImportSummary", warnings: TextIO) -> None:

@@ -107,7 +107,7 @@ def _check_options(options: argparse.Namespace) -> None:
             key="--duration", value=options.duration_s, expected="more than 0, and finite"
         )
     moves = options.track is not None and not options.dry_run
-    if moves and not options.yes and not os.isatty(STDIN):
+    if moves and not (options.yes or os.isatty(STDIN)):
         raise BadInputError(
             "nobody can confirm the joint positions",
             place="--track",

@@ -152,14 +152,13 @@ class ProcessLog:
             status = content if kind == "status" else status
         if status is not None:
             self._heard_s = time.monotonic()
+            self.on_status(status, stamp_ns)
         silent_s = time.monotonic() - self._heard_s
         self._hangs = silent_s > MAX_SILENT_S
         if self._hangs:
             raise BusFaultError(
                 f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s"
             )
-        if status is not None:
-            self.on_status(status, stamp_ns)
         return status
 
     def finish(self, stamp_ns: int) -> RecordedSummary:

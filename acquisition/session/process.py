@@ -134,12 +134,9 @@ class Watchdog:
             with suppress(OSError, ValueError):  # a closed terminal
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")
                 sys.stderr.flush()
-        text = (
-            not_disabled(unconfirmed)
-            if unconfirmed
-            else "every drive confirmed to the recorder's process"
-        )
-        self._event("not disabled" if unconfirmed else "disabled", text)
+            self._event("not disabled", not_disabled(unconfirmed))
+        else:
+            self._event("disabled", "every drive confirmed to the recorder's process")
 
     def _event(self, kind: str, text: str) -> None:
         self.events.append((time.time_ns(), kind, text))
@@ -182,8 +179,13 @@ def run(
         assert robot.bus is not None
         # The recorder never sends; the watchdog opens the bus again if it must stop the drives.
         bus = None if role is Role.FED else open_bus(robot.bus, passive=True)
-        source = "CAN, passive" if role is Role.LISTENER else "CAN, active"
-        recorder = Recorder(path, robot, source=source, place=place, payload=payload)
+        recorder = Recorder(
+            path,
+            robot,
+            source="CAN, passive" if role is Role.LISTENER else "CAN, active",
+            place=place,
+            payload=payload,
+        )
         receiver = None if bus is None else Receiver(bus)
         try:
             ours = np.zeros(0, np.int64) if role is Role.LISTENER else _master_ids(robot, place)

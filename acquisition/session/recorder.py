@@ -163,8 +163,7 @@ class Recorder:
             q = decoded.samples["position"]
             low = tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist())
             high = tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist())
-            counted = decoded.counters
-            losses = {word: count + int(counted[word]) for word, count in losses.items()}
+            losses = {word: n + int(decoded.counters[word]) for word, n in losses.items()}
         return Status(
             frames=last.frames + len(recent),
             rate_hz=len(recent) / max(elapsed_s, 1e-3),
@@ -180,10 +179,8 @@ class Recorder:
         self._writer.flush()
         self._watch_file()
         # by its descriptor, as the file may have been renamed
-        here = Path(f"/proc/self/fd/{self._writer.fileno()}")
-        frames = recording.read_recording(here).frames.get(
-            self.channel, np.zeros(0, recording.FRAME)
-        )
+        written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}"))
+        frames = written.frames.get(self.channel, np.zeros(0, recording.FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         if self._fd_frames:
             text = f"frames left out: {self._fd_frames} of CAN FD"

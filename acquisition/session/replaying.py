@@ -90,11 +90,10 @@ def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
         raise BadInputError("holds no CAN frames", place=place, expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")
-    services = (EMERGENCY, ANSWER, HEARTBEAT)
     ids = [
         bus.file.sync_can_id,
         *(pdo.can_id for drive in bus.drives for pdo in drive.tpdos),
-        *(service + drive.node for drive in bus.drives for service in services),
+        *(s + drive.node for drive in bus.drives for s in (EMERGENCY, ANSWER, HEARTBEAT)),
     ]
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]

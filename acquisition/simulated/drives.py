@@ -81,8 +81,10 @@ class SimulatedDrives:
         for node, limit in zip(self.nodes, self._quick_stop, strict=True):
             # The ramps are the motor's acceleration limit, rad/s² or m/s², as in the
             # commissioning of an arm.
-            ramps = cia.QUICK_STOP_DECELERATION, cia.PROFILE_DECELERATION
-            keys = [(axis_index(node.drive, index), 0) for index in ramps]
+            keys = [
+                (axis_index(node.drive, index), 0)
+                for index in (cia.QUICK_STOP_DECELERATION, cia.PROFILE_DECELERATION)
+            ]
             unit = _ramp(node, node.values | dict.fromkeys(keys, 1))
             for key in [key for key in keys if key in node.values and unit]:
                 node.values[key] = node.initial[key] = int(

@@ -334,10 +334,9 @@ class Supervision:
 
     def _entries(self) -> dict[int, int]:
         values = self._node.values
-        subs = range(1, values.get((cia.CONSUMER_HEARTBEAT, 0), 0) + 1)
         return {
             sub: values[cia.CONSUMER_HEARTBEAT, sub]
-            for sub in subs
+            for sub in range(1, values.get((cia.CONSUMER_HEARTBEAT, 0), 0) + 1)
             if (cia.CONSUMER_HEARTBEAT, sub) in values
         }
 

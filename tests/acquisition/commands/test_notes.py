@@ -75,6 +75,14 @@ def test_no_standard_input_ends_a_session(tmp_path, standard_input, path):
     assert (len(notes) > 50) == (path == "/dev/zero")
 
 
+def press(keys: int, text: bytes) -> None:
+    """Type a text, until the terminal has it and shows it."""
+    os.write(keys, text)
+    shown = b""
+    while text.strip() not in shown:
+        shown += os.read(keys, 1000)
+
+
 def taken(notes: Notes, done: Callable[[list[str]], bool]) -> list[str]:
     """What is noted until that is enough, or ten seconds are over."""
     found, until_s = [], time.monotonic() + 10
@@ -86,12 +94,12 @@ def taken(notes: Notes, done: Callable[[list[str]], bool]) -> list[str]:
 
 def test_the_key_begins_a_note_that_the_terminal_edits(keys, monkeypatch):
     before, notes = termios.tcgetattr(0), Notes(StatusLine())
-    os.write(keys, b"m kept\n")
+    press(keys, b"m kept\n")
     with monkeypatch.context() as behind:
         behind.setattr(Notes, "_in_foreground", lambda _: False)
         assert notes.take() == []
     assert termios.tcgetattr(0) == before, "in the background the terminal is left alone"
-    assert notes.take() == ["kept"]
+    assert taken(notes, bool) == ["kept"]
     assert termios.tcgetattr(0)[3] == before[3], "the line mode stays"
     os.write(keys, b"not this\nxm")
     assert taken(notes, lambda _: notes.typing) == []
@@ -99,7 +107,7 @@ def test_the_key_begins_a_note_that_the_terminal_edits(keys, monkeypatch):
     assert taken(notes, lambda found: len(found) == 2) == ["two moto mm", "pasted m"]
     os.write(keys, b"m")
     assert taken(notes, lambda _: notes.typing) == []
-    os.write(keys, b"not ended")
+    press(keys, b"not ended")
     notes.close()
     assert termios.tcgetattr(0) == before
     os.write(keys, b"behind\n")
@@ -124,7 +132,7 @@ def test_what_is_typed_before_the_question_does_not_answer_it(
     tmp_path, keys, monkeypatch, capsys, answer, moves
 ):
     def record(*arguments):
-        os.write(keys, b"no\n" if moves else b"yes\n")
+        press(keys, b"no\n" if moves else b"yes\n")
         threading.Timer(0.3, os.write, (keys, answer)).start()
         raise RobotIdimError(str(arguments[-1].confirm(["joint_1 = 0 deg"], [])))
 
