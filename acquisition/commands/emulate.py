@@ -64,8 +64,13 @@ def run(options: argparse.Namespace) -> None:
         file = BusFile(
             interface=options.interface, channel=options.channel, drive=(), sync_period_s=1.0
         )
-        speed = 1.0 if options.speed is None else options.speed
-        count = replay(options.file, file, stop, speed=speed, onto_bus=options.onto_bus)
+        count = replay(
+            options.file,
+            file,
+            stop,
+            speed=1.0 if options.speed is None else options.speed,
+            onto_bus=options.onto_bus,
+        )
     print(one_line(f"{count} frames sent on {file.interface} {file.channel}"))
 
 

@@ -17,7 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print the recording's overview; write the table and print its size."""
     warnings: list[str] = []
-    rows = None
+    size = ""
     with Progress("reading"):
         from ..files import refuse_clash
         from ..importing import export_csv
@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> None:
         if options.csv is not None:
             refuse_clash([options.recording], of_kinds={"csv": options.csv})
             rows = export_csv(options.recording, options.csv, warnings.append)
+            size = one_line(f"{options.csv}: {rows} rows")
         found = overview(read_recording(options.recording))
     if options.json:
         import msgspec
@@ -42,6 +43,5 @@ def run(options: argparse.Namespace) -> None:
         print(*(line.rstrip() for line in shown.get().splitlines()), sep="\n")
     for text in warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
-    if rows is not None:
-        text = one_line(f"{options.csv}: {rows} rows")
-        print(text, file=sys.stderr if options.json else sys.stdout)  # JSON stays JSON
+    if size:
+        print(size, file=sys.stderr if options.json else sys.stdout)  # JSON stays JSON
