@@ -10,17 +10,18 @@ imports only run down::
                  consistency (pinocchio)
     regression   settings, filters, weights of samples; the terms of the equation of motion, their
                  unknowns x, and the rows J, Z, r
-    simulation   control laws, the robot in closed loop, instruments along its motion
-    trust        tests of a fit
-    methods      the method on one screen (`idim`), several recordings, the verdict, documents
-                 of a fit
+    control      the law that moves the robot: described, found, or the default PD
+    simulation   the robot in closed loop, instruments along its motion
+    trust        tests of a solution
+    methods      the method on one screen (`idim`), from recordings to a solution
+    results      a fit with its tests, its file and its documents
     study        robots with known parameters: simulated recordings, the demo, studies; fleets
     export       a fit as URDF, MJCF and robot.toml; a description from a URDF
     design       exciting references, the choice of friction terms
-    view         Rerun files
+    view         Rerun files and pages
+    fits         a fit that was made or read, and what one does with it
     commands     the command line
-    fits         what a fit in memory and a stored one have in common
-    notebook     the names below: fits of arrays, and what one does with a fit
+    notebook     the names below: fits of arrays and of recordings
 
 The main names are imported here on first use. A fit of arrays, its report and its
 model for a simulator:

@@ -163,13 +163,6 @@ def fit(
     """
     if method not in (None, "iv", "wls", "ols"):
         raise BadInputError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
-    for key, value in (
-        ("cutoff_hz", cutoff_hz),
-        ("decimation", decimation),
-        ("low_speed_percent", low_speed_percent),
-    ):
-        if value is not None and not 0 <= value < float("inf"):
-            raise BadInputError(key=key, value=value, expected="a number from 0")
     if isinstance(robot, Robot) and bandwidth_hz is not None:
         raise BadInputError(
             "has no effect",
@@ -177,54 +170,55 @@ def fit(
             value=bandwidth_hz,
             expected="a URDF's path with it",
         )
+    overrides = Overrides(
+        cutoff_hz=cutoff_hz,
+        decimation=decimation,
+        low_speed_percent=low_speed_percent,
+        torque_lag_s=torque_lag_s,
+        gains=tuple(gains) or None,
+    )
+    for key in ("cutoff_hz", "decimation", "low_speed_percent"):
+        value = getattr(overrides, key)
+        if value is not None and not 0 <= value < float("inf"):
+            raise BadInputError(key=key, value=value, expected="a number from 0")
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
     first = q[0] if isinstance(q, list | tuple) and q else ()
     several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
-    arguments: dict[str, Any] = {
-        "q": q,
-        "effort": tau,
+    optional: dict[str, Any] = {
         "q_ref": q_ref,
         "velocity": velocity,
         "known_torque": known_torque,
         "feedforward": feedforward,
-        "sample_rate_hz": sample_rate_hz,
         "payload": payload or "",
     }
-    given = {
-        name: x
-        for name, x in arguments.items()
-        if x is not None or name in ("q", "effort", "sample_rate_hz")
-    }
-    count, sources = len(given["q"]) if several else 1, list[Signals]()
+    given: dict[str, Any] = {"q": q, "effort": tau, "sample_rate_hz": sample_rate_hz}
+    given |= {name: x for name, x in optional.items() if x is not None}
+    sources = _several_of_arrays(described, given) if several else (_of_arrays(described, given),)
+    recordings = Recordings(sources=sources)
+    found = results.identify(recordings, overrides, method=method, essential=essential)
+    return _of_user(found)
+
+
+def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ...]:
+    """Recordings by lists of their arrays; what is no list is that of each."""
+    count = len(given["q"])
     for name, x in given.items():
-        given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
+        given[name] = x if isinstance(x, list | tuple | np.ndarray) else [x] * count
         if len(given[name]) != count:
             raise BadInputError(
                 key=f"len({name})", value=len(x), expected=f"{count}, one for each of q"
             )
-    for k in range(count):
-        one = {name: x[k] for name, x in given.items()}
-        text, signals = one.pop("payload"), signals_from_arrays(robot=described, **one)
-        sources.append(
-            replace(
-                signals,
-                recording=f"{signals.recording} {k + 1}" if several else signals.recording,
-                payload=parse_payload(text, described, "payload") if text else None,
-            )
-        )
-    found = results.identify(
-        Recordings(sources=tuple(sources)),
-        Overrides(
-            cutoff_hz=cutoff_hz,
-            decimation=decimation,
-            low_speed_percent=low_speed_percent,
-            torque_lag_s=torque_lag_s,
-            gains=tuple(gains) or None,
-        ),
-        method=method,
-        essential=essential,
+    each = (_of_arrays(robot, {name: x[k] for name, x in given.items()}) for k in range(count))
+    return tuple(
+        replace(one, recording=f"{one.recording} {k}") for k, one in enumerate(each, start=1)
     )
-    return _of_user(found)
+
+
+def _of_arrays(robot: Robot, given: dict[str, Any]) -> Signals:
+    """A recording by its arrays."""
+    text = given.pop("payload")
+    payload = parse_payload(text, robot, "payload") if text else None
+    return replace(signals_from_arrays(robot=robot, **given), payload=payload)
 
 
 # `help` would write out numpy's ArrayLike, in 5000 characters

@@ -1,4 +1,8 @@
-"""Documents of sections and tables, their renderers, the JSON files of fits, comparisons."""
+"""Documents of sections and tables, their renderers, the JSON files of fits, comparisons.
+
+It owns `Document`, and the types of the files, which are read without the methods. It is the lowest
+room and may use none of the others.
+"""
 
 from .comparison import (
     Difference,

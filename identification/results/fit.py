@@ -1,8 +1,9 @@
 """Results of an identification: the estimate, its settings, and its tests."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -28,6 +29,8 @@ from ..report import (
 )
 from ..trust import FitData, Trust
 from .on_recording import FitOnRecording
+
+Found = TypeVar("Found", Estimate, Intervals)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -78,27 +81,31 @@ class Fit:
         """Of the base parameters, fewer than `base` has if only the essential ones were asked for;
         without those of gains and payloads.
         """
-        return self.data.estimate.part(base_places(self.data.estimate.names))
+        return self.of_base(self.data.estimate, self.data.estimate.names)
 
     @cached_property
     def intervals(self) -> Intervals:
         """Of the estimate."""
-        return self.data.intervals.part(base_places(self.data.estimate.names))
+        return self.of_base(self.data.intervals, self.data.estimate.names)
 
     @cached_property
     def least_squares(self) -> Pass:
         """The fit itself or, of `iv`, weighted least squares of the same recordings and settings:
         its base parameters.
         """
-        found = self.solution.least_squares
-        at = base_places(found.estimate.names)
-        return replace(found, estimate=found.estimate.part(at), intervals=found.intervals.part(at))
+        found, names = self.solution.least_squares, self.solution.least_squares.estimate.names
+        estimate = self.of_base(found.estimate, names)
+        return replace(found, estimate=estimate, intervals=self.of_base(found.intervals, names))
+
+    def of_base(self, found: Found, names: Sequence[str]) -> Found:
+        """The part of the base parameters, of those `names`."""
+        return found.part(base_places(names)) if self.gains or self.payloads else found
 
     @cached_property
     def essential(self) -> FTest:
         """The essential base parameters by least squares, and the test of leaving out others."""
         found = self.solution.essential
-        names = tuple(found.names[k] for k in base_places(found.names))
+        names = tuple(name for name in found.names if ":" not in name)
         return msgspec.structs.replace(found, names=names)
 
     @cached_property
@@ -170,8 +177,7 @@ class Fit:
     @cached_property
     def full(self) -> Estimate:
         """Least squares of all base parameters."""
-        full = self.data.least_squares
-        return full.part(base_places(full.names))
+        return self.of_base(self.data.least_squares, self.data.least_squares.names)
 
     @property
     def beta(self) -> Array:
@@ -215,8 +221,3 @@ class Fit:
     def held_out_error_percent(self) -> float | None:
         """Torque error of blocks of time predicted by the others."""
         return self.trust.line("held-out blocks").value
-
-    @property
-    def distrust(self) -> tuple[str, ...]:
-        """The tests whose level is `do not use`; empty if the result may be used."""
-        return tuple(line.text for line in self.trust.lines if line.level == "do not use")

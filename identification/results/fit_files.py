@@ -10,8 +10,6 @@ from acquisition.robot import Robot
 
 from .. import report
 from ..control import FoundLaw
-from ..regression import Problem
-from ..trust import HeldOut
 from .fit import Fit
 from .gain_results import smallest_cragg_donald
 from .horizon import HORIZONS_S
@@ -23,25 +21,56 @@ from .recording_report import first_ahead
 
 def fit_file(fit: Fit) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
-    e, signals, lines = fit.estimate, fit.problem.signals, fit.trust.lines
-    full = fit.full
-    each = [_recording(one.problem, errors_on([one])[-1], one.held_out) for one in fit.recordings]
+    robot, each = fit.problem.signals.robot, fit.recordings if len(fit.recordings) > 1 else ()
     return report.FitFile(
         **on_recording(fit.problem, fit.errors, fit.warnings),
-        own_parameters=fit.own or UNSET,
-        recordings=each if len(each) > 1 else UNSET,
+        recordings=[_recording(one, errors_on([one])[-1]) for one in each] or UNSET,
         method=fit.method,
+        method_reason=fit.solution.method_reason,
         status=fit.status,
-        doubts=[
+        notes=list(fit.notes),
+        gains=list(fit.gains) or UNSET,
+        cragg_donald=smallest_cragg_donald(fit.data) if fit.gains else UNSET,
+        payloads=list(fit.payloads) or UNSET,
+        law=_law(law, robot) if (law := fit.law) else UNSET,
+        consistent=fit.consistent_set or UNSET,
+        standard_parameters=list(fit.standard_parameters) or UNSET,
+        description={
+            name: robot.files[name].decode("utf-8", errors="replace")
+            for name in ("robot.toml", "robot.urdf")
+            if name in robot.files
+        },
+        **_trust_keys(fit),
+        **_estimate_keys(fit),
+        **(_iv_keys(fit) if fit.passes else {}),
+    )
+
+
+def _trust_keys(fit: Fit) -> dict[str, Any]:
+    """The keys of the tests, and of what they looked at."""
+    lines, signals = fit.trust.lines, fit.problem.signals
+    return {
+        "verdict": fit.trust.verdict,
+        "trust": [
+            report.TrustLineFile(
+                test=one.test,
+                level=one.level,
+                value=one.value,
+                text=one.text,
+                finding=one.finding,
+                figures=list(one.figures),
+                unit=one.unit,
+            )
+            for one in lines
+        ],
+        "assumed": list(fit.trust.assumed),
+        "doubts": [
             report.PhysicalWarning(text=line.text, severe=line.level == "do not use")
             for line in lines
             if line.test == "physical" and line.level != "ok"
         ],
-        verdict=fit.trust.verdict,
-        method_reason=fit.solution.method_reason,
-        assumed=list(fit.trust.assumed),
         # that of the first recording; others of several may have their own
-        lag=next(
+        "lag": next(
             (
                 report.LagFile(
                     value_s=lag.value_s,
@@ -59,51 +88,36 @@ def fit_file(fit: Fit) -> report.FitFile:
             ),
             UNSET,
         ),
-        held_out_error_percent=fit.held_out_error_percent,
-        prior_source=fit.data.prior_source or UNSET,
-        prior_held_out_error_percent=fit.data.prior_error_percent if fit.data.prior else UNSET,
-        trust=[
-            report.TrustLineFile(
-                test=one.test,
-                level=one.level,
-                value=one.value,
-                text=one.text,
-                finding=one.finding,
-                figures=list(one.figures),
-                unit=one.unit,
-            )
-            for one in lines
-        ],
-        condition_number=e.condition_number,
-        condition_number_scaled=e.condition_number_scaled,
-        rows=round(e.rows),
-        parameters=list(fitted_parameters(fit).parameters.values()),
-        gains=list(fit.gains) or UNSET,
-        payloads=list(fit.payloads) or UNSET,
-        law=_law(law, signals.robot) if (law := fit.law) else UNSET,
-        covariance=report.Covariance(names=list(e.names), values=fit.intervals.covariance.tolist()),
-        left_out=[
+        "held_out_error_percent": fit.held_out_error_percent,
+        "prior_source": fit.data.prior_source or UNSET,
+        "prior_held_out_error_percent": fit.data.prior_error_percent if fit.data.prior else UNSET,
+        "least_squares_error_percent": _error_by_ls(fit)
+        if fit.status in report.NO_FIXED_POINT
+        else UNSET,
+    }
+
+
+def _estimate_keys(fit: Fit) -> dict[str, Any]:
+    """The keys of the parameters, and of the rows that they are from."""
+    e, full = fit.estimate, fit.full
+    return {
+        "parameters": list(fitted_parameters(fit).parameters.values()),
+        "covariance": report.Covariance(
+            names=list(e.names), values=fit.intervals.covariance.tolist()
+        ),
+        "left_out": [
             report.LeftOut(name=name, sigma=float(sigma))
             for name, sigma in zip(full.names, full.sigma, strict=True)
             if name not in e.names
         ],
-        consistent=fit.consistent_set or UNSET,
-        standard_parameters=list(fit.standard_parameters) or UNSET,
-        essential=msgspec.structs.replace(fit.essential, names=fit.essential_names),
-        unclear=[name for name in fit.essential.names if name not in fit.essential_names],
-        recorded_rows=fit.data.observed.share.size,
-        notes=list(fit.notes),
-        least_squares_error_percent=_error_by_ls(fit)
-        if fit.status in report.NO_FIXED_POINT
-        else UNSET,
-        cragg_donald=smallest_cragg_donald(fit.data) if fit.gains else UNSET,
-        description={
-            name: signals.robot.files[name].decode("utf-8", errors="replace")
-            for name in ("robot.toml", "robot.urdf")
-            if name in signals.robot.files
-        },
-        **(_iv_keys(fit) if fit.passes else {}),
-    )
+        "essential": msgspec.structs.replace(fit.essential, names=fit.essential_names),
+        "unclear": [name for name in fit.essential.names if name not in fit.essential_names],
+        "own_parameters": fit.own or UNSET,
+        "condition_number": e.condition_number,
+        "condition_number_scaled": e.condition_number_scaled,
+        "rows": round(e.rows),
+        "recorded_rows": fit.data.observed.share.size,
+    }
 
 
 def _law(law: FoundLaw, robot: Robot) -> report.LawFile:
@@ -139,12 +153,12 @@ def validation_file(
     consistent: tuple[report.TorqueResidual, ...] = (),
 ) -> report.ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
-    each = [_recording(one.problem, errors_on([one])[-1]) for one in recordings]
+    each = recordings if len(recordings) > 1 else ()
     ahead = first_ahead(recordings)
     return report.ValidationFile(
         **on_recording(recordings[0].problem, errors, warnings),
         fit=fit,
-        recordings=each if len(each) > 1 else UNSET,
+        recordings=[_recording(one, errors_on([one])[-1]) for one in each] or UNSET,
         ahead={
             f"{time_s:g}": report.Ahead(error=error.tolist(), way=way.tolist())
             for time_s, error, way in zip(HORIZONS_S, *ahead, strict=True)
@@ -155,10 +169,8 @@ def validation_file(
     )
 
 
-def _recording(
-    problem: Problem, whole: report.TorqueResidual, held_out: HeldOut | None = None
-) -> report.RecordingOfFit:
-    signals, settings = problem.signals, problem.settings
+def _recording(one: FitOnRecording, whole: report.TorqueResidual) -> report.RecordingOfFit:
+    signals, settings, held_out = one.signals, one.problem.settings, one.held_out
     return report.RecordingOfFit(
         recording=signals.recording,
         sha256=signals.sha256,

@@ -18,7 +18,6 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import BadInputError
 from ..estimation import one_thread
-from ..methods import essential_names
 from ..model import (
     BaseParameters,
     InverseModel,
@@ -41,7 +40,8 @@ def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
     """
     of = fit.least_squares if by_ls else fit
     e, intervals = of.estimate, of.intervals
-    essential = essential_names(fit.essential, e, intervals) if by_ls else fit.essential_names
+    narrow = zip(e.names, e.beta, intervals.half, strict=True)
+    essential = {name for name, x, half in narrow if half < abs(x) and name in fit.essential.names}
     known = true_parameters(fit.base, np.zeros(len(fit.base.names))).parameters
     prior, columns = fit.data.prior, (e.beta, intervals.low, intervals.high, e.sigma)
     norms = np.linalg.norm(fit.data.W, axis=0).tolist()

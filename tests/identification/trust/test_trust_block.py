@@ -141,7 +141,7 @@ def test_a_clean_recording_is_trusted_and_what_nobody_checked_is_named(method):
     lines = {x.test: x for x in fit.trust.lines}
     assert set(lines) == OF_ALL | ({"instruments"} if method == "iv" else {"position noise"})
     assert {x.level for x in lines.values()} == {"ok"}
-    assert (fit.distrust, fit.trust.verdict) == ((), "trust")
+    assert fit.trust.verdict == "trust"
     assumed = {one.what: one for one in fit.trust.assumed}
     both = {"drive gains", "efforts", "ratios", "lengths", "sample rate", "zeros", "rotors"}
     assert set(assumed) == (both if method == "iv" else both | {"encoder noise", "lag"})
