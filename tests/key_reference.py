@@ -15,7 +15,7 @@ from msgspec.json import schema_components
 
 from acquisition.commands.command_line import Program
 from acquisition.commands.program import PROGRAM as ACQUIRE
-from acquisition.importing.tables import TableMap
+from acquisition.importing import TableMap
 from acquisition.robot import BusFile, RobotFile
 from identification.commands.program import PROGRAM as IDENTIFY
 

@@ -18,7 +18,7 @@ from .before_motion import (
     refuse_enabled,
 )
 from .configuring import Need, configure, needs_of, read_needs
-from .frames import Frame, Tap, block_of, command_ids, service_of
+from .frames import Frame, Tap, block_of, command_ids, other_node, service_of, sign_of_master
 from .links import (
     QUEUE_BYTES,
     SHARED,
@@ -28,20 +28,23 @@ from .links import (
     open_bus,
     open_link,
     queue_bytes,
+    request_queue_size,
     socket_of,
 )
 from .logs import SUFFIXES, read_log
 from .master import OPERATIONAL, Master, Orders, send_order
-from .passive import listening_words
+from .passive import LISTEN_ONLY, listening_words
 from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (
     MasterHeartbeat,
+    free_entry,
     read_if_there,
     refuse_unsupervised,
     second_stop,
     stop_ramp,
     supervision_of,
     supervision_refusal,
+    timeout_ms,
 )
-from .uploads import Readings, Uploads, scan_nodes
+from .uploads import Readings, Uploads, scan_nodes, upload_segments

@@ -7,7 +7,9 @@ recording again, and exports recordings as tables. It may use `session`, `bus`, 
 
 from .bags import BagOptions, import_bag, is_bag
 from .conversions import import_log, import_recording, is_log
+from .ethercat import cycle_numbers
 from .held import grid_of_new_rows
 from .proposed_map import TORQUE_SENSORS, propose_map
-from .tables import export_csv, import_tables, lines_to_fill_in
-from .time_base import ImportSummary
+from .stamps import rows_in_time, stamps_warning, ticks_from_velocity
+from .tables import TableMap, export_csv, import_tables, lines_to_fill_in
+from .time_base import ImportSummary, interpolate, rate_warnings, resample, time_report

@@ -27,5 +27,5 @@ from .rows import (
     sample_dtype,
 )
 from .summary import as_tables, overview
-from .sync_grid import minimum_ahead
+from .sync_grid import Syncs, SyncTimes, minimum_ahead, recorded_syncs, sync_times, usual_period
 from .writer import JOINT_STATE, Header, RecordingWriter

@@ -10,6 +10,7 @@ from .bus import (
     BusFile,
     DriveFile,
     EffortTiming,
+    demand_ripple,
     efforts_of_scan,
     parse_homed,
     ripple_notes,

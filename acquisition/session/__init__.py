@@ -5,9 +5,18 @@ Every way out of motion leaves the drives disabled. It may use `simulated`, `bus
 `robot` and `protocol`.
 """
 
-from .logs import InlineLog
+from .logs import InlineLog, ProcessLog, Role
+from .process import Watchdog, WatchdogPipe, silence_s
 from .recorder import RecordedSummary, Recorder, Status, write_decoded
 from .replaying import replay
 from .running import INTERRUPTED, RecordOptions, UserInterface, record, stop_on_signals
 from .session import Outcome, Stop, Task, run_active
-from .timing import DEVIATIONS, real_time_scheduling, scheduling_words, sync_jitter
+from .timing import (
+    DEVIATIONS,
+    Pace,
+    largest_delay_s,
+    real_time_scheduling,
+    refuse_jitter,
+    scheduling_words,
+    sync_jitter,
+)

@@ -8,10 +8,16 @@ from .drives import LockStepLink, SimulatedDrives, serve
 from .mechanism import (
     SUBSTEPS,
     DrivenPlant,
+    JointwisePlant,
     LoopGains,
+    Plant,
     TablePlant,
     cascaded_loops,
     describe_loops,
     driven_plant,
     middle_of_range,
+    rated_motor_effort,
+    typical_inertia,
+    typical_plant,
 )
+from .node import SimulatedNode

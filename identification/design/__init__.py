@@ -8,5 +8,6 @@ does not simulate.
 
 from .excitation import Excitation, ExcitationSettings, excitation_document, excite
 from .friction_report import friction_document, friction_file, write_friction
-from .information import prior_information
-from .selection import select_friction, with_terms
+from .information import Information, earlier_information, prior_information, torque_noise
+from .limits import Series, limits_of, motion_of
+from .selection import Trial, select_friction, smallest_near_best, with_terms

@@ -22,7 +22,7 @@ from .direct import (
     why_not_positive,
 )
 from .inverse import LINK, InverseModel
-from .joint_terms import SHAPES, SLIDING, JointTerm, inertia_unit
+from .joint_terms import SHAPES, SLIDING, JointTerm, corner_speeds, inertia_unit
 from .obstacles import Obstacles, obstacles_of
 from .payload import add_payload, payload_parameters
 from .physical import (
@@ -34,6 +34,7 @@ from .physical import (
     is_a_body,
     link_columns,
     nearest_consistent,
+    own_shares,
     physical_parameters,
     requirements,
     shaped_states,

@@ -16,8 +16,9 @@ from .consistent import (
 from .fit import Fit
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
+from .horizon import HORIZONS_S, errors_ahead
 from .make_fit import identify, identify_iv, identify_ls
-from .on_recording import FitOnRecording
+from .on_recording import FitOnRecording, validated
 from .parameters import (
     consistent_fit,
     fitted_parameters,

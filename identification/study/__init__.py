@@ -7,6 +7,9 @@ and sessions of `acquisition`, to record simulated drives.
 """
 
 from .demo import (
+    CATALOGUE,
+    PAYLOAD,
+    TRUE_FACTORS,
     description,
     gains_document,
     record_gain_pair,
@@ -14,9 +17,9 @@ from .demo import (
     truth_document,
 )
 from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
-from .sensitivity import VariedFit, moves_of, sensitivity_document, vary
+from .sensitivity import Variant, VariedFit, fit_variant, moves_of, sensitivity_document, vary
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
-from .study import Run, RunFit, Study, run_study, simulate_recording
+from .study import Run, RunFit, Study, one_run, run_study, simulate_recording
 from .study_report import (
     FALSE_TRUST,
     base_document,

@@ -22,9 +22,16 @@ from acquisition.session import (
     Task,
     run_active,
 )
-from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
-from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
-from acquisition.simulated.node import SimulatedNode
+from acquisition.simulated import (
+    DrivenPlant,
+    LockStepLink,
+    Plant,
+    SimulatedDrives,
+    SimulatedNode,
+    cascaded_loops,
+    rated_motor_effort,
+    typical_inertia,
+)
 
 
 def swing(

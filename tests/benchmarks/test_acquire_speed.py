@@ -19,8 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Receiver, kernel_drops
-from acquisition.bus.links import request_queue_size
+from acquisition.bus import Receiver, kernel_drops, request_queue_size
 from acquisition.recording import FRAME, decode, read_recording
 from acquisition.session import Recorder
 from acquisition.session.process import _record

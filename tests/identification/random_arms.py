@@ -6,8 +6,13 @@ import numpy as np
 
 from acquisition.robot import Robot, robot_from_files
 from identification.estimation import PhysicalParameters
-from identification.model import LINK, InverseModel, base_parameters, physical_parameters
-from identification.model.physical import own_shares
+from identification.model import (
+    LINK,
+    InverseModel,
+    base_parameters,
+    own_shares,
+    physical_parameters,
+)
 
 ROWS = 150  # states of the made up experiment
 NOISE = 0.02  # of a joint's torque, rms

@@ -15,16 +15,15 @@ from scipy.interpolate import CubicSpline
 import acquisition.commands.checking as checking_module
 from acquisition.protocol import State
 from acquisition.recording import read_recording
-from acquisition.robot import DriveFile, load_robot, ripple_notes
-from acquisition.robot.bus import demand_ripple
+from acquisition.robot import DriveFile, demand_ripple, load_robot, ripple_notes
 from acquisition.simulated import (
     DrivenPlant,
+    JointwisePlant,
     LoopGains,
     SimulatedDrives,
     cascaded_loops,
     describe_loops,
 )
-from acquisition.simulated.mechanism import JointwisePlant
 from identification.control import Reference, described_law
 from identification.data import load_signals
 from identification.model import InverseModel, direct_model

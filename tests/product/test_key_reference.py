@@ -12,7 +12,7 @@ from key_reference import (
     pages,
 )
 
-from acquisition.importing.tables import TableMap
+from acquisition.importing import TableMap
 from acquisition.robot import RobotFile
 
 

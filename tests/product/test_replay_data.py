@@ -17,8 +17,7 @@ from fits_of_records import iv_of, signals_of
 from identification.commands import main
 from identification.data import load_signals
 from identification.model import InverseModel, base_parameters, described_parameters
-from identification.study import demo
-from identification.study.demo import CATALOGUE, PAYLOAD, TRUE_FACTORS
+from identification.study import CATALOGUE, PAYLOAD, TRUE_FACTORS, demo
 
 
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])

@@ -33,7 +33,7 @@ from acquisition.recording import (
     read_recording,
 )
 from acquisition.robot import BusFile, DriveFile
-from acquisition.session.recorder import Recorder
+from acquisition.session import Recorder
 
 
 def test_a_row_byte_for_byte():

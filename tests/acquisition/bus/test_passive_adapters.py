@@ -13,8 +13,7 @@ from can.interfaces.pcan import basic
 from can.interfaces.seeedstudio import seeedstudio
 from made_up_buses import bus_text
 
-from acquisition.bus import listening_words, open_bus
-from acquisition.bus.passive import LISTEN_ONLY
+from acquisition.bus import LISTEN_ONLY, listening_words, open_bus
 from acquisition.commands import main
 from acquisition.errors import RefusedError, RobotIdimError
 from acquisition.robot import BusFile

@@ -22,12 +22,13 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.bus import (
     Master,
     MasterHeartbeat,
+    free_entry,
     read_needs,
     refuse_unsupervised,
     second_stop,
     supervision_of,
+    timeout_ms,
 )
-from acquisition.bus.supervision import free_entry, timeout_ms
 from acquisition.errors import RefusedError
 from acquisition.protocol import State
 from acquisition.session import Task

@@ -16,7 +16,7 @@ from acquisition.commands.checking import Finding, check_drives, refusal, table,
 from acquisition.protocol import State, abort_answer, request_of
 from acquisition.recording import read_recording
 from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
-from acquisition.simulated.node import SimulatedNode
+from acquisition.simulated import SimulatedNode
 
 
 def test_drives_that_are_alike_share_a_row_and_one_that_does_not_answer_is_named():

@@ -16,8 +16,7 @@ from dry_sessions import Edited, Unasked, connected, dry_session, findings, swin
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file
 
-from acquisition.bus import Frame, open_link, service_of
-from acquisition.bus.frames import other_node, sign_of_master
+from acquisition.bus import Frame, open_link, other_node, service_of, sign_of_master
 from acquisition.commands import main
 from acquisition.errors import BusFaultError, RefusedError, RobotIdimError
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording

@@ -13,8 +13,7 @@ from dry_sessions import Answering, FaultyDrives, Through, connected, swing
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 
-from acquisition.bus import Frame, Master, Uploads, scan_nodes
-from acquisition.bus.uploads import upload_segments
+from acquisition.bus import Frame, Master, Uploads, scan_nodes, upload_segments
 from acquisition.commands import main
 from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
 from acquisition.errors import RefusedError

@@ -15,8 +15,7 @@ from made_up_buses import robot_of
 
 from acquisition.commands import main
 from acquisition.errors import BadInputError, RobotIdimError
-from acquisition.importing import import_log, import_recording
-from acquisition.importing.ethercat import cycle_numbers
+from acquisition.importing import cycle_numbers, import_log, import_recording
 from acquisition.recording import read_recording
 from acquisition.robot import Robot
 from identification import identify_iv, load_signals

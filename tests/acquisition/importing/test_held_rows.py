@@ -9,7 +9,7 @@ import pytest
 
 from acquisition.commands import main
 from acquisition.errors import Place
-from acquisition.importing.held import grid_of_new_rows
+from acquisition.importing import grid_of_new_rows
 from acquisition.recording import read_recording
 
 SECONDS = 12.0

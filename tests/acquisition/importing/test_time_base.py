@@ -12,9 +12,16 @@ from jittered_time import MAP
 from scipy.interpolate import CubicSpline
 
 from acquisition.errors import BadInputError, Place
-from acquisition.importing import import_tables
-from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
-from acquisition.importing.time_base import interpolate, rate_warnings, resample, time_report
+from acquisition.importing import (
+    import_tables,
+    interpolate,
+    rate_warnings,
+    resample,
+    rows_in_time,
+    stamps_warning,
+    ticks_from_velocity,
+    time_report,
+)
 from acquisition.recording import read_recording
 
 RNG = np.random.default_rng(5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lossy_can import KINDS, SYNCS, Kind, Outcome, made, outcome
 
-from acquisition.recording.sync_grid import Syncs, recorded_syncs
+from acquisition.recording import Syncs, recorded_syncs
 
 BURSTS = {
     Kind(bursts=True): 0.93,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.recording.sync_grid import Syncs, SyncTimes, sync_times, usual_period
+from acquisition.recording import Syncs, SyncTimes, sync_times, usual_period
 
 START_NS, PERIOD_NS = 1_000_000_000, 2_000_000
 

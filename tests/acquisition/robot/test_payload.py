@@ -23,8 +23,7 @@ from acquisition.importing import BagOptions, import_bag, import_recording, impo
 from acquisition.options import RecordOptions
 from acquisition.recording import SENT, RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
-from acquisition.session import UserInterface, record
-from acquisition.session.logs import ProcessLog, Role
+from acquisition.session import ProcessLog, Role, UserInterface, record
 from identification.model import InverseModel, payload_parameters
 from identification.simulation import described_robot
 

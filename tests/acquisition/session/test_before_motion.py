@@ -20,18 +20,20 @@ from acquisition.commands import main
 from acquisition.errors import BadInputError, BusFaultError, RefusedError, RobotIdimError
 from acquisition.robot import table_reference
 from acquisition.session import (
+    Pace,
     Recorder,
     RecordOptions,
     Task,
     UserInterface,
+    largest_delay_s,
     real_time_scheduling,
     record,
+    refuse_jitter,
     running,
     scheduling_words,
     timing,
 )
 from acquisition.session.running import _before_motion as before_motion
-from acquisition.session.timing import Pace, largest_delay_s, refuse_jitter
 
 
 def test_joint_positions_in_words_by_hand():

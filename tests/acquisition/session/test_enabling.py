@@ -9,7 +9,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import State
 from acquisition.session import Task
-from acquisition.simulated.mechanism import JointwisePlant, rated_motor_effort, typical_plant
+from acquisition.simulated import JointwisePlant, rated_motor_effort, typical_plant
 
 DEG = np.degrees(1.0)
 TRACK = Task(reference=swing(2, seconds=0.4, amplitude=0.02))

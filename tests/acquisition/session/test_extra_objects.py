@@ -9,8 +9,14 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import BadInputError
 from acquisition.importing import import_recording
-from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype, writer
-from acquisition.recording.rows import Traffic
+from acquisition.recording import (
+    Header,
+    RecordingWriter,
+    Traffic,
+    read_recording,
+    sample_dtype,
+    writer,
+)
 from acquisition.robot import load_robot
 from acquisition.session import Task
 

@@ -25,7 +25,7 @@ from acquisition.protocol import (
 from acquisition.robot import Bus
 from acquisition.session import RecordOptions, Task
 from acquisition.session.running import _before_motion as before_motion
-from acquisition.simulated.node import SimulatedNode
+from acquisition.simulated import SimulatedNode
 
 Serve = Callable[[SimulatedNode, bytes, bytes], bytes]
 Key = tuple[int, int]

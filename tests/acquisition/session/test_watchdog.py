@@ -35,8 +35,7 @@ from acquisition.commands import main
 from acquisition.errors import NoAnswerError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording
-from acquisition.session import InlineLog, Task
-from acquisition.session.process import Watchdog, WatchdogPipe, silence_s
+from acquisition.session import InlineLog, Task, Watchdog, WatchdogPipe, silence_s
 
 __all__ = ["folder", "port"]  # fixtures
 LONGEST_S = 0.3 + 2 * SYNC_S  # from the last SYNC of the session to the quick stop of every drive

@@ -9,8 +9,14 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import BadInputError
 from acquisition.recording import sample_dtype
-from acquisition.simulated import TablePlant, driven_plant, middle_of_range
-from acquisition.simulated.mechanism import JointwisePlant, typical_inertia, typical_plant
+from acquisition.simulated import (
+    JointwisePlant,
+    TablePlant,
+    driven_plant,
+    middle_of_range,
+    typical_inertia,
+    typical_plant,
+)
 
 FREE, HELD = np.zeros(1, bool), np.ones(1, bool)
 DEG = np.pi / 180

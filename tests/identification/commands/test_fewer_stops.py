@@ -8,7 +8,7 @@ from conftest import REPLAY
 from acquisition.robot import load_robot
 from identification.commands import main
 from identification.data import load_signals
-from identification.study.study_report import border_line
+from identification.study import border_line
 
 SCARA = REPLAY / "scara" / "session.mcap"
 

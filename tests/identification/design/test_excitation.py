@@ -30,13 +30,17 @@ from identification.commands import main
 from identification.data import load_signals
 from identification.design import (
     ExcitationSettings,
+    Information,
+    Series,
+    earlier_information,
     excitation_document,
     excite,
+    limits_of,
+    motion_of,
     prior_information,
     search,
+    torque_noise,
 )
-from identification.design.information import Information, earlier_information, torque_noise
-from identification.design.limits import Series, limits_of, motion_of
 from identification.model import (
     InverseModel,
     add_payload,

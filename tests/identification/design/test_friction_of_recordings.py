@@ -15,8 +15,7 @@ from scipy import stats
 
 from identification.commands import main
 from identification.data import Recordings
-from identification.design import select_friction, with_terms
-from identification.design.selection import Trial, smallest_near_best
+from identification.design import Trial, select_friction, smallest_near_best, with_terms
 from identification.errors import RobotIdimError
 from identification.regression import (
     equation_alone,

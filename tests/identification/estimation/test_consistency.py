@@ -20,8 +20,7 @@ from identification.estimation import (
     pseudo_inertia,
 )
 from identification.estimation.consistency import _inverse_root, _Objective
-from identification.model import InverseModel, physical_parameters, requirements
-from identification.model.joint_terms import corner_speeds
+from identification.model import InverseModel, corner_speeds, physical_parameters, requirements
 
 rng = np.random.default_rng(8)
 

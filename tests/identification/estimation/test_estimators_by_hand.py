@@ -16,11 +16,11 @@ from identification.estimation import (
     first_stage,
     instrumental_variables,
     ordinary_least_squares,
+    orthonormal,
     r_factor,
     t_quantile,
     weighted_least_squares,
 )
-from identification.estimation.system import orthonormal
 
 
 def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

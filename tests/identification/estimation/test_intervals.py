@@ -13,6 +13,8 @@ from identification.estimation import (
     SPANS,
     SpanRows,
     System,
+    cosines,
+    deviations,
     deviations_of_sums,
     instrumental_variables,
     intervals_of,
@@ -20,7 +22,6 @@ from identification.estimation import (
     spans_at,
     stacked,
 )
-from identification.estimation.confidence import cosines, deviations
 
 # Closed forms
 

@@ -28,11 +28,12 @@ from identification.export import (
     export_model,
     make_urdf,
     model_of_fit,
+    quaternion,
+    replace_parameters,
+    roll_pitch_yaw,
     split_parameters,
     write_models,
 )
-from identification.export.exporting import replace_parameters
-from identification.export.formats import quaternion, roll_pitch_yaw
 from identification.model import (
     InverseModel,
     JointTerm,

@@ -24,9 +24,9 @@ from identification.model import (
     InverseModel,
     base_parameters,
     described_parameters,
+    link_columns,
     payload_parameters,
 )
-from identification.model.physical import link_columns
 from identification.regression import (
     FilteredMotion,
     Overrides,

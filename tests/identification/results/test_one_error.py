@@ -15,9 +15,15 @@ from identification.commands import main
 from identification.data import Recordings
 from identification.design import select_friction
 from identification.regression import Overrides, make_problem
-from identification.results import fit_document, fit_file, identify_ls, validate_all
-from identification.results.horizon import HORIZONS_S, errors_ahead
-from identification.results.on_recording import validated
+from identification.results import (
+    HORIZONS_S,
+    errors_ahead,
+    fit_document,
+    fit_file,
+    identify_ls,
+    validate_all,
+    validated,
+)
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

@@ -12,8 +12,14 @@ from identification.commands import main
 from identification.data import RecordingFile, Work
 from identification.errors import NoFitError
 from identification.report import print_whole
-from identification.study import VariedFit, moves_of, sensitivity_document, vary
-from identification.study.sensitivity import Variant, fit_variant
+from identification.study import (
+    Variant,
+    VariedFit,
+    fit_variant,
+    moves_of,
+    sensitivity_document,
+    vary,
+)
 from identification.view.charts import noise_chart
 
 SCARA = REPLAY / "scara" / "session.mcap"

@@ -14,10 +14,10 @@ from identification.study import (
     RunFit,
     Study,
     false_trust,
+    one_run,
     study_document,
     summaries,
 )
-from identification.study.study import one_run
 
 TRUE = np.array([1.0, 2.0])
 

@@ -25,8 +25,13 @@ from looked_at import looked_at
 from scipy.signal import lfilter
 
 from identification.data import Signals
-from identification.estimation import FINE_SPANS, SPANS, instrumental_variables, intervals_of
-from identification.estimation.diagnostics import autoregression
+from identification.estimation import (
+    FINE_SPANS,
+    SPANS,
+    autoregression,
+    instrumental_variables,
+    intervals_of,
+)
 from identification.methods import essential_names
 from identification.regression import (
     Overrides,
