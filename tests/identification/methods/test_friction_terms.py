@@ -55,7 +55,7 @@ def arm():
     ("lines", "key", "expected"),
     [
         ('friction = ["viscous", "viscous"]', "joint[0].friction", "each term once"),
-        ('friction = ["viscuos"]', "joint[0].friction[0]", "'load', 'offset', 'root', 'stribeck'"),
+        ('friction = ["viscuos"]', "joint[0].friction[0]", "'load', 'offset', 'root'"),
         ('friction = "odd"', "joint[0].friction", "'asymmetric', 'symmetric'"),
         ('friction = ["root"]\noffset = true', "joint[0].offset", "no such key"),
         ('friction = ["stribeck"]', "joint[0].stribeck_speed_deg_s", "37 %"),

@@ -31,6 +31,11 @@ def with_essential(fit, names, **figures):
     return replace(fit, solution=solution, data=data, warnings=("a wrong gain",))
 
 
+def rows_of(table):
+    heads = [heading for heading, _ in table.columns]
+    return {row[0]: dict(zip(heads, row, strict=True)) for row in table.rows}
+
+
 def test_the_verdict_comes_first_with_one_error():
     fit = with_essential(iv_of(SCARA), ("ZZ1R", "ZZ2"))
     document = fit_document(fit_file(fit))
@@ -73,7 +78,8 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
     fit = with_essential(fit, kept, F=1.0)
     expected = {name for name in kept if name not in wide}
     document, file = fit_document(fit_file(fit)), fit_file(fit)
-    assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected
+    marked = rows_of(document.sections[2].table)
+    assert {name for name, row in marked.items() if row["essential"] == "yes"} == expected
     flagged = [p for p in file.parameters if p.essential]
     assert {p.name for p in flagged} == set(file.essential.names) == expected
     percents = {p.name: 100 * p.half / abs(p.value) for p in flagged}
@@ -98,21 +104,18 @@ def test_the_table_has_the_essential_parameters_or_all(everything):
     document = fit_document(fit_file(fit))
     document = document if everything else document.short
     section = document.sections[2]
-    rows = {row[0]: row for row in section.table.rows}
+    rows = rows_of(section.table)
     assert tuple(rows) == (fit.estimate.names if everything else essential)
     for name, row in rows.items():
         k = fit.estimate.names.index(name)
         half = fit.intervals.half[k]
-        assert [cell.value for cell in row[1:4]] == [
-            fit.beta[k],
-            half,
-            pytest.approx(100 * half / abs(fit.beta[k])),
-        ]
+        assert (row["value"].value, row["±95%"].value) == (fit.beta[k], half)
+        assert row["in %"].value == pytest.approx(100 * half / abs(fit.beta[k]))
         if everything:
-            assert row[5].value == fit.estimate.sigma[k]
-            assert row[6] == ("yes" if name in essential else "")
+            assert row["sigma"].value == fit.estimate.sigma[k]
+            assert row["essential"] == ("yes" if name in essential else "")
         else:
-            assert len(row) == 5
+            assert not {"sigma", "essential"} & {*row}
     assert any(line.endswith("; 6 others: --all") for line in section.lines) == (not everything)
     assert ("ZZ1R = ZZ1 + 0.25 M2" in document.sections[-1].lines) == everything
 
