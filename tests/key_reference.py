@@ -1,8 +1,8 @@
-"""The reference of all keys and options: tables made from the structures and
-parsers that read them.
+"""The reference of all keys and options, and the guide's table of tests of a fit: tables made
+from the structures and parsers that read them, and from the words of the tests.
 
-`python tests/key_reference.py` writes identification/reference.md and
-acquisition/reference.md again.
+`python tests/key_reference.py` writes identification/reference.md, acquisition/reference.md, and
+the table of identification/results.md again.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from acquisition.commands.program import PROGRAM as ACQUIRE
 from acquisition.importing import TableMap
 from acquisition.robot import BusFile, RobotFile
 from identification.commands.program import PROGRAM as IDENTIFY
+from identification.trust import WORDS
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOT_TABLES = {
@@ -38,6 +39,11 @@ MAP_TABLES = {
     "Angles": "[position] and [reference]",
     "Quantity": "[effort] and others",
 }
+TESTS_OF_FIT = ROOT / "identification" / "results.md"
+MARKS = (
+    "<!-- the tests of a fit, made by `python tests/key_reference.py` -->",
+    "<!-- end of the tests of a fit -->",
+)
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 
 
@@ -129,6 +135,22 @@ def option_table(program: Program) -> Iterator[str]:
         yield f"| `{name}` | {', '.join(f'`{command}`' for command in commands)} | {meaning} |"
 
 
+def table_of_tests() -> Iterator[str]:
+    """A row per test of a fit: what it detects, its limits, and what each of its cases advises."""
+    yield "| line | what it detects | limit | what to do |\n|---|---|---|---|"
+    for name, row in WORDS.items():
+        of_cases = dict.fromkeys(case.advice for case in row.cases.values() if case.advice)
+        advice = row.advice or "; ".join(of_cases)
+        yield f"| `{name}` | {row.detects} | {row.limit} | {advice} |"
+
+
+def with_table_of_tests(page: str) -> str:
+    """A page with the table of tests between its marks."""
+    begin, end = MARKS
+    (head, rest), table = page.split(begin), "\n".join(table_of_tests())
+    return f"{head}{begin}\n\n{table}\n\n{end}{rest.split(end)[1]}"
+
+
 def pages() -> dict[Path, str]:
     """Path and text of each reference."""
     unstated = (
@@ -160,9 +182,10 @@ def pages() -> dict[Path, str]:
     bus += ["", "## map.toml", *key_tables(TableMap, MAP_TABLES)]
     bus += ["", "## Options of robot-acquire", *option_table(ACQUIRE)]
     texts = {"identification": robot, "acquisition": bus}
-    return {
+    found = {
         ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()
     }
+    return {**found, TESTS_OF_FIT: with_table_of_tests(TESTS_OF_FIT.read_text())}
 
 
 if __name__ == "__main__":

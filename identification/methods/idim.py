@@ -13,6 +13,7 @@ from ..errors import BadInputError, NoFitError
 from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
+from ..trust import judge
 from . import iteration as iv
 from .iteration import Iteration
 from .model import Model, Say, read_model
@@ -157,13 +158,15 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
         text = "drive gains by the measured motion: no robot is simulated " + (
             "with these" if model.exogenous else "without a recorded reference"
         )
-        evidence = replace(evidence, fixed_point=found.parameters_settled, unconfirmed=text)
+        ending = {"none": not found.parameters_settled, "no simulation": True}
+        made = {"fixed point": judge("fixed point", ending, why=text)}
     else:
         # Once, of the first recording: it looks at the beginning of a long one anyway.
         first = evidence.problem.with_samples()
         alone = model.unknowns.plain and not len(model.load)
         noise = position_noise_line(first, method, ls, kept, alone=alone)
-        evidence = replace(evidence, position_noise=noise)
+        made = {**evidence.made, "position noise": noise}
+    evidence = replace(evidence, made=made)
     return Solution(model=model, x=x, evidence=evidence, least_squares=ls, essential=kept)
 
 

@@ -7,9 +7,7 @@ import numpy as np
 from ..arrays import Array
 from ..data import ON_GRID
 from ..errors import NoFitError
-from ..estimation import (
-    Estimate,
-)
+from ..estimation import Estimate
 from ..regression import (
     FilteredMotion,
     Problem,
@@ -20,22 +18,21 @@ from ..regression import (
     sample_weights,
 )
 from ..report import FTest, Method
-from ..trust import TrustLine
+from ..trust import TrustLine, judge, part_of
 from .passes import Pass
 from .start import solver_of
 
-NAME, FINDING = "position noise", "least squares biased by position noise"
+NAME = "position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
 BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
 MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
 # in half-widths and in percent of the value, both: of a wide interval half of it is no small error
 MAX_BIAS = ((1.0, 1.0), (0.5, 5.0))
-ADVICE = "use --method iv (needs a recorded reference)"
 
 
 def position_noise_line(
     problem: Problem, method: Method, ls: Pass, essential: FTest, *, alone: bool
-) -> TrustLine:
+) -> TrustLine | None:
     """Bias of least squares by position noise, in half-widths.
 
     Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric
@@ -47,7 +44,7 @@ def position_noise_line(
     """
     settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
     if reason is not None:
-        return TrustLine(NAME, "cannot tell", f"{reason}: {ADVICE}")
+        return judge(NAME, {"no noise": True}, reason=reason)
     assert settings.cutoff_hz is not None
     problem = problem.beginning()
     noise = _noise_like(problem)
@@ -59,7 +56,7 @@ def position_noise_line(
         )
         both = [_least_squares(_with_noise(problem, way * noise), method, asked) for way in (1, -1)]
     except NoFitError as error:
-        return TrustLine(NAME, "cannot tell", f"{error.args[0]}: {ADVICE}")
+        return judge(NAME, {"no noise": True}, reason=error.args[0])
     names = tuple(x for x in essential.names if x in plain.names and x in asked.names)
     indices = np.array([asked.names.index(name) for name in names])
     beta, half = plain.values_of(names), ls.intervals.half[indices]
@@ -71,21 +68,23 @@ def position_noise_line(
         )
     matters = np.any([(widths > a) & (percents > b) for a, b in MAX_BIAS], axis=0)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
-    value = float(widths[worst])
-    text = f"moves {names[worst]} by {value:.2g} half-widths ({percents[worst]:.2g} %)"
-    if not matters.any():
-        return TrustLine(NAME, "ok", text, value)
-    return TrustLine(NAME, "caution", f"{text} or more: {ADVICE}", value, finding=FINDING)
+    return judge(
+        NAME,
+        {"biased": matters.any(), "ok": True},
+        value=float(widths[worst]),
+        name=names[worst],
+        percent=percents[worst],
+    )
 
 
 def _reason_against(problem: Problem) -> str | None:
     """Why the noise cannot be estimated; None if it can."""
     settings, signals = problem.settings, problem.signals
     if settings.cutoff_hz is None:
-        return "without a low-pass noise and motion cannot be separated"
+        return part_of(NAME, "no low-pass")
     if settings.cutoff_hz > MAX_CUTOFF * signals.sample_rate_hz:
-        return f"too little of the noise is above the cut-off of {settings.cutoff_hz:g} Hz"
-    return "interpolated samples have less noise" if signals.off_grid > ON_GRID else None
+        return part_of(NAME, "wide", cutoff_hz=settings.cutoff_hz)
+    return part_of(NAME, "interpolated") if signals.off_grid > ON_GRID else None
 
 
 def _noise_like(problem: Problem) -> Array:

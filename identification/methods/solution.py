@@ -20,7 +20,7 @@ from ..model import direct_model, why_not_positive
 from ..regression import Lag, Rows, base_places
 from ..report import DirectModelResidual, FTest, Method, Status
 from ..simulation import Simulated
-from ..trust import FitData
+from ..trust import FitData, fixed_point_line, instruments_line, judge
 from .iteration import MIN_F, Loop
 from .model import Model
 from .passes import Pass, join_reasons
@@ -91,12 +91,12 @@ def evidence_of(
         arms=unknowns.arms,
         observed=rows,
         method=method,
-        fixed_point=True,
         estimate=estimate,
         predicted=solved.tau_predicted,
         intervals=within,
         least_squares=full,
         candidates=candidates,
+        made={"fixed point": judge("fixed point", {"least squares": True})},
         lags=lags,
         essential=essential_names(essential, estimate, within),
     )
@@ -149,17 +149,15 @@ def solution_by_instruments(
     (status, reason), (strength, F) = ended, tests
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
-    evidence = replace(
-        evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential),
-        fixed_point=status in ("converged", "not_confirmed"),
-        first_stage_F=F,
-        unconfirmed=None if status == "converged" else f"status {status}: {reason}",
-        by_reference=reason if status == "converged" else None,
-    )
+    evidence = evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
+    made = {
+        "fixed point": fixed_point_line(status, reason, gains=bool(evidence.gains)),
+        "instruments": instruments_line(F),
+    }
     return Solution(
         model=model,
         x=x,
-        evidence=evidence,
+        evidence=replace(evidence, made=made),
         least_squares=loop.ls,
         essential=loop.essential,
         simulated=best.confirmed_by,

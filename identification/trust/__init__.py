@@ -5,7 +5,7 @@ rooms below; `methods` gives it the inputs.
 """
 
 from .candidates import Candidates
-from .evidence import LEVELS, FitData, HeldOut, Trust, TrustLine
+from .evidence import LEVELS, WORDS, FitData, HeldOut, Trust, TrustLine, judge, part_of
 from .predictions import predictions_by_others, with_predictions
-from .solution import MIN_FIRST_STAGE_F
+from .solution import MIN_FIRST_STAGE_F, fixed_point_line, instruments_line
 from .verdict import trust_in

@@ -20,8 +20,9 @@ from ..estimation import deviations_of_sums, orthonormal, release_memory
 from ..report import Assumed
 from . import kinds
 from .candidates import MIN_T, MissingTerm
-from .evidence import FitData, TrustLine, first_case
+from .evidence import FitData, TrustLine, judge
 from .kinds import KINDS
+from .words import assume
 
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
@@ -36,14 +37,6 @@ SHARES = {kinds.SPRING: 0.5, kinds.CURVED: 0.5, kinds.HYSTERESIS: 0.5, kinds.IN_
 MIN_RIVAL = 0.8  # of what the first kind takes: another that takes as much may be the cause too
 # error of a zero; a larger one that is not noticed is assumed away
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
-ASSUMED = (
-    (kinds.ZERO, "right at {}", "a wrong zero turns the links' parameters"),
-    (
-        kinds.ROTOR,
-        "none at {} (rotor_inertia = false)",
-        "the links' parameters take a rotor",
-    ),
-)
 
 
 def added_columns_test(evidence: FitData) -> TrustLine | None:
@@ -51,23 +44,13 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
     a gain, a lag, clocks.
     """
     every, robot = missing_terms(evidence), evidence.robot
-    assumed, terms = tuple(_assumed(every)), [term for term in every if np.isfinite(term.noticed)]
+    terms = [term for term in every if np.isfinite(term.noticed)]
     found = [term for term in terms if term.found]
     first = max(found, key=_rank) if found else max(terms or every, key=lambda x: abs(x.t))
-    strongest = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
-    strongest += f", t = {first.t:.1f}, {first.taken_percent:.1f} % of the residual"
-    untried = (
-        "; one joint has no relative gain"
-        if robot.n == 1
-        else "; relative gains not tried: the drive gains are not known"
-        if not robot.gain_known
-        else ""
-    )
     # another kind at the same joint that explains as much
     rivals = (x for x in found if x.kind != first.kind and x.where == first.where)
     share = MIN_RIVAL * first.together_percent
     told = [first, *(x for x in rivals if x.together_percent > share)][:2]
-    more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
     if len(told) > 1:  # a rotor that is allowed takes what another kind explains, and hides it
         told.sort(key=lambda x: x.kind == kinds.ROTOR)
     each = [
@@ -75,37 +58,38 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         for x in told
     ]
     each[0] = told[0].advice if told[0] is first else each[0]
-    none = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
-    return first_case(
+    return judge(
         "added columns",
-        (not terms, "not made", "not made: the model has every term that is tried"),
-        (
-            found,
-            "caution",
-            f"{strongest}{more}: {' or, as it explains as much, '.join(each)}",
-            ", or ".join(x.finding for x in told),
-        ),
-        (True, "ok", none),
+        {"every term": not terms, "missing": found, "ok": True},
         value=first.t if terms else None,
-        assumed=assumed,
+        assumed=tuple(_assumed(every)),
+        coefficient=f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip(),
+        t=first.t,
+        taken=first.taken_percent,
+        more=len(found) > 1,
+        others=len(found) - 1,
+        limit=MIN_T,
+        each=" or, as it explains as much, ".join(each),
+        finding=", or ".join(x.finding for x in told),
+        tried=len(terms),
+        lone=robot.n == 1,
+        units=robot.n > 1 and not robot.gain_known,
     )
 
 
 def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
     """Zeros whose large error is not noticed, and rotors that the description denies."""
-    for kind, value, why in ASSUMED:
-        unnoticed = [
-            (
-                f"up to {t.noticed:.2g} {t.unit}" if np.isfinite(t.noticed) else "any",
-                t.where.removeprefix("of joint "),
-            )
+    for kind in (kinds.ZERO, kinds.ROTOR):
+        unnoticed = {
+            t.where.removeprefix("of joint "): f"up to {t.noticed:.2g} {t.unit}"
+            if np.isfinite(t.noticed)
+            else "any"
             for t in terms
             if t.kind == kind and not t.found and t.noticed > MAX_UNNOTICED.get(t.unit, 0.0)
-        ]
+        }
         if unnoticed:
-            each = ", ".join(f"{size} at {joint}" for size, joint in unnoticed)
-            joints = ", ".join(joint for _, joint in unnoticed)
-            yield Assumed(f"{kind}s", value.format(joints), f"{why}; not noticed: {each}")
+            each = ", ".join(f"{size} at {joint}" for joint, size in unnoticed.items())
+            yield assume(f"{kind}s", joints=", ".join(unnoticed), each=each)
 
 
 def _rank(term: MissingTerm) -> tuple[float, float]:

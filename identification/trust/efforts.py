@@ -19,7 +19,7 @@ from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
 from .drives import law_line
-from .evidence import LEVELS, FitData, TrustLine, first_case
+from .evidence import LEVELS, FitData, TrustLine, judge, part_of
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
@@ -45,15 +45,12 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
         if (A * power).sum() > 0
     ]
     least, error, finding = min(found, default=(np.inf, 0.0, ""), key=lambda one: one[0])
-    return first_case(
+    return judge(
         "signs and order",
-        (
-            least < with_it,
-            "do not use",
-            f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in "
-            f"place of {100 * with_it:.2g} %: check columns and signs of the recording",
-            finding,
-        ),
+        {"mistake": least < with_it},
+        mistake=finding,
+        undone=100 * error,
+        error=100 * with_it,
     )
 
 
@@ -112,16 +109,15 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
     for i, j in combinations(range(robot.n), 2):
         S = one[[j if k == i else i if k == j else k for k in range(robot.n)]]
         for names, A in ((robot.motors, by_motors @ S @ to_motors), (robot.joints, S)):
-            yield f"the efforts of {names[i].name} and {names[j].name} are exchanged", None, A, None
+            pair = {"one": names[i].name, "other": names[j].name}
+            yield part_of("signs and order", "exchanged", **pair), None, A, None
     for m, motor in enumerate(robot.motors):
         S = one - 2 * np.diag(one[m])
-        yield f"the effort of {motor.name} has the wrong sign", m, by_motors @ S @ to_motors, None
-        yield (
-            f"the position of {motor.name} has the wrong sign",
-            m,
-            one,
-            np.linalg.solve(robot.R, S @ robot.R),
+        effort, position = (
+            part_of("signs and order", part, one=motor.name) for part in ("effort", "position")
         )
+        yield effort, m, by_motors @ S @ to_motors, None
+        yield position, m, one, np.linalg.solve(robot.R, S @ robot.R)
 
 
 def _decimated(problem: Problem) -> tuple[list[Array], Array]:
@@ -172,34 +168,27 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
     """Whether drives saturate at a limit that is not stated, where controller or simulated
     robot are not confirmed.
     """
-    confirmed = evidence.fixed_point and evidence.unconfirmed is None
     laws = map(law_line, evidence.problems, evidence.laws)
-    if confirmed and all(line.level not in LEVELS[:2] for line in laws):
+    doubtful = any(line is not None and line.level in LEVELS[:2] for line in laws)
+    if evidence.is_confirmed and not doubtful:
         return None
     limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
-    found, level = list(dict.fromkeys(limits)), LEVELS[1 if evidence.fixed_point else 0]
-    text = f"{'; '.join(found)}: state saturation of the motor"
-    return first_case("saturation", (found, level, text, text.split(" in ")[0]))
+    text = "; ".join(dict.fromkeys(limits))
+    return judge(
+        "saturation",
+        {"no fixed point": text and evidence.ending == "none", "not confirmed": text},
+        limits=text,
+        first=text.split(" in ")[0],
+    )
 
 
 def positions_test(evidence: FitData) -> TrustLine | None:
     """Whether positions look like radians that were declared as degrees."""
     found = any(RADIANS_AS_DEGREES in problem.settings.warnings for problem in evidence.problems)
-    return first_case(
-        "positions", (found, "caution", RADIANS_AS_DEGREES, "radians declared as degrees?")
-    )
+    return judge("positions", {"radians": found}, text=RADIANS_AS_DEGREES)
 
 
 def effort_test(evidence: FitData) -> TrustLine | None:
     """Recorded efforts beyond a limit of the description, which no drive gives."""
     found = dict.fromkeys(x for problem in evidence.problems for x in problem.settings.overloads)
-    return first_case(
-        "effort",
-        (
-            found,
-            "caution",
-            f"{'; '.join(found)}: check drive_gain, ratio and unit of the effort, or correct the "
-            "limit",
-            "effort beyond its limit",
-        ),
-    )
+    return judge("effort", {"beyond": found}, overloads="; ".join(found))

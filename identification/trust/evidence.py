@@ -1,10 +1,9 @@
 """What the tests of a fit are given, and the lines that they give."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -13,10 +12,16 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools, Ints
 from ..control import FoundLaw
 from ..estimation import Estimate, Intervals, r_factor
+from ..model import base_prior
 from ..regression import Arm, Lag, Problem, Rows
 from ..report import Assumed, Level, Method, Verdict
 from .candidates import Candidates
+from .words import Words, written
+from .words_of_data import OF_DATA
+from .words_of_estimate import OF_ESTIMATE
 
+WORDS: Mapping[str, Words] = {**OF_DATA, **OF_ESTIMATE}
+BY_PRIOR = "held-out blocks by the prior"
 # worst first
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")
 # name, value, half-width of the 95 % interval, expected value
@@ -49,8 +54,7 @@ class TrustLine:
         finding: the same in a few words, for the first line of a report.
         figures: by joint, motor or block its name, value, half-width of the 95 % interval, and
             expected value, for a plot, in `unit`.
-        fails_held_out, far: whether held-out errors are so large, or the nearest physical robot is
-            so far, that another sign of it makes the fit one that is not to be used.
+        case: which of its cases in the table of words holds.
         assumed: what the test cannot check.
     """
 
@@ -61,25 +65,47 @@ class TrustLine:
     finding: str = ""
     figures: tuple[Figure, ...] = ()
     unit: str = ""
-    fails_held_out: bool = False
-    far: bool = False
+    case: str = ""
     assumed: tuple[Assumed, ...] = ()
 
 
-# whether it holds, the level, the text, and a finding where there is one
-Case = tuple[object, Level, str, *tuple[str, ...]]
+def judge(
+    test: str,
+    cases: Mapping[str, object],
+    *,
+    value: float | None = None,
+    figures: tuple[Figure, ...] = (),
+    unit: str = "",
+    assumed: tuple[Assumed, ...] = (),
+    **said: object,
+) -> TrustLine | None:
+    """Return the line of a test by the first of its cases that holds; None where none does.
 
-
-def first_case(test: str, *cases: Case, value: float | None = None, **of: Any) -> TrustLine | None:
-    """The line of a test by the first of its cases that holds; None where none does. `of` are
-    further attributes of the line.
+    `cases`: by name whether they hold; `said`: the figures of their words, and which parts hold.
     """
-    lines = (
-        TrustLine(test, level, text, value, finding="".join(finding), **of)
-        for holds, level, text, *finding in cases
-        if holds
+    row, name = WORDS[test], next((name for name, holds in cases.items() if holds), None)
+    if name is None:
+        return None
+    case, said = row.cases[name], {"value": value, **said}
+    text, advice, finding = (
+        written(text, row.parts, said) for text in (case.text, case.advice, case.finding)
     )
-    return next(lines, None)
+    return TrustLine(
+        test=test,
+        level=case.level,
+        text=": ".join(filter(None, (text, advice))),
+        value=value,
+        finding=finding,
+        figures=figures,
+        unit=unit,
+        case=name,
+        assumed=assumed,
+    )
+
+
+def part_of(test: str, part: str, **said: object) -> str:
+    """Return a part of the words of a test."""
+    return written(f"{{{part}}}", WORDS[test].parts, said)
 
 
 def figures_of(
@@ -136,24 +162,16 @@ class FitData:
         problems: the recordings, in the order of the rows, without samples where several are long;
             `laws`: the control law that each shows; `arms`: their parameters.
         observed: the rows of W and Y of all recordings about the estimate.
-        fixed_point: whether the method ended in a fixed point; always true of least squares.
-        unconfirmed: status and reason, where no simulation confirms the fixed point.
-        by_reference: why the instruments are along the motion that the reference predicts; None
-            where the robot is simulated.
         estimate: of the base parameters, or of the essential ones only.
         predicted: (rows, n) predicted torque, not weighted.
         least_squares: weighted least squares of all base parameters on the same recordings.
         candidates: terms that are not in the model, of the first recording.
-        position_noise: whether position noise biases least squares; None for
-            instrumental variables.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
-        held_out: whether blocks of time, or recordings, are predicted by the fit of the others;
-            `by_others`: recordings so predicted, empty for blocks.
-        prior, prior_source: a-priori base parameters of links, by name, of the
-            `URDF` or `[parameters]`.
-        prior_error_percent: held-out torque error of these links with all else fitted to the other
-            blocks, or recordings.
+        made: lines of tests that were made with the solution and with its predictions, by test:
+            `fixed point`, `instruments`, `position noise`, `held-out blocks`; and `BY_PRIOR`, the
+            same of the prior's links with all else fitted to the other blocks, or recordings.
+        by_others: recordings that the fit of the others predicts, empty for blocks of time.
     """
 
     problems: tuple[Problem, ...]
@@ -161,23 +179,15 @@ class FitData:
     arms: tuple[Arm, ...]
     observed: Rows
     method: Method
-    fixed_point: bool
     estimate: Estimate
     predicted: Array
     intervals: Intervals
     least_squares: Estimate
     candidates: Candidates
-    first_stage_F: float | None = None
-    unconfirmed: str | None = None
-    by_reference: str | None = None
-    position_noise: TrustLine | None = None
+    made: Mapping[str, TrustLine | None]
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
-    held_out: TrustLine | None = None
     by_others: tuple[HeldOut, ...] = ()
-    prior: dict[str, float] = field(default_factory=dict)
-    prior_source: str = ""
-    prior_error_percent: float | None = None
 
     @property
     def problem(self) -> Problem:
@@ -193,6 +203,41 @@ class FitData:
     def names(self) -> tuple[str, ...]:
         """Of the recordings."""
         return tuple(problem.signals.recording for problem in self.problems)
+
+    @cached_property
+    def _prior(self) -> tuple[dict[str, float], str]:
+        known = base_prior(self.problem.model, self.problem.base) if self.robot.gain_known else None
+        return known if known is not None and known[0] else ({}, "")
+
+    @property
+    def prior(self) -> dict[str, float]:
+        """A-priori base parameters of links, by name; empty where drive gains are not known."""
+        return self._prior[0]
+
+    @property
+    def prior_source(self) -> str:
+        """Where they are from, `URDF` or `[parameters]`; empty for none."""
+        return self._prior[1]
+
+    @property
+    def prior_error_percent(self) -> float | None:
+        """The torque error of these links, held out, with all else fitted."""
+        return None if (line := self.made.get(BY_PRIOR)) is None else line.value
+
+    @property
+    def ending(self) -> str:
+        """How the method ended, as a case of the test `fixed point`."""
+        return "" if (line := self.made.get("fixed point")) is None else line.case
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether a simulation confirms its fixed point, or none is needed."""
+        return self.ending in ("confirmed", "by reference", "least squares")
+
+    @property
+    def first_stage_F(self) -> float | None:
+        """How strong the instruments are; None of least squares."""
+        return None if (line := self.made.get("instruments")) is None else line.value
 
     @cached_property
     def gains(self) -> tuple[str, ...]:

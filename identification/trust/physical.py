@@ -12,9 +12,10 @@ drive a joint at a recorded speed. A stricter test is the distance of the neares
 links have positive density. `fit --consistent` and `export` use the same requirements.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from itertools import product
 
 import numpy as np
 
@@ -23,97 +24,104 @@ from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
-from ..report import Level
 from .efforts import sign_may_be_wrong
-from .evidence import LEVELS, FitData, TrustLine, first_case
-from .words import WORDS
+from .evidence import LEVELS, FitData, TrustLine, judge, part_of
 
+PHYSICAL = "physical"
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 CHANCE_HALF_WIDTHS = 1.4  # the same, that one of twenty parameters exceeds in 5 % of clean fits
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
 MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
 CONSISTENT_LEVEL = 0.001  # of the chi-squared test
 FAR = 3.0  # times its limit
-Finding = tuple[Level, str, str]  # with what is wrong in a few words, if that is known
-Check = Callable[[str], tuple[str, str]]  # by a joint's name, what to check of it, and the words
+Check = Callable[[str], bool]  # whether a sign may be wrong, by a joint's name
 
 
-def physical_test(evidence: FitData) -> TrustLine:
+def physical_test(evidence: FitData) -> TrustLine | None:
     """Whether the parameters are physical; each finding names the joint to check.
 
     Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints
     with small torques: weighted least squares is tested as well.
     """
-    check = cache(partial(_check_of, evidence))
+    check = cache(partial(sign_may_be_wrong, evidence))
     found, lowest = _findings(evidence, check)
     found += _gravity_findings(evidence)
-    if evidence.method == "ols" and all(level != "do not use" for level, *_ in found):
+    if evidence.method == "ols" and all(line.level != LEVELS[0] for line in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
         again, _ = _findings(replace(evidence, estimate=weighted, intervals=within), check)
         found += [
-            (x, f"by weighted least squares {text}", y) for x, text, y in again if x == LEVELS[0]
+            replace(line, text=part_of(PHYSICAL, "weighted", text=line.text))
+            for line in again
+            if line.level == LEVELS[0]
         ]
-    found.sort(key=lambda finding: LEVELS.index(finding[0]))
-    text = "; ".join(text for _, text, _ in found) or (
-        f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor "
-        "inertia is below zero"
-    )
-    level, _, finding = found[0] if found else ("ok", "", "")
-    return TrustLine("physical", level, text, lowest, finding)
+    if not found:
+        return judge(PHYSICAL, {"ok": True}, value=lowest)
+    found.sort(key=lambda line: LEVELS.index(line.level))
+    return replace(found[0], text="; ".join(line.text for line in found), value=lowest)
 
 
-def _check_of(evidence: FitData, joint: str) -> tuple[str, str]:
-    """What to check of a joint: its sign, unless the torque error is larger with it turned."""
-    if sign_may_be_wrong(evidence, joint):
-        check = f": check the sign of effort and position of joint {joint}"
-        return check, WORDS["wrong sign"].format(joints=joint)
-    return (
-        f": check friction, rotor and zero of joint {joint}; its signs fit better than turned",
-        "",
-    )
-
-
-def _findings(evidence: FitData, check: Check) -> tuple[list[Finding], float]:
+def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
     """Physically impossible values of the estimate, and the lowest eigenvalue
     of M on the trajectory.
     """
-    idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
-    driving = _driving_findings(evidence, own, check)
-    findings, lowest = _inertia_findings(evidence, np.any(own, axis=0), check)
-    findings += driving
+    of_inertia, lowest = _inertia_findings(evidence, np.any(own, axis=0), check)
+    found = [
+        *of_inertia,
+        *_driving_findings(evidence, own, check),
+        *_findings_below_zero(evidence, own, check),
+    ]
+    return found, lowest
+
+
+def _findings_below_zero(
+    evidence: FitData, own: Sequence[Bools], check: Check
+) -> Iterator[TrustLine]:
+    """Joints with friction or rotor inertia below zero."""
+    idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     apart, by_base = any("@" in name for name in evidence.estimate.names), np.linalg.pinv(base.K)
-    required = requirements(idm, shaped=False)
     # by joint and kind: half-widths, and a text
     beyond = dict[tuple[int, str], tuple[float, str]]()
-    for k in range(len(names) if apart else 1):
-        for matrix, first, of in required:
-            # of base parameters, which do not separate rotors regrouped with links
-            G = matrix @ by_base
-            separate, G = np.allclose(G @ base.K, matrix, atol=1e-9), G @ own[k]
-            if separate and G.any():
-                far, value, half, *_ = _worst(G, evidence)
-                text = f"{of}{f' in {names[k]}' * apart} = {value:.4g} ± {half:.2g} {first.unit}"
-                if far > 1:
-                    key = first.joint, first.kind
-                    beyond[key] = max((far, text), beyond.get(key, (far, text)))
+    for k, (matrix, first, of) in product(
+        range(len(names) if apart else 1), requirements(idm, shaped=False)
+    ):
+        # of base parameters, which do not separate rotors regrouped with links
+        G = matrix @ by_base
+        if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G @ own[k]).any():
+            continue
+        far, value, half, *_ = _worst(G, evidence)
+        text = f"{of}{f' in {names[k]}' * apart} = {value:.4g} ± {half:.2g} {first.unit}"
+        if far > 1:
+            key = first.joint, first.kind
+            beyond[key] = max((far, text), beyond.get(key, (far, text)))
     for joint in sorted({joint for joint, _ in beyond}):
         kinds = [one for (j, _), one in beyond.items() if j == joint]
         # One of many parameters exceeds its interval now and then; two of one joint hardly ever do.
         far = np.inf if len(kinds) > 1 else kinds[0][0]
-        text = f"below zero: {', '.join(text for _, text in kinds)}"
+        text = part_of(PHYSICAL, "below", each=", ".join(text for _, text in kinds))
         if far > CHANCE_HALF_WIDTHS:
-            findings.append(_finding(far, text, check(idm.robot.joints[joint].name)))
-    return findings, lowest
+            yield _finding(far, text, idm.robot.joints[joint].name, check)
 
 
-def _finding(far: float, text: str, check: tuple[str, str], otherwise: str = "") -> Finding:
-    """Of a value that is so many half-widths below zero."""
-    if far > MAX_HALF_WIDTHS:
-        return "do not use", text + check[0], check[1]
-    return "caution", text + (otherwise or check[0]), ""
+def _finding(
+    far: float, what: str, joint: str, check: Check, *, noise: bool = False, terms: bool = False
+) -> TrustLine:
+    """Of a value that is so many half-widths below zero; whether by fewer it may be `noise`, and
+    whether further friction `terms` may be the cause.
+    """
+    sign, certain = check(joint), far > MAX_HALF_WIDTHS
+    cases = {
+        "wrong sign": certain and sign,
+        "impossible": certain,
+        "noise": noise,
+        "perhaps wrong sign": sign,
+        "doubtful": True,
+    }
+    line = judge(PHYSICAL, cases, what=what, joint=joint, or_terms=terms)
+    assert line is not None
+    return line
 
 
 def _worst(
@@ -135,7 +143,9 @@ def _worst(
     return far[at], value[at], half[at], v[at], at, float(values.min())
 
 
-def _driving_findings(evidence: FitData, arms: Sequence[Bools], check: Check) -> list[Finding]:
+def _driving_findings(
+    evidence: FitData, arms: Sequence[Bools], check: Check
+) -> Iterator[TrustLine]:
     """Whether friction of further terms would drive a joint, or joints that share
     motors, at recorded speeds.
 
@@ -150,24 +160,26 @@ def _driving_findings(evidence: FitData, arms: Sequence[Bools], check: Check) ->
             j = np.abs(states[0]).argmax(axis=1)[:, None]
             each.append(np.c_[j, np.take_along_axis(states[0], j, axis=1), G])
     no_power = np.zeros((0, 2 + len(evidence.estimate.names)))
-    findings, power = list[Finding](), np.concatenate([*each, no_power])
+    power = np.concatenate([*each, no_power])
     power = power[np.lexsort(power[:, 1::-1].T)]
     for j in np.unique(power[:, 0]).astype(int):
         own, joint = power[power[:, 0] == j], idm.robot.joints[j]
         far, value, half, _, at, _ = _worst(own[:, None, None, 2:], evidence)
         if far > 1:
-            level, text, of_sign = _finding(
-                far,
-                f"friction would drive joint {joint.name} at {own[at[0], 1]:.3g} "
-                f"{joint.position_unit}/s: {value:.3g} ± {half:.2g} {idm.robot.effort_units[j]} "
-                "against its motion",
-                check(joint.name),
+            text = part_of(
+                PHYSICAL,
+                "drives",
+                joint=joint.name,
+                speed=own[at[0], 1],
+                length=joint.position_unit,
+                lowest=value,
+                half=half,
+                effort=idm.robot.effort_units[j],
             )
-            findings.append((level, f"{text}, or leave terms out", of_sign))
-    return findings
+            yield _finding(far, text, joint.name, check, terms=True)
 
 
-def _inertia_findings(evidence: FitData, own: Bools, check: Check) -> tuple[list[Finding], float]:
+def _inertia_findings(evidence: FitData, own: Bools, check: Check) -> tuple[list[TrustLine], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
@@ -181,17 +193,11 @@ def _inertia_findings(evidence: FitData, own: Bools, check: Check) -> tuple[list
     if least > 0:
         return [], least
     joint = idm.robot.joints[int(np.abs(v).argmax())].name
-    finding = _finding(
-        far,
-        f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}; "
-        f"{value:.3g} ± {half:.2g} about joint {joint})",
-        check(joint),
-        ", which may be noise; before simulating run fit --consistent",
-    )
-    return [finding], least
+    text = part_of(PHYSICAL, "inertia", least=least, lowest=value, half=half, joint=joint)
+    return [_finding(far, text, joint, check, noise=True)], least
 
 
-def _gravity_findings(evidence: FitData) -> list[Finding]:
+def _gravity_findings(evidence: FitData) -> list[TrustLine]:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
@@ -205,14 +211,9 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     A *= evidence.estimate.weights[rows.system.joint_of_row][:, None]
     G, W, Y = np.split(estimation.r_factor(A), [len(weighs), -1], axis=1)
     left = [100 * estimation.relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
-    finding: Finding = (
-        "caution",
-        f"the torques fit a model without gravity better: residual {left[1]:.3g} % against "
-        f"{left[0]:.3g} %: the efforts lack the robot's weight, are no torques, or gravity_m_s2 is "
-        "wrong",
-        "",
-    )
-    return [finding] * (left[1] < MIN_RESIDUAL_RATIO * left[0])
+    lighter = left[1] < MIN_RESIDUAL_RATIO * left[0]
+    line = judge(PHYSICAL, {"no weight": lighter}, without=left[1], residual=left[0])
+    return [*filter(None, [line])]
 
 
 def consistent_test(evidence: FitData) -> TrustLine | None:
@@ -221,8 +222,7 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
     """
     problem, estimate, names = evidence.problem, evidence.estimate, evidence.arms[0].names
     if not problem.signals.robot.gain_known:
-        text = "links cannot be compared: the drive gains are not known: state drive_gain"
-        return TrustLine("consistent", "not made", text)
+        return judge("consistent", {"unknown gains": True})
     # of own parameters those of one recording
     beta, of_fit = estimate.values_of(names), (estimate, evidence.intervals)
     covariance = estimation.covariance_of_all(names, *of_fit, evidence.least_squares)
@@ -231,23 +231,16 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
         power = recorded_power([one for one, arm in pairs if arm.names == names], beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance, power)
     except NoFitError as error:
-        return TrustLine("consistent", "cannot tell", error.args[0])
+        return judge("consistent", {"none near": True}, error=error.args[0])
     moves = np.abs(nearest.deviations) / evidence.intervals.reach
     bound = estimation.chi_squared_quantile(CONSISTENT_LEVEL, len(names))
-    text = (
-        f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} "
-        f"parameters), {names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its "
-        "interval"
-    )
-    return first_case(
+    distance = nearest.chi_squared
+    return judge(
         "consistent",
-        (
-            nearest.chi_squared > bound,
-            "caution",
-            f"{text}, above {bound:.3g}, the limit of chance: check signs and units of efforts and "
-            "positions, and frames",
-        ),
-        (True, "ok", text),
-        value=nearest.chi_squared,
-        far=nearest.chi_squared > FAR * bound,
+        {"far": distance > FAR * bound, "apart": distance > bound, "ok": True},
+        value=distance,
+        bound=bound,
+        count=len(names),
+        name=names[int(moves.argmax())],
+        moved=moves.max(),
     )

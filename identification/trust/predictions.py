@@ -13,7 +13,7 @@ Only rows of joint j determine f_j: a wrong gain of a joint moves no other.
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,12 +28,11 @@ from ..estimation import (
     spans_at,
     undetermined_parameters,
 )
-from ..model import base_prior, direct_model
-from ..regression import base_name, row_states
-from .evidence import FitData, HeldOut, Part, TrustLine, figures_of, first_case
-from .words import WORDS
+from ..regression import base_name
+from .causes import MIN_LEFT, cause_by_prior
+from .evidence import BY_PRIOR, FitData, HeldOut, Part, TrustLine, figures_of, judge, part_of
 
-HELD_OUT = "held-out blocks"
+HELD_OUT, PRIOR = "held-out blocks", "prior"
 BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
@@ -47,12 +46,6 @@ MAX_SPREAD = 1.5  # of equal factors
 # of a joint's square, without what is not of links, for its factor to be one of the prior's
 MIN_EXPLAINED = 0.25
 MIN_ALIKE = 0.9  # the same; below, other causes than a factor are looked for
-MIN_LEFT = 0.01  # smallest share of a joint's square left by the prior's links that counts
-MIN_CAUSE = 1.5  # fall of the sum of the logarithms of these shares by which a cause is named
-UNITS = {
-    "position of {} in rad declared as degrees": 180 / np.pi,
-    "sign of the position of {}": -1.0,
-}
 
 
 def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str]]]:
@@ -89,14 +82,9 @@ def _held_out(
     Errors in percent are of the torque; where the model does not hold, joints stand: those of
     weighted rows leave that out.
     """
-    b, several, (tau, trained, by_others, counts) = (
-        len(evidence.estimate.beta),
-        evidence.by_recording,
-        torques,
-    )
+    several, (tau, trained, by_others, counts) = evidence.by_recording, torques
     if not parts:
-        why = f"not made: too few rows outside a block for {b} parameters; record longer"
-        return TrustLine(HELD_OUT, "not made", why), ()
+        return judge(HELD_OUT, {"few rows": True}, count=len(evidence.estimate.beta)), ()
     errors, each = (tau, tau - by_others, tau - trained), list[HeldOut]()
     made, norms, without = list[str](), list[list[float]](), list[str]()
     for name, part, beta, its in parts:
@@ -107,42 +95,40 @@ def _held_out(
             weighted = (evidence.error(part, x) for x in (beta, evidence.estimate.beta))
             norms.append([torque, *both, *weighted])
         elif several:
-            why = f"{', '.join(its[:8])} undetermined" if its else "it has no torque"
-            without.append(f"{name} cannot be predicted by the others: {why}")
+            some = ", ".join(its[:8])
+            said = {"lost": bool(its), "resting": not its}
+            without.append(part_of(HELD_OUT, "no prediction", name=name, names=some, **said))
         if several:
             each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
-    return _line_of(evidence, made, np.array(norms), without, several=several), tuple(each)
+    return _line_of(evidence, made, np.array(norms), "; ".join(without)), tuple(each)
 
 
-def _line_of(
-    evidence: FitData, names: list[str], norms: Array, without: list[str], *, several: bool
-) -> TrustLine | None:
+def _line_of(evidence: FitData, names: list[str], norms: Array, without: str) -> TrustLine | None:
     """The line of parts, by the norms (k, 5) of their torque, its errors held out and trained, and
     those of weighted rows; `without` tells of the other parts.
     """
+    several = evidence.by_recording
     if not names:
-        text = "; ".join(without) or "not made: no torque"
-        return TrustLine(HELD_OUT, "cannot tell" if several else "not made", text)
+        return judge(HELD_OUT, {"not predicted": several, "no torque": True}, without=without)
     torque, error, training, held, trained = np.linalg.norm(norms, axis=0)
-    percents = 100 * norms[:, 1:3] / norms[:, :1]
-    error, training = 100 * error / torque, 100 * training / torque
-    text = f"error {error:.3g} %{' of recordings' * several} held out, {training:.3g} % trained"
-    text, ratio = "; ".join([text, *without]), held / max(trained, 1e-300)
-    more = (
-        f"{text}: the fit does not generalise ({ratio:.2g} times in weighted rows): "
-        f"record {'more' if several else 'longer'}, with more varied motion, or fit with "
-        "--essential"
-        + ", or take the parameters of --consistent, which generalise better"
-        * evidence.robot.gain_known
-    )
-    return first_case(
+    percents, ratio = 100 * norms[:, 1:3] / norms[:, :1], held / max(trained, 1e-300)
+    return judge(
         HELD_OUT,
-        (trained > 0 and ratio > MAX_HELD_OUT_RATIO, "caution", more, "does not generalise"),
-        (True, "ok", text),
-        value=float(error),
+        {
+            "far off": trained > 0 and ratio > MAX_HELD_OUT_RATIO_NOT_POSITIVE,
+            "off": trained > 0 and ratio > MAX_HELD_OUT_RATIO,
+            "ok": True,
+        },
+        value=float(100 * error / torque),
         figures=figures_of(names, percents[:, 0], 0 * percents[:, 0], percents[:, 1]),
         unit="%",
-        fails_held_out=bool(trained > 0 and ratio > MAX_HELD_OUT_RATIO_NOT_POSITIVE),
+        training=100 * training / torque,
+        of_recordings=several,
+        and_without=bool(without),
+        without=without,
+        ratio=ratio,
+        more="more" if several else "longer",
+        consistent=evidence.robot.gain_known,
     )
 
 
@@ -184,35 +170,42 @@ def with_predictions(
     the held-out error of its links: all else is fitted to the others. Torques (T, n) as measured
     and by the fit, which rows count, and by recording their instants.
     """
-    problem, system, estimate = evidence.problem, evidence.observed.system, evidence.estimate
-    gain_known = evidence.robot.gain_known
-    values, source = base_prior(problem.model, problem.base) if gain_known else ({}, "")
+    system, estimate = evidence.observed.system, evidence.estimate
     release_memory(evidence.observed.C)
-    evidence = replace(evidence, prior=values, prior_source=source * bool(values))
-    cases = [(evidence, _predicted_parts(evidence))]
-    sets = [[estimate], _betas(*cases[0])]
-    if values and cases[0][1] and not evidence.gains:
-        known, free = _known_and_free(evidence)
-        rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
-        rest = rest.with_columns(free)
-        with suppress(NoFitError):
-            others = instrumental_variables(rest, Z, estimate.weights).without_rows()
-            held = replace(evidence.observed, system=rest, Z=Z)
-            by_links = replace(evidence, observed=held, estimate=others)
-            cases.append((by_links, _predicted_parts(by_links)))
-            some = (known + one.values_of(system.names) for one in _betas(*cases[1]))
-            sets.append([replace(estimate, names=system.names, beta=beta) for beta in some])
+    cases = [(evidence, parts := _predicted_parts(evidence))]
+    sets = [[estimate], _betas(evidence, parts)]
+    if parts and (links := _by_links(evidence)) is not None:
+        cases.append((links, parts := _predicted_parts(links)))
+        known, _ = _known_and_free(evidence)
+        some = (known + one.values_of(system.names) for one in _betas(links, parts))
+        sets.append([replace(estimate, names=system.names, beta=beta) for beta in some])
     tau, (trained, *predicted), counts, t_s, instants = predict(
         *sets, by_recording=evidence.by_recording
     )
     at = spans_at(system.spans, instants)
-    (line, by_others), *by_prior = (
+    found = [
         _held_out(of, parts, at, (tau, trained, one, counts))
         for (of, parts), one in zip(cases, predicted, strict=True)
-    )
-    error = next((one.value for one, _ in by_prior if one is not None), None)
-    made = replace(evidence, held_out=line, by_others=by_others, prior_error_percent=error)
-    return made, (tau, trained, counts, t_s)
+    ]
+    made = dict(zip((HELD_OUT, BY_PRIOR), (line for line, _ in found), strict=False))
+    evidence = replace(evidence, made={**evidence.made, **made}, by_others=found[0][1])
+    return evidence, (tau, trained, counts, t_s)
+
+
+def _by_links(evidence: FitData) -> FitData | None:
+    """The same with the prior's links, and all else fitted beside them; None where it has none, or
+    the recordings do not determine the rest.
+    """
+    if not evidence.prior or evidence.gains:
+        return None
+    system, (known, free) = evidence.observed.system, _known_and_free(evidence)
+    rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
+    rest = rest.with_columns(free)
+    with suppress(NoFitError):
+        others = instrumental_variables(rest, Z, evidence.estimate.weights).without_rows()
+        held = replace(evidence.observed, system=rest, Z=Z)
+        return replace(evidence, observed=held, estimate=others)
+    return None
 
 
 def prior_test(evidence: FitData) -> TrustLine | None:
@@ -221,10 +214,7 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     """
     if not evidence.prior or evidence.gains:
         return None
-    names, links = (
-        [joint.name for joint in evidence.robot.joints],
-        f"the {evidence.prior_source}'s links",
-    )
+    names = np.array([joint.name for joint in evidence.robot.joints])
     factor, half, explained, needed = _factors(evidence)
     lost = (needed > MIN_LEFT) & (half > 0) & (half < 0.5 * MIN_FACTOR)
     lost &= np.abs(factor) + half < MIN_FACTOR
@@ -232,35 +222,28 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     low, high = factor[told] - half[told], factor[told] + half[told]
     outside = told[(high < MIN_FACTOR) | (low > MAX_FACTOR)]
     unlike = ((needed > MIN_LEFT) & (explained < MIN_ALIKE)).any()
-    cause = _cause(evidence) if len(outside) or unlike else ""
+    cause = cause_by_prior(evidence) if len(outside) or unlike else ""
     values = np.sort(factor[outside if len(outside) else told])
-    everywhere = len(outside) == len(told) > 1
-    between = " to ".join(dict.fromkeys(f"{x:.2g}" for x in [*values[:1], *values[-1:]]))
-    text = f"torques are {between} times what {links} need"
-    torques = ", ".join(f"torque of {names[j]} is {factor[j]:.2g} times" for j in outside)
-    negative = [names[j] for j in told if factor[j] + half[j] < 0]
-    off = text if everywhere else f"{torques} what {links} need"
-    spread = everywhere and values[-1] > max(MAX_SPREAD * values[0], 0.0)
-    return first_case(
-        "prior",
-        (cause, "caution", f"{cause}? {links} then need the recorded torques", cause),
-        (not len(told), "ok", f"no torque is like that of {links}"),
-        (not len(outside), "ok", text),
-        (
-            lost[told].all(),
-            "caution",
-            WORDS["links lost"].format(text=text),
-            WORDS["links lost, in short"],
-        ),
-        (
-            negative,
-            "caution",
-            f"{off}: effort or position of {', '.join(negative)} has the wrong sign?",
-            WORDS["wrong sign"].format(joints=", ".join(negative)),
-        ),
-        (spread, "cannot tell", f"the prior is off everywhere: {text}"),
-        (True, "caution", f"{off}: drive_gain, ratio, unit, a payload, or the prior?", off),
-        figures=figures_of(np.array(names)[told], factor[told], half[told], np.ones(len(told))),
+    everywhere, negative = len(outside) == len(told) > 1, names[told[high < 0]]
+    return judge(
+        PRIOR,
+        {
+            "cause": cause,
+            "unlike": not len(told),
+            "ok": not len(outside),
+            "links lost": lost[told].all(),
+            "negative": len(negative),
+            "everywhere": everywhere and values[-1] > max(MAX_SPREAD * values[0], 0.0),
+            "off": True,
+        },
+        figures=figures_of(names[told], factor[told], half[told], np.ones(len(told))),
+        cause=cause,
+        source=evidence.prior_source,
+        factors=" to ".join(dict.fromkeys(f"{x:.2g}" for x in [*values[:1], *values[-1:]])),
+        each=", ".join(part_of(PRIOR, "torque", joint=names[j], factor=factor[j]) for j in outside),
+        everywhere=everywhere,
+        some=not everywhere,
+        negative=", ".join(negative),
     )
 
 
@@ -295,53 +278,3 @@ def _factors(evidence: FitData) -> Array:
             half = intervals_of(one, fit).half[0]
             found[:, j] = fit.beta[0], half, 1 - fit.residual_norm**2 / whole, needed / whole
     return found
-
-
-def _cause(evidence: FitData) -> str:
-    """What, corrected, lets the prior's links explain the torques far better, in some 300 rows
-    of the first recording.
-    """
-    problem, payload = evidence.problem, evidence.arms[0].payload
-    names, (at, *motion) = [joint.name for joint in evidence.robot.joints], row_states(problem)
-    base, same, none = problem.base, np.arange(len(names)), np.zeros(len(names))
-    beta = np.array([evidence.prior.get(name, 0.0) for name in base.names])
-    beta += payload.values(evidence.estimate) * base.links if payload else 0.0
-    links = direct_model(problem.model, base.standard_parameters(beta))
-    recorded, counts = evidence.observed.tau[at], evidence.observed.share[at] > 0
-    # efforts and positions taken from these joints, positions times a factor and turned
-    cases = [("", same, same, none + 1, none)]
-    for a, b in combinations(same, 2):
-        order, pair = same.copy(), f"of joints {names[a]} and {names[b]} exchanged"
-        order[[a, b]] = b, a
-        cases.append((f"recorded efforts {pair}", order, *cases[0][2:]))
-        cases.append((f"recorded positions {pair}", same, order, *cases[0][3:]))
-    for own, of in [*zip(np.eye(len(names)), names, strict=True), (none + 1, "all joints")]:
-        for text, factor in UNITS.items():
-            cases.append((text.format(of), same, same, 1 + (factor - 1) * own, none))
-    for own, joint in zip(np.eye(len(names)), evidence.robot.joints, strict=True):
-        for deg in (-90, 90, 180) if joint.type == "revolute" else ():
-            text = WORDS["zero off"].format(joint=joint.name, deg=deg)
-            cases.append((text, *cases[0][1:-1], -np.deg2rad(deg) * own))
-    gravity = np.array(evidence.robot.gravity)
-    directions = [*np.eye(3), *-np.eye(3)] if gravity[:2].any() == 0 else []
-    for along in directions:
-        sign, axis = "-" if along.sum() < 0 else "+", "xyz"[int(np.abs(along).argmax())]
-        cases.append((WORDS["gravity"].format(sign=sign, axis=axis), *cases[0][1:]))
-    texts, *each = zip(*cases, strict=True)
-    efforts, positions, *_ = map(np.array, each)
-    motions, of_case = np.unique(np.stack(each[1:], axis=1), axis=0, return_inverse=True)
-    q, dq, ddq = (x[:, motions[:, 0].astype(int)] * motions[:, 1] for x in motion)
-    states = (x.reshape(-1, len(names)) for x in (q + motions[:, 2], dq, ddq))
-    rigid = links.torques_of_links(*states).reshape(q.shape)[:, of_case.ravel()]
-    for k, along in enumerate(directions, len(cases) - len(directions)):
-        rigid[:, k] += links.gravity(motion[0], np.linalg.norm(gravity) * along - gravity)
-    q, dq, ddq = (x.T for x in motion)
-    others = np.stack([ddq, dq, np.sign(dq), np.ones_like(q)], axis=2) * counts.T[..., None]
-    others, tau = np.linalg.qr(others)[0][positions], recorded[:, efforts]
-    both = counts[:, positions, None] * np.stack([tau - rigid, tau], axis=3)
-    both = both.transpose(1, 2, 0, 3)  # (cases, joints, rows, 2)
-    left = ((both - others @ (others.swapaxes(2, 3) @ both)) ** 2).sum(axis=2)
-    share = np.clip(left[..., 0] / (left[..., 1] + 1e-300), MIN_LEFT, 1.0)
-    size = np.log(share).sum(axis=1)
-    size[0] -= MIN_CAUSE
-    return str(min(zip(size.tolist(), texts, strict=True))[1])

@@ -14,8 +14,7 @@ from ..data import position_steps
 from ..errors import NoFitError
 from ..model import JointTerm
 from ..regression import Problem, standing_joints
-from .evidence import FitData, Part, TrustLine, first_case
-from .words import WORDS
+from .evidence import FitData, Part, TrustLine, judge, part_of
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
@@ -31,53 +30,29 @@ MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
 MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
 
 
-def fixed_point_test(evidence: FitData) -> TrustLine | None:
-    """Whether the method ended in a fixed point that the simulated robot confirms."""
-    why, by_reference = evidence.unconfirmed, evidence.by_reference
-    return first_case(
+def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustLine | None:
+    """Whether the passes ended in a fixed point that the simulated robot confirms."""
+    converged = status == "converged"
+    return judge(
         "fixed point",
-        (
-            not evidence.fixed_point,
-            "do not use",
-            f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion",
-        ),
-        (
-            why is not None,
-            "caution",
-            f"{why}: record the reference, check [controller]"
-            if evidence.gains
-            else f"{why}: check [controller]; compare with least squares",
-        ),
-        (evidence.method != "iv", "ok", "least squares has one solution"),
-        (
-            by_reference is not None,
-            "ok",
-            f"{by_reference}: one solution, less efficient where joints stick",
-        ),
-        (True, "ok", "converged, and the simulated robot confirms it"),
+        {
+            "none": not converged and status != "not_confirmed",
+            "no simulation": not converged and gains,
+            "not confirmed": not converged,
+            "by reference": reason is not None,
+            "confirmed": True,
+        },
+        why=reason if converged else f"status {status}: {reason}",
     )
 
 
-def instruments_test(evidence: FitData) -> TrustLine | None:
+def instruments_line(F: float) -> TrustLine | None:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
-    if (F := evidence.first_stage_F) is None:
-        return None
-    return first_case(
+    return judge(
         "instruments",
-        (
-            F < MIN_FIRST_STAGE_F,
-            "caution",
-            f"weak: first-stage F = {F:.2g}, below {MIN_FIRST_STAGE_F:g}: record faster motion, "
-            "check [controller]",
-        ),
-        (
-            F > MAX_FIRST_STAGE_F,
-            "cannot tell",
-            "the instruments are W itself: this is least squares, with the same bias by position "
-            "noise",
-        ),
-        (True, "ok", f"strong: first-stage F = {F:.3g}"),
+        {"weak": F < MIN_FIRST_STAGE_F, "regressor": F > MAX_FIRST_STAGE_F, "ok": True},
         value=F,
+        limit=MIN_FIRST_STAGE_F,
     )
 
 
@@ -91,17 +66,10 @@ def units_test(evidence: FitData) -> TrustLine | None:
     )
     acts = size > estimation.MIN_COLUMN_NORM * np.linalg.norm(size, axis=0)
     shared = [rows.names[i] for i in np.flatnonzero(acts.sum(axis=0) > 1)]
-    return first_case(
+    return judge(
         "units",
-        (robot.gain_known or robot.n == 1, "ok", "torques of all joints are in known units"),
-        (
-            shared,
-            "do not use",
-            f"{', '.join(shared[:5])} act at several joints, and the drive gains are not known: "
-            "state drive_gain, or record with and without a weighed payload and fit with --gains",
-            "drive gains not known",
-        ),
-        (True, "ok", "drive gains are not known, but no joints share a parameter"),
+        {"known": robot.gain_known or robot.n == 1, "shared": shared, "apart": True},
+        shared=", ".join(shared[:5]),
     )
 
 
@@ -115,15 +83,11 @@ def essential_test(evidence: FitData) -> TrustLine | None:
     rows = np.isin(names, evidence.essential).any(axis=0)
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
     inertia = any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources)
-    return first_case(
+    return judge(
         "essential",
-        (inertia, "ok", f"{len(evidence.essential)} of {len(np.unique(names))}"),
-        (
-            True,
-            "caution",
-            "no inertia has an interval narrower than its value: record faster, longer motion",
-            "no inertia is determined",
-        ),
+        {"ok": inertia, "no inertia": True},
+        essential=len(evidence.essential),
+        count=len(np.unique(names)),
     )
 
 
@@ -139,17 +103,12 @@ def excitation_test(evidence: FitData) -> TrustLine | None:
     _, values, directions = np.linalg.svd(W / np.maximum(np.linalg.norm(W, axis=0), 1e-300))
     condition = float(values[0] / max(values[-1], 1e-300))
     worst = names[essential][np.argsort(-np.abs(directions[-1]))[:3]]
-    said = {"condition": condition, "limit": MAX_CONDITION, "names": ", ".join(worst)}
-    return first_case(
+    return judge(
         "excitation",
-        (
-            condition > MAX_CONDITION,
-            "caution",
-            WORDS["excitation"].format(**said),
-            "hardly excited",
-        ),
-        (True, "ok", WORDS["excited"].format(**said)),
+        {"hardly": condition > MAX_CONDITION, "ok": True},
         value=condition,
+        limit=MAX_CONDITION,
+        names=", ".join(worst),
     )
 
 
@@ -168,22 +127,17 @@ def ends_test(evidence: FitData) -> TrustLine | None:
     ends, middle = size[at_end].max(axis=0), size[~at_end].max(axis=0)
     worst = int((ends / np.maximum(middle, MAX_ROBUST_DEVIATIONS)).argmax())
     at_ends, elsewhere = float(ends[worst]), float(middle[worst])
-    text = (
-        f"{(size > MAX_ROBUST_DEVIATIONS).sum()} outliers in {used.sum()} moving rows; largest "
-        f"{middle.max():.3g} robust deviations (limit {MAX_ROBUST_DEVIATIONS:g}), at the ends "
-        f"{ends.max():.3g}"
-    )
-    return first_case(
+    return judge(
         "ends",
-        (
-            at_ends > max(MAX_END_DEVIATIONS, MAX_END_RATIO * elsewhere),
-            "caution",
-            f"{text}; joint {evidence.robot.joints[worst].name}: largest "
-            f'{elsewhere:.3g}, at the ends {at_ends:.3g}: set edges = "smooth", or cut the ends '
-            "off (cut_start_samples, cut_end_samples)",
-        ),
-        (True, "ok", text),
+        {"edge": at_ends > max(MAX_END_DEVIATIONS, MAX_END_RATIO * elsewhere), "ok": True},
         value=at_ends,
+        count=(size > MAX_ROBUST_DEVIATIONS).sum(),
+        rows=used.sum(),
+        middle=middle.max(),
+        limit=MAX_ROBUST_DEVIATIONS,
+        ends=ends.max(),
+        joint=evidence.robot.joints[worst].name,
+        elsewhere=elsewhere,
     )
 
 
@@ -197,31 +151,23 @@ def halves_test(evidence: FitData) -> TrustLine | None:
     half = evidence.spans(2)[0] if evidence.gains else evidence.between(0, cut)
     first, second = (_solve_part(evidence, part) for part in (half, ~half))
     if first is None or second is None:
-        text = "not made: a half alone does not determine the parameters; record longer"
-        return TrustLine("halves", "not made", text)
+        return judge("halves", {"undetermined": True})
     C = first.covariance + second.covariance
     sigma, b = np.sqrt(np.diag(C)), len(C)
     if not (sigma > 0).all():
-        return TrustLine("halves", "not made", "not made: the fit is exact")
+        return judge("halves", {"exact": True})
     u = 0.5 * (second.low + second.high - first.low - first.high) / sigma
     values, vectors = np.linalg.eigh(C / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
     p = estimation.f_tail(wald / b, b, first.freedom + second.freedom)
-    text = (
-        f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}; "
-        f"{evidence.estimate.names[np.abs(u).argmax()]} differs most, by {np.abs(u).max():.2g} "
-        "sigma"
-    )
-    return first_case(
+    return judge(
         "halves",
-        (
-            p < HALVES_LEVEL,
-            "caution",
-            f"{text}: the torque changes with time: warm the robot up, check for drift, fit each "
-            "half alone",
-        ),
-        (True, "ok", text),
+        {"differ": p < HALVES_LEVEL, "ok": True},
         value=wald,
+        count=b,
+        p=p,
+        name=evidence.estimate.names[np.abs(u).argmax()],
+        most=np.abs(u).max(),
     )
 
 
@@ -240,30 +186,11 @@ def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
     return None
 
 
-def position_noise_test(evidence: FitData) -> TrustLine | None:
-    """Whether position noise biases least squares; made while the recording is read."""
-    return evidence.position_noise
-
-
-def held_out_test(evidence: FitData) -> TrustLine | None:
-    """Whether the fit of other blocks or recordings predicts each; made with all predictions."""
-    return evidence.held_out
-
-
 def motion_test(evidence: FitData) -> TrustLine | None:
     """Joints that stand in all recordings; friction of creeping differs from that of motion."""
     speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot
     names = ", ".join(standing_joints(speed, robot.joints))
-    return first_case(
-        "motion",
-        (
-            names,
-            "caution",
-            f"joint {names} does not move: its friction values do not hold for motion: move it, "
-            "or do not use them",
-            f"{names} does not move",
-        ),
-    )
+    return judge("motion", {"standing": names}, names=names)
 
 
 def rows_test(e: FitData) -> TrustLine | None:
@@ -280,23 +207,24 @@ def rows_test(e: FitData) -> TrustLine | None:
     least = np.maximum(MAX_MISSING_PERCENT, MAX_HELD_RATIO * shares[:, 2:])
     surplus = shares[:, :2] * (shares[:, :2] > least)
     k = int(surplus.sum(axis=1).argmax())
-    found = zip(surplus[k], ("missing", "repeated"), strict=True)
-    finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
-    notes = (
-        (place, one.signals.unmeasured or _slow_encoder(one, steps, float(held)))
-        for place, one, steps, held in zip(places, e.problems, coarse, shares[:, 2], strict=True)
+    finding = " and ".join(
+        part_of("rows", "share", percent=x, what=what)
+        for x, what in zip(surplus[k], ("missing", "repeated"), strict=True)
+        if x
     )
-    return first_case(
+    notes = (
+        place + note
+        for place, one, steps, held in zip(places, e.problems, coarse, shares[:, 2], strict=True)
+        if (note := one.signals.unmeasured or _slow_encoder(one, steps, float(held)))
+    )
+    note = next(notes, "")
+    return judge(
         "rows",
-        (
-            finding,
-            "caution",
-            f"{places[k]}{finding} (position steps that are double or zero): record time stamps or "
-            "a row counter ([time] in map.toml), or record again",
-            finding,
-        ),
-        *((note, "ok", place + note) for place, note in notes),
+        {"lost": finding, "note": note},
         value=float(surplus[k].sum()) if finding else None,
+        where=places[k],
+        found=finding,
+        note=note,
     )
 
 
@@ -311,6 +239,4 @@ def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
         names, held = f" of joint {names}", float(percent.sum(axis=1).max())
     elif held <= MAX_MISSING_PERCENT:
         return ""
-    return (
-        f"the log is faster than the encoder{names}: {held:.2g} % of the steps are double or zero"
-    )
+    return part_of("rows", "slow", joints=names, percent=held)

@@ -15,23 +15,19 @@ from .efforts import (
     signs_and_order_test,
     turned_sign,
 )
-from .evidence import LEVELS, FitData, Trust, TrustLine
+from .evidence import LEVELS, FitData, Trust, TrustLine, part_of
 from .physical import consistent_test, physical_test
 from .predictions import HELD_OUT, prior_test
 from .solution import (
     ends_test,
     essential_test,
     excitation_test,
-    fixed_point_test,
     halves_test,
-    held_out_test,
-    instruments_test,
     motion_test,
-    position_noise_test,
     rows_test,
     units_test,
 )
-from .words import WORDS
+from .words import assume
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
 CAUSES = "saturation", "rows", "added columns"  # of no fixed point, by what they find
@@ -41,90 +37,75 @@ MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 
 def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
     """Assumptions that no test covers, by that of the control law."""
-    signals, decimation = evidence.problem.signals, evidence.problem.settings.decimation
-    robot, several = signals.robot, signals.robot.n > 1
+    signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
     fs, iv, lags = signals.sample_rate_hz, evidence.method == "iv", evidence.lags
-    gains = [m for m in robot.motors if m.drive_gain is not None]
-    duration_s = len(evidence.observed.tau) * decimation / fs
-    cases = (
-        (
-            robot.gain_known and not evidence.gains,
-            "drive gains",
-            ", ".join(f"{m.drive_gain:g} {m.drive_gain_unit}" for m in gains)
-            or "torques recorded in "
-            + " and ".join(sorted({m.recorded_unit for m in robot.motors})),
-            "a wrong gain scales all parameters, and fits equally well"
-            + " if it is common to all joints" * several,
-        ),
-        (
-            True,
-            "efforts",
-            "the whole torque of each motor",
-            "what a drive adds behind the recorded effort, such as friction or gravity, "
-            "cannot be seen",
-        ),
-        (
-            any(name.partition("@")[2] for name in evidence.estimate.names),
-            "own parameters",
-            "their mean elsewhere",
-            "other recordings are validated with the mean of those of these",
-        ),
-        (
-            True,
-            "ratios",
-            ", ".join(f"{x:g}" for x in np.diag(robot.R)),
-            "joint positions and torques are computed with them",
-        ),
-        (
-            several,
-            "lengths",
-            "dh" if robot.urdf is None else "urdf",
-            "link parameters absorb an error of a length",
-        ),
-        (True, "sample rate", f"{fs:g} Hz", "speeds and accelerations scale with it"),
-        (
-            iv and not evidence.by_reference and law.level == "not made",
-            "control law",
-            robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD",
-            law.text.removeprefix("not made: "),
-        ),
-        (
-            lags and lags[0].stated,
-            "lag",
-            f"{lags[0].value_s:g} s" if lags else "",
-            "stated by torque_lag_s",
-        ),
-        (
-            duration_s > MAX_SHORT_S,
-            "filters",
-            f"{duration_s:.0f} s of motion",
-            "intervals include noise only; filters distort a parameter by about 0.1 %, which "
-            "is as much here",
-        ),
-        (
-            not iv,
-            "encoder noise",
-            "the same spectrum below and above the low-pass",
-            "position noise biases least squares; only the noise above the low-pass is tested",
-        ),
-    )
+    gains = [
+        f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None
+    ]
+    duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / fs
+    holds = {
+        "drive gains": robot.gain_known and not evidence.gains,
+        "efforts": True,
+        "own parameters": any("@" in name for name in evidence.estimate.names),
+        "ratios": True,
+        "lengths": several,
+        "sample rate": True,
+        "control law": iv and evidence.ending != "by reference" and law.level == "not made",
+        "lag": lags and lags[0].stated,
+        "filters": duration_s > MAX_SHORT_S,
+        "encoder noise": not iv,
+    }
+    said = {
+        "gains": ", ".join(gains),
+        "recorded": not gains,
+        "units": " and ".join(sorted({m.recorded_unit for m in robot.motors})),
+        "common": several,
+        "ratios": ", ".join(f"{x:g}" for x in np.diag(robot.R)),
+        "lengths": "dh" if robot.urdf is None else "urdf",
+        "fs": fs,
+        "law": robot.controller.structure or "",
+        "default": not robot.controller.structure,
+        "bandwidth_hz": robot.bandwidth_hz,
+        "reason": law.text.removeprefix("not made: "),
+        "lag": f"{lags[0].value_s:g} s" if lags else "",
+        "unseen": False,
+        "duration_s": duration_s,
+    }
     yield from payload_assumptions(evidence)
-    yield from (Assumed(*told) for holds, *told in cases if holds)
+    yield from (assume(what, **said) for what, it in holds.items() if it)
 
 
-# A test is a function of the fit's data, None where it does not apply. A new one is a line here.
+def made_before(test: str) -> Callable[[FitData], TrustLine | None]:
+    """A test whose line was made with the solution or with its predictions."""
+    return lambda evidence: evidence.made.get(test)
+
+
+# A test is a function of the fit's data, None where it does not apply. A new one is a line here,
+# and a row of words.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(
-        signs_and_order_test,
-        saturation_test,
-        positions_test,
-        gains_test,
-        centre_of_mass_test,
-        fixed_point_test,
-    ),
-    *(physical_test, units_test, prior_test, motion_test, rows_test, control_law_test),
-    *(halves_test, excitation_test, lag_test, added_columns_test, held_out_test, consistent_test),
-    *(ends_test, essential_test, instruments_test, position_noise_test, effort_test),
+    signs_and_order_test,
+    saturation_test,
+    positions_test,
+    gains_test,
+    centre_of_mass_test,
+    made_before("fixed point"),
+    physical_test,
+    units_test,
+    prior_test,
+    motion_test,
+    rows_test,
+    control_law_test,
+    halves_test,
+    excitation_test,
+    lag_test,
+    added_columns_test,
+    made_before(HELD_OUT),
+    consistent_test,
+    ends_test,
+    essential_test,
+    made_before("instruments"),
+    made_before("position noise"),
+    effort_test,
 )
 
 
@@ -135,19 +116,20 @@ def trust_in(evidence: FitData) -> Trust:
     """
     lines = {line.test: line for test in TESTS if (line := test(evidence)) is not None}
     held, physical = lines[HELD_OUT], lines["physical"]
-    if held.fails_held_out and (physical.value or 0.0) <= 0:
-        text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
-        lines[held.test] = replace(held, level="do not use", text=text)
+    if held.case == "far off" and (physical.value or 0.0) <= 0:
+        text = part_of(HELD_OUT, "not positive", text=held.text)
+        lines[HELD_OUT] = replace(held, level=LEVELS[0], text=text)
     if physical.level != LEVELS[0] and (found := _witness(evidence, lines)):
-        text = WORDS["far"].format(text=physical.text, witness=found)
+        text = part_of("physical", "far", text=physical.text, witness=found)
         lines["physical"] = replace(
             physical, level=LEVELS[0], text=text, finding=physical.finding or found
         )
     fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
     known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)
     if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
-        text = WORDS["cause"].format(text=fixed.text.partition(": check")[0], cause=cause)
-        lines[fixed.test] = replace(fixed, text=text, finding=cause)
+        why = fixed.text.partition(": check")[0]
+        text = part_of("fixed point", "caused", text=why, cause=cause)
+        lines["fixed point"] = replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
     assumed = *list_assumptions(evidence, lines["control law"]), *of_lines
     return Trust(lines=worst_first(lines.values()), assumed=assumed)
@@ -159,7 +141,7 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     nothing.
     """
     consistent, prior = lines.get("consistent"), lines.get("prior")
-    if (lines["physical"].value or 0.0) > 0 and not (consistent is not None and consistent.far):
+    if (lines["physical"].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
         return ""
     held = lines[HELD_OUT].value or 0.0
     if prior is not None and any(factor + half < 0 for _, factor, half, _ in prior.figures):

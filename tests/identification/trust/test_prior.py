@@ -93,7 +93,7 @@ def test_links_off_by_forty_percent_are_no_fault(monkeypatch):
     assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
     assert {name for name, *_ in line.figures} == set(TOLD)
     assert all(0.6 < value < 1.5 for _, value, *_ in line.figures)
-    monkeypatch.setattr(predictions, "_cause", lambda _: "a cause")
+    monkeypatch.setattr(predictions, "cause_by_prior", lambda _: "a cause")
     assert predictions.prior_test(fit.data) == line
     assert fit.data.prior_error_percent > 3 * fit.trust.line("held-out blocks").value
 

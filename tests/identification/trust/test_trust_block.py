@@ -41,15 +41,24 @@ from identification.regression import (
     weights_at,
 )
 from identification.results import Fit, identify, identify_ls
-from identification.trust import LEVELS, FitData, Trust, TrustLine, candidates, kinds, trust_in
+from identification.trust import (
+    LEVELS,
+    WORDS,
+    FitData,
+    Trust,
+    TrustLine,
+    candidates,
+    kinds,
+    trust_in,
+)
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
     essential_test,
-    fixed_point_test,
+    fixed_point_line,
     halves_test,
-    instruments_test,
+    instruments_line,
 )
-from identification.trust.verdict import TESTS, worst_first
+from identification.trust.verdict import worst_first
 
 WHITE = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
 COARSE = Imperfections(encoder_noise=2e-5, torque_noise_percent=1.0)
@@ -168,7 +177,7 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
 def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used(monkeypatch):
     _, evidence = examined("wls", "scara")
     held, law = (trust_in(evidence).line(test) for test in ("held-out blocks", "control law"))
-    far = replace(held, level="caution", fails_held_out=True)
+    far = replace(held, level="caution", case="far off")
     for value, line_, level in (
         (-0.1, far, "do not use"),
         (0.1, far, "caution"),
@@ -182,17 +191,12 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used(m
         assert ("--consistent" in judged.text) == (level == "do not use")
 
 
-def test_the_tables_of_the_guides_have_every_line():
-    longer = {"held out": "held-out blocks"}
-    names = {one.__name__.removesuffix("_test").replace("_", " ") for one in TESTS}
-    for guide, head in (
-        ("README.md", "| line | what is wrong "),
-        ("results.md", "| line | what it means "),
-    ):
-        _, rest = (ROOT / "identification" / guide).read_text().split(head)
-        lines = re.findall(r"^\| `(.*?)` \|", rest.split("\n\n")[0], flags=re.MULTILINE)
-        assert sorted(lines) == sorted(longer.get(name, name) for name in names)
-    counts = re.findall(r"(\d+)\s+spans of (?:a|the) recording's time", rest)
+def test_the_guide_has_every_line():
+    guide = (ROOT / "identification" / "README.md").read_text()
+    table = guide.split("| line | what is wrong ")[1].split("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(.*?)` \|", table, flags=re.MULTILINE)) == sorted(WORDS)
+    results = (ROOT / "identification" / "results.md").read_text()
+    counts = re.findall(r"(\d+)\s+spans of (?:a|the) recording's time", results)
     assert set(counts) == {str(FINE_SPANS)}
 
 
@@ -266,11 +270,12 @@ def test_signs_are_judged_by_weighted_rows_only_where_ordinary_least_squares_see
 
 
 def test_the_ways_an_iteration_ends():
-    _, evidence = examined("iv", "scara")
-    none = fixed_point_test(replace(evidence, fixed_point=False, unconfirmed="status diverged: M"))
+    none = fixed_point_line("diverged", "M", gains=False)
     assert (none.level, none.text[:18]) == ("do not use", "status diverged: M")
-    other = replace(evidence, unconfirmed="status not_confirmed: joint 2")
-    assert [fixed_point_test(one).level for one in (other, evidence)] == ["caution", "ok"]
+    ends = ("not_confirmed", "joint 2", False), ("not_confirmed", "M", True), ("converged", None, 0)
+    lines = [fixed_point_line(status, why, gains=gains) for status, why, gains in ends]
+    assert [line.level for line in lines] == ["caution", "caution", "ok"]
+    assert "record the reference" in lines[1].text
 
 
 # Added columns
@@ -530,12 +535,9 @@ def test_without_noise_above_the_low_pass_nothing_moves(monkeypatch):
 
 
 def test_weak_instruments_and_those_that_are_w():
-    _, evidence = examined("iv", "scara")
-    levels = {
-        F: instruments_test(replace(evidence, first_stage_F=F)).level for F in (5.0, 50.0, 4e16)
-    }
-    assert levels == {5.0: "caution", 50.0: "ok", 4e16: "cannot tell"}
-    assert "W itself" in instruments_test(replace(evidence, first_stage_F=4e16)).text
+    lines = [instruments_line(F) for F in (5.0, 50.0, 4e16)]
+    assert [line.level for line in lines] == ["caution", "ok", "cannot tell"]
+    assert "W itself" in lines[-1].text
 
 
 def test_an_autoregression_is_found_despite_gaps():

@@ -39,7 +39,7 @@ def told(monkeypatch, **changed):
 
 
 LOW = {"level": "caution", "value": -0.3}
-FAR = {"level": "caution", "far": True}
+FAR = {"level": "caution", "case": "far"}
 NEGATIVE = {
     "finding": "wrist_2: effort or position has the wrong sign",
     "figures": (("wrist_1", 1.0, 0.1, 1.0), ("wrist_2", -0.9, 0.2, 1.0)),
