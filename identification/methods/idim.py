@@ -159,7 +159,7 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
             "with these" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
-        made = {"fixed point": judge("fixed point", ending, why=text)}
+        made = {**evidence.made, "fixed point": judge("fixed point", ending, why=text)}
     else:
         # Once, of the first recording: it looks at the beginning of a long one anyway.
         first = evidence.problem.with_samples()

@@ -20,7 +20,7 @@ from ..model import direct_model, why_not_positive
 from ..regression import Lag, Rows, base_places
 from ..report import DirectModelResidual, FTest, Method, Status
 from ..simulation import Simulated
-from ..trust import FitData, fixed_point_line, instruments_line, judge
+from ..trust import FitData, control_law_line, fixed_point_line, judge
 from .iteration import MIN_F, Loop
 from .model import Model
 from .passes import Pass, join_reasons
@@ -85,9 +85,9 @@ def evidence_of(
     candidates, *_ = model.candidates(x, (rows.speed, rows.most), simulated=not rows.recorded)
     lags = counted_lags(model, solved.lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
+    problems = model.concluded(x)
     return FitData(
-        problems=model.concluded(x),
-        laws=model.laws,
+        problems=problems,
         arms=unknowns.arms,
         observed=rows,
         method=method,
@@ -96,9 +96,12 @@ def evidence_of(
         intervals=within,
         least_squares=full,
         candidates=candidates,
-        made={"fixed point": judge("fixed point", {"least squares": True})},
         lags=lags,
         essential=essential_names(essential, estimate, within),
+        made={
+            "fixed point": judge("fixed point", {"least squares": True}),
+            "control law": control_law_line(problems, model.laws),
+        },
     )
 
 
@@ -150,14 +153,11 @@ def solution_by_instruments(
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
     evidence = evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
-    made = {
-        "fixed point": fixed_point_line(status, reason, gains=bool(evidence.gains)),
-        "instruments": instruments_line(F),
-    }
+    line = fixed_point_line(status, reason, gains=bool(evidence.gains))
     return Solution(
         model=model,
         x=x,
-        evidence=replace(evidence, made=made),
+        evidence=replace(evidence, first_stage_F=F, made={**evidence.made, "fixed point": line}),
         least_squares=loop.ls,
         essential=loop.essential,
         simulated=best.confirmed_by,

@@ -81,7 +81,7 @@ def identify_iv(
 def fit_of(solution: Solution) -> Fit:
     """The fit of a solution: its torque errors, its tests, its warnings, gains and payloads."""
     model, x, z = solution.model, solution.x, solution.simulated
-    data, (tau, predicted, counts, t_s) = with_predictions(
+    data, held_out, (tau, predicted, counts, t_s) = with_predictions(
         solution.evidence, partial(model.torques, x, judged=True)
     )
     parts = zip(data.problems, model.unknowns.arms, spans_of([*map(len, t_s)]), strict=True)
@@ -95,7 +95,7 @@ def fit_of(solution: Solution) -> Fit:
             tau=tau[part],
             tau_predicted=predicted[part],
             counts=counts[part],
-            held_out=data.by_others[k] if data.by_others else None,
+            held_out=held_out[k] if held_out else None,
             simulated=z[k] if z else None,
         )
         for k, (problem, arm, part) in enumerate(parts)

@@ -7,7 +7,7 @@ A delay of the reference belongs to the recording, not to the law: the simulated
 nothing is judged by it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,11 +43,11 @@ def lag_test(evidence: FitData) -> TrustLine | None:
 
 
 def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
+    moved, name = _largest_move(evidence, lag)
     fs, prior, value_ms = 1 / lag.period_s, lag.prior or lag, 1e3 * lag.value_s
     late, half, sd_ms = lag.value_s * fs, lag.half_width_s * fs, 1e3 * lag.sd_s
     found, found_sd, _ = lag.found or (lag.value_s, 0.0, 0)
     delay, delay_half = (fs * x for x in lag.delay_s or (0.0, 0.0))
-    moved, name = _largest_move(evidence, lag)
     lost = lag.found is None
     exogenous = all(one.signals.q_ref is not None for one in evidence.problems)
     unseen = assume(
@@ -109,11 +109,14 @@ def _largest_move(evidence: FitData, lag: Lag) -> tuple[float, str]:
     return moved[worst], names[worst]
 
 
-def control_law_test(evidence: FitData) -> TrustLine | None:
+def control_law_line(
+    problems: Sequence[Problem], laws: Sequence[FoundLaw | None]
+) -> TrustLine | None:
     """Whether the described controllers give the recorded efforts: the line
     of the worst recording.
     """
-    each = zip(map(law_line, evidence.problems, evidence.laws), evidence.names, strict=True)
+    names = [problem.signals.recording for problem in problems]
+    each = zip(map(law_line, problems, laws), names, strict=True)
     worst, name = min(
         ((line, name) for line, name in each if line is not None),
         key=lambda one: (
@@ -121,7 +124,7 @@ def control_law_test(evidence: FitData) -> TrustLine | None:
             -abs((1.0 if (x := one[0].value) is None else x) - 1.0),
         ),
     )
-    if len(evidence.names) == 1:
+    if len(names) == 1:
         return worst
     reason = worst.text.removeprefix("not made: ")
     return replace(worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}")

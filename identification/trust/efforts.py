@@ -18,7 +18,7 @@ from ..arrays import Array, Bools, Ints
 from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
 from ..simulation import unstated_limits
-from .drives import law_line
+from .drives import LAW
 from .evidence import LEVELS, FitData, TrustLine, judge, part_of
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
@@ -168,9 +168,8 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
     """Whether drives saturate at a limit that is not stated, where controller or simulated
     robot are not confirmed.
     """
-    laws = map(law_line, evidence.problems, evidence.laws)
-    doubtful = any(line is not None and line.level in LEVELS[:2] for line in laws)
-    if evidence.is_confirmed and not doubtful:
+    law = evidence.made.get(LAW)
+    if evidence.is_confirmed and (law is None or law.level not in LEVELS[:2]):
         return None
     limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
     text = "; ".join(dict.fromkeys(limits))

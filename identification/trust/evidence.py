@@ -10,9 +10,7 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array, Bools, Ints
-from ..control import FoundLaw
 from ..estimation import Estimate, Intervals, r_factor
-from ..model import base_prior
 from ..regression import Arm, Lag, Problem, Rows
 from ..report import Assumed, Level, Method, Verdict
 from .candidates import Candidates
@@ -160,7 +158,7 @@ class FitData:
 
     Attributes:
         problems: the recordings, in the order of the rows, without samples where several are long;
-            `laws`: the control law that each shows; `arms`: their parameters.
+            `arms`: their parameters.
         observed: the rows of W and Y of all recordings about the estimate.
         estimate: of the base parameters, or of the essential ones only.
         predicted: (rows, n) predicted torque, not weighted.
@@ -168,14 +166,15 @@ class FitData:
         candidates: terms that are not in the model, of the first recording.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
+        lags: one per group of recordings of equal timing.
+        essential: names of the parameters that the recordings determine well.
         made: lines of tests that were made with the solution and with its predictions, by test:
-            `fixed point`, `instruments`, `position noise`, `held-out blocks`; and `BY_PRIOR`, the
+            `fixed point`, `control law`, `position noise`, `held-out blocks`; and `BY_PRIOR`, the
             same of the prior's links with all else fitted to the other blocks, or recordings.
-        by_others: recordings that the fit of the others predicts, empty for blocks of time.
+        first_stage_F: how strong the instruments are; None for least squares.
     """
 
     problems: tuple[Problem, ...]
-    laws: tuple[FoundLaw | None, ...]
     arms: tuple[Arm, ...]
     observed: Rows
     method: Method
@@ -184,10 +183,10 @@ class FitData:
     intervals: Intervals
     least_squares: Estimate
     candidates: Candidates
+    lags: tuple[Lag, ...]
+    essential: tuple[str, ...]
     made: Mapping[str, TrustLine | None]
-    lags: tuple[Lag, ...] = ()
-    essential: tuple[str, ...] = ()
-    by_others: tuple[HeldOut, ...] = ()
+    first_stage_F: float | None = None
 
     @property
     def problem(self) -> Problem:
@@ -205,39 +204,29 @@ class FitData:
         return tuple(problem.signals.recording for problem in self.problems)
 
     @cached_property
-    def _prior(self) -> tuple[dict[str, float], str]:
-        known = base_prior(self.problem.model, self.problem.base) if self.robot.gain_known else None
-        return known if known is not None and known[0] else ({}, "")
-
-    @property
     def prior(self) -> dict[str, float]:
         """A-priori base parameters of links, by name; empty where drive gains are not known."""
-        return self._prior[0]
+        return self.candidates.prior[0] if self.robot.gain_known else {}
 
-    @property
+    @cached_property
     def prior_source(self) -> str:
         """Where they are from, `URDF` or `[parameters]`; empty for none."""
-        return self._prior[1]
+        return self.candidates.prior[1] if self.prior else ""
 
-    @property
+    @cached_property
     def prior_error_percent(self) -> float | None:
         """The torque error of these links, held out, with all else fitted."""
         return None if (line := self.made.get(BY_PRIOR)) is None else line.value
 
-    @property
+    @cached_property
     def ending(self) -> str:
         """How the method ended, as a case of the test `fixed point`."""
         return "" if (line := self.made.get("fixed point")) is None else line.case
 
-    @property
+    @cached_property
     def is_confirmed(self) -> bool:
         """Whether a simulation confirms its fixed point, or none is needed."""
         return self.ending in ("confirmed", "by reference", "least squares")
-
-    @property
-    def first_stage_F(self) -> float | None:
-        """How strong the instruments are; None of least squares."""
-        return None if (line := self.made.get("instruments")) is None else line.value
 
     @cached_property
     def gains(self) -> tuple[str, ...]:

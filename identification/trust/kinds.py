@@ -13,7 +13,7 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array, Ints
-from ..model import DirectModel, direct_model
+from ..model import DirectModel, base_prior, direct_model
 from ..regression import MotionBlock, Problem, row_blocks, smooth
 
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
@@ -83,6 +83,11 @@ class About:
         ways = row_s * np.concatenate([0 * self.travels[:1], self.speed])
         z = np.stack([_dahl(ways / travel, ways[0]) for travel in self.travels])
         return {near.start: z[:, near.start] for near, _ in row_blocks(self.problem)}
+
+    @cached_property
+    def prior(self) -> tuple[dict[str, float], str]:
+        """A-priori base parameters of links, by name, and their source."""
+        return base_prior(self.problem.model, self.problem.base)
 
     @property
     def robot(self) -> Robot:

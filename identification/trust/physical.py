@@ -67,13 +67,9 @@ def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
     """
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
+    of_friction = [*_driving_findings(evidence, own, check)]
     of_inertia, lowest = _inertia_findings(evidence, np.any(own, axis=0), check)
-    found = [
-        *of_inertia,
-        *_driving_findings(evidence, own, check),
-        *_findings_below_zero(evidence, own, check),
-    ]
-    return found, lowest
+    return [*of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)], lowest
 
 
 def _findings_below_zero(

@@ -165,10 +165,11 @@ def _betas(evidence: FitData, parts: list[tuple[str, Part, Array, list[str]]]) -
 
 def with_predictions(
     evidence: FitData, predict: Predict
-) -> tuple[FitData, tuple[Array, Array, Bools, list[Array]]]:
-    """The same with what the fit of other blocks or recordings predicts; and with the prior, and
-    the held-out error of its links: all else is fitted to the others. Torques (T, n) as measured
-    and by the fit, which rows count, and by recording their instants.
+) -> tuple[FitData, tuple[HeldOut, ...], tuple[Array, Array, Bools, list[Array]]]:
+    """The same with the lines of what the fit of other blocks or recordings predicts, and of what
+    the prior's links do with all else fitted to the others; recordings so predicted, empty for
+    blocks; torques (T, n) as measured and by the fit, which rows count, and by recording their
+    instants.
     """
     system, estimate = evidence.observed.system, evidence.estimate
     release_memory(evidence.observed.C)
@@ -188,8 +189,8 @@ def with_predictions(
         for (of, parts), one in zip(cases, predicted, strict=True)
     ]
     made = dict(zip((HELD_OUT, BY_PRIOR), (line for line, _ in found), strict=False))
-    evidence = replace(evidence, made={**evidence.made, **made}, by_others=found[0][1])
-    return evidence, (tau, trained, counts, t_s)
+    evidence = replace(evidence, made={**evidence.made, **made})
+    return evidence, found[0][1], (tau, trained, counts, t_s)
 
 
 def _by_links(evidence: FitData) -> FitData | None:

@@ -46,8 +46,10 @@ def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustLi
     )
 
 
-def instruments_line(F: float) -> TrustLine | None:
+def instruments_test(evidence: FitData) -> TrustLine | None:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
+    if (F := evidence.first_stage_F) is None:
+        return None
     return judge(
         "instruments",
         {"weak": F < MIN_FIRST_STAGE_F, "regressor": F > MAX_FIRST_STAGE_F, "ok": True},

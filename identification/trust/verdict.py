@@ -7,7 +7,7 @@ import numpy as np
 
 from ..report import Assumed
 from .columns import added_columns_test
-from .drives import centre_of_mass_test, control_law_test, gains_test, lag_test, payload_assumptions
+from .drives import LAW, centre_of_mass_test, gains_test, lag_test, payload_assumptions
 from .efforts import (
     effort_test,
     positions_test,
@@ -23,6 +23,7 @@ from .solution import (
     essential_test,
     excitation_test,
     halves_test,
+    instruments_test,
     motion_test,
     rows_test,
     units_test,
@@ -35,10 +36,10 @@ MAX_WITNESS_PERCENT = 20.0  # held-out error: more is that of another robot
 MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 
 
-def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
-    """Assumptions that no test covers, by that of the control law."""
+def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
+    """Assumptions that no test covers, by the lines of tests."""
     signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
-    fs, iv, lags = signals.sample_rate_hz, evidence.method == "iv", evidence.lags
+    fs, iv, law, lag = signals.sample_rate_hz, evidence.method == "iv", lines[LAW], lines.get("lag")
     gains = [
         f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None
     ]
@@ -51,7 +52,7 @@ def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
         "lengths": several,
         "sample rate": True,
         "control law": iv and evidence.ending != "by reference" and law.level == "not made",
-        "lag": lags and lags[0].stated,
+        "lag": lag is not None and lag.case in ("stated", "contradicted"),
         "filters": duration_s > MAX_SHORT_S,
         "encoder noise": not iv,
     }
@@ -67,7 +68,7 @@ def list_assumptions(evidence: FitData, law: TrustLine) -> Iterator[Assumed]:
         "default": not robot.controller.structure,
         "bandwidth_hz": robot.bandwidth_hz,
         "reason": law.text.removeprefix("not made: "),
-        "lag": f"{lags[0].value_s:g} s" if lags else "",
+        "lag": "".join(f"{x.value_s:g} s" for x in evidence.lags[:1]),
         "unseen": False,
         "duration_s": duration_s,
     }
@@ -94,7 +95,7 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     prior_test,
     motion_test,
     rows_test,
-    control_law_test,
+    made_before(LAW),
     halves_test,
     excitation_test,
     lag_test,
@@ -103,7 +104,7 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     consistent_test,
     ends_test,
     essential_test,
-    made_before("instruments"),
+    instruments_test,
     made_before("position noise"),
     effort_test,
 )
@@ -131,7 +132,7 @@ def trust_in(evidence: FitData) -> Trust:
         text = part_of("fixed point", "caused", text=why, cause=cause)
         lines["fixed point"] = replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
-    assumed = *list_assumptions(evidence, lines["control law"]), *of_lines
+    assumed = *list_assumptions(evidence, lines), *of_lines
     return Trust(lines=worst_first(lines.values()), assumed=assumed)
 
 

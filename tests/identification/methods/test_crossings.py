@@ -47,7 +47,7 @@ def test_two_recordings_are_fitted_with_what_they_have(
     assert not fit.passes or (
         (fit.passes[-1].by_reference is None) == bool(tracked)
         and fit.controller == "found"
-        and all(law.reason is None for law in fit.data.laws)
+        and all(law.reason is None for law in fit.solution.model.laws)
     )
     assert (off(fit) < 1.5).all()
     assert (fit.own is None, fit.gains == ()) == (

@@ -56,7 +56,7 @@ from identification.trust.solution import (
     essential_test,
     fixed_point_line,
     halves_test,
-    instruments_line,
+    instruments_test,
 )
 from identification.trust.verdict import worst_first
 
@@ -535,7 +535,8 @@ def test_without_noise_above_the_low_pass_nothing_moves(monkeypatch):
 
 
 def test_weak_instruments_and_those_that_are_w():
-    lines = [instruments_line(F) for F in (5.0, 50.0, 4e16)]
+    _, evidence = examined("iv", "scara")
+    lines = [instruments_test(replace(evidence, first_stage_F=F)) for F in (5.0, 50.0, 4e16)]
     assert [line.level for line in lines] == ["caution", "ok", "cannot tell"]
     assert "W itself" in lines[-1].text
 
