@@ -1,11 +1,12 @@
-"""The reference of all keys and options, and the guide's table of tests of a fit: tables made
+"""The reference of all keys and options, and the guides' tables of tests of a fit: tables made
 from the structures and parsers that read them, and from the words of the tests.
 
 `python tests/key_reference.py` writes identification/reference.md, acquisition/reference.md, and
-the table of identification/results.md again.
+the tables of identification/README.md and results.md again.
 """
 
 import argparse
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -39,11 +40,7 @@ MAP_TABLES = {
     "Angles": "[position] and [reference]",
     "Quantity": "[effort] and others",
 }
-TESTS_OF_FIT = ROOT / "identification" / "results.md"
-MARKS = (
-    "<!-- the tests of a fit, made by `python tests/key_reference.py` -->",
-    "<!-- end of the tests of a fit -->",
-)
+MADE = "made by `python tests/key_reference.py` -->"  # the mark above a table in a guide
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 
 
@@ -135,20 +132,24 @@ def option_table(program: Program) -> Iterator[str]:
         yield f"| `{name}` | {', '.join(f'`{command}`' for command in commands)} | {meaning} |"
 
 
-def table_of_tests() -> Iterator[str]:
-    """A row per test of a fit: what it detects, its limits, and what each of its cases advises."""
-    yield "| line | what it detects | limit | what to do |\n|---|---|---|---|"
+def tables_of_tests() -> dict[str, list[str]]:
+    """By guide its table of the tests of a fit, in lines."""
+    guide = ["| line | what is wrong | what to do |", "|---|---|---|"]
+    results = ["| line | what it detects | limit | what to do |", "|---|---|---|---|"]
     for name, row in WORDS.items():
-        of_cases = dict.fromkeys(case.advice for case in row.cases.values() if case.advice)
-        advice = row.advice or "; ".join(of_cases)
-        yield f"| `{name}` | {row.detects} | {row.limit} | {advice} |"
+        guide.append(f"| `{name}` | {row.wrong} | {row.advice} |")
+        results.append(f"| `{name}` | {row.detects} | {row.limit} | {row.advice} |")
+    return {"README.md": guide, "results.md": results}
 
 
-def with_table_of_tests(page: str) -> str:
-    """A page with the table of tests between its marks."""
-    begin, end = MARKS
-    (head, rest), table = page.split(begin), "\n".join(table_of_tests())
-    return f"{head}{begin}\n\n{table}\n\n{end}{rest.split(end)[1]}"
+def with_tables_of_tests() -> dict[Path, str]:
+    """By path the guides, with their tables of tests between two marks."""
+    found = {}
+    for name, lines in tables_of_tests().items():
+        path = ROOT / "identification" / name
+        begin, _, end = re.split(f"(?<={MADE})\n\n(.*?)(?=<!-- end)", path.read_text(), flags=re.S)
+        found[path] = "\n".join((begin, "", *lines, "", end))
+    return found
 
 
 def pages() -> dict[Path, str]:
@@ -185,7 +186,7 @@ def pages() -> dict[Path, str]:
     found = {
         ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()
     }
-    return {**found, TESTS_OF_FIT: with_table_of_tests(TESTS_OF_FIT.read_text())}
+    return found | with_tables_of_tests()
 
 
 if __name__ == "__main__":

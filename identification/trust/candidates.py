@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..model import DirectModel, inertia_unit, torque_of_links
+from ..model import DirectModel, base_prior, inertia_unit, torque_of_links
 from ..regression import MotionBlock, smooth
 from .kinds import IN_FAST_ROWS, KINDS, LAG, MIN_TAKEN_PERCENT, About, stride_of
 
@@ -22,7 +22,7 @@ class MissingTerm:
     """A term that the model may lack.
 
     Attributes:
-        kind, where: the term, and its joint or axis; `finding`: what is wrong, in a few words.
+        kind, where: the term, and its joint or axis.
         place: the number of its kind, and its place of that; `column`: of C, -1 for none; `joint`:
             whose rows in that are its own, None for all.
         unit, advice: unit of the coefficient; what to do.
@@ -39,7 +39,6 @@ class MissingTerm:
     where: str
     unit: str
     advice: str
-    finding: str = ""
     place: tuple[int, int] = (0, 0)
     column: int = 0
     joint: int | None = None
@@ -50,6 +49,11 @@ class MissingTerm:
     moves: float = 0.0
     least_percent: float = MIN_TAKEN_PERCENT
     noticed: float = np.inf
+
+    @property
+    def finding(self) -> str:
+        """What is wrong, in a few words."""
+        return f"{self.kind} {self.where}{KINDS[self.place[0]].missing}"
 
     @property
     def found(self) -> bool:
@@ -68,6 +72,11 @@ class Candidates(About):
     sliding: Array
 
     @cached_property
+    def prior(self) -> tuple[dict[str, float], str]:
+        """A-priori base parameters of links, by name, and their source."""
+        return base_prior(self.problem.model, self.problem.base)
+
+    @cached_property
     def terms(self) -> tuple[MissingTerm, ...]:
         """The terms."""
         robot, found, columns = self.robot, list[MissingTerm](), dict[tuple[int, int], int]()
@@ -81,7 +90,6 @@ class Candidates(About):
                     where=where,
                     unit=kind.unit.format(**_units(robot, j)),
                     advice=f'add "{kind.friction}" to its friction' if listed else kind.advice,
-                    finding=f"{kind.name} {where}{kind.missing}",
                     place=(i, k),
                     column=-1
                     if kind.torque is None

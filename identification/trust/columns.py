@@ -1,12 +1,21 @@
 """Terms that the model may lack: columns added to W one by one, each with the share of the
 residual that it explains.
 
-With z = c - Q (QᵀW)⁻ᵀ Wᵀc, a column c made orthogonal to W by the instruments' span Q, its
-coefficient is g = zᵀrho / zᵀc. Its deviation is that of the scores z rho' / zᵀc by
-equal-weighted cosines, where rho' is the residual with the column, divided by the share that
-estimate and column leave of white noise: a slow column removes much of the low frequencies. With
-instruments, c is the column of the simulated motion, so that position noise does not bias g.
-Columns have the weights of W.
+The model is Y = W beta + rho, solved with instruments whose orthonormal span is Q, beta = B QᵀY
+with the bread B = (QᵀW)⁻¹. A column c beside W, its own instrument, has the coefficient
+
+    g = zᵀrho / zᵀc,    z = c - Q Bᵀ Wᵀc,
+
+where z is c made orthogonal to W by the span Q. So no system is solved again: beta moves by -g B
+Qᵀc, and the residual becomes rho - g (c - W B Qᵀc). With instruments, c is the column of the
+simulated motion, so that position noise does not bias g. Columns have the weights of W.
+
+The deviation of g is that of the scores z rho' / zᵀc by equal-weighted cosines, where rho' is the
+residual with the column, divided by the share that estimate and column leave of white noise: a slow
+column removes much of the low frequencies. A term is found if its g is many deviations and takes
+enough of the residual's square. All columns of a kind are also solved together: joints that lack
+the same term make each other's column look weak. A column in the span of W has no g, but a zero or
+a rotor there still biases beta; it is kept, to be listed among the assumptions.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,8 +24,8 @@ from itertools import groupby
 
 import numpy as np
 
-from ..arrays import Array
-from ..estimation import deviations_of_sums, orthonormal, release_memory
+from ..arrays import Array, Bools
+from ..estimation import Estimate, deviations_of_sums, orthonormal, release_memory
 from ..report import Assumed
 from . import kinds
 from .candidates import MIN_T, MissingTerm
@@ -24,6 +33,7 @@ from .evidence import FitData, TrustLine, judge
 from .kinds import KINDS
 from .words import assume
 
+FIGURES = "value", "t", "taken_percent", "moves", "noticed"
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 # share of a column's norm outside the span of W, for a usable coefficient
@@ -133,58 +143,88 @@ def _scored(
     """Terms of a kind with their figures; `fast`: of a single one, with the rows of its joint in
     which a lag shows only, and clocks beside the common lag, which its prior holds.
     """
-    observed, estimate, W, Y = evidence.observed, evidence.estimate, evidence.W, evidence.Y
-    joint, weight = observed.system.joint_of_row, evidence.weight[:, None]
-    acts = np.stack([(joint == term.joint) | (term.joint is None) for term in terms], axis=1)
-    C = _columns(evidence, terms) * weight
-    C *= acts & (observed.fast[:, None] | (kind not in kinds.IN_FAST_ROWS))
-    Q, bread, rho, rows = estimate.Q, estimate.bread, Y - W @ estimate.beta, np.ones(1)
+    C, acts = _acting(evidence, kind, terms)
+    fit, W, rows = evidence.estimate, evidence.W, np.ones(1)
     if fast:
-        rows = (observed.fast | ~acts[:, 0]).astype(float)  # so that no product is a further copy
-        common = observed.L[:, -len(evidence.lags) :].sum(axis=1, keepdims=True)
-        common = common[:, : int(kind == kinds.CLOCKS)] * -weight
-        Q = np.c_[Q, common]
-        Q *= rows[:, None]  # in place: a copy fewer of a long recording
-        Q = orthonormal(Q)
-        W = np.c_[W, common] if common.size else W
-        bread = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
-        rho = rows * (Y - W @ (bread @ (Q.T @ Y)))
-    z = C - Q @ (bread.T @ (W.T @ C))  # orthogonal to W
-    by_column = bread @ (Q.T @ C)  # beta solved again
-    apart = (C - W @ by_column) * rows[:, None]
-    norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
-    stays = independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
-    # A zero may act nowhere, and a rotor in the span to rounding is a part of a link's parameter.
-    if kind in (kinds.ZERO, kinds.ROTOR):
-        stays = (
-            norm > MIN_BIAS * np.linalg.norm(Y) if kind == kinds.ZERO else left > MIN_BIAS * norm
-        )
+        fit, W, rows = _by_fast_rows(evidence, kind, acts[:, 0])
+    rho = rows * (evidence.Y - W @ fit.beta)
+    by_column = fit.bread @ (fit.Q.T @ C)  # beta solved again
+    z, apart = C - fit.Q @ (fit.bread.T @ (W.T @ C)), (C - W @ by_column) * rows[:, None]
+    independent, stays = _usable(evidence, kind, C, z)
     size = np.where(independent, (z * C).sum(axis=0), np.inf)
-    g, own = z.T @ rho / size, z[:, independent].T
-    of_all = np.linalg.lstsq(own @ C[:, independent], own @ rho, rcond=1e-6)[0]
+    g = z.T @ rho / size
+    some = z[:, independent]
+    of_all = np.linalg.lstsq(some.T @ C[:, independent], some.T @ rho, rcond=1e-6)[0]
     with_term, with_all = rho[:, None] - g * apart, rho - apart[:, independent] @ of_all
     noise, common = with_term, None
     if kind == kinds.IN_PARTS:  # the others would count as noise; the last is less their sum
-        some = z[:, independent][:, :-1]
-        noise, common = with_all[:, None], orthonormal(some - Q @ (Q.T @ some))
-    sigma = deviations_of_sums(observed.system, z, noise, Q, common) / np.abs(size)
-    found_well = np.isin(estimate.names, evidence.essential)
-    within = np.where(found_well, evidence.intervals.half, np.inf)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moves = np.nan_to_num(np.abs(by_column[: len(within)] * g) / within)
-        t = np.where(sigma > 0, g / sigma, 0.0)
-        large = np.sqrt(0.01 * kinds.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
-        large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
-        large = np.maximum((MIN_T + MARGIN_T) * sigma, large)
-    noticed = np.where(independent, large, np.inf)
-    taken, together = (_taken_percent(rho, left) for left in (with_term, with_all))
-    figures = np.stack([g, t, taken, moves.max(axis=0), noticed], axis=1).tolist()
-    names = "value", "t", "taken_percent", "moves", "noticed"
+        some = some[:, :-1]
+        noise, common = with_all[:, None], orthonormal(some - fit.Q @ (fit.Q.T @ some))
+    sigma = deviations_of_sums(evidence.observed.system, z, noise, fit.Q, common) / np.abs(size)
+    figures = (
+        g,
+        np.divide(g, sigma, out=np.zeros_like(g), where=sigma > 0),
+        _taken_percent(rho, with_term),
+        _moves(evidence, by_column * g),
+        np.where(independent, _noticed(rho, apart, sigma), np.inf),
+    )
+    together = float(_taken_percent(rho, with_all))
     return [
-        replace(term, together_percent=float(together), **dict(zip(names, of_term, strict=True)))
-        for term, of_term, stay in zip(terms, figures, stays, strict=True)
+        replace(term, together_percent=together, **dict(zip(FIGURES, of_term, strict=True)))
+        for term, stay, of_term in zip(terms, stays, np.transpose(figures).tolist(), strict=True)
         if stay
     ]
+
+
+def _acting(evidence: FitData, kind: str, terms: Sequence[MissingTerm]) -> tuple[Array, Bools]:
+    """The weighted columns (r, k) of terms of a kind, and the rows in which they act."""
+    joint = evidence.observed.system.joint_of_row
+    acts = np.stack([(joint == term.joint) | (term.joint is None) for term in terms], axis=1)
+    C = _columns(evidence, terms) * evidence.weight[:, None]
+    C *= acts & (evidence.observed.fast[:, None] | (kind not in kinds.IN_FAST_ROWS))
+    return C, acts
+
+
+def _by_fast_rows(evidence: FitData, kind: str, acts: Bools) -> tuple[Estimate, Array, Array]:
+    """The estimate, its W, and the weights (r,) 0 or 1 of rows, without the slow rows in which a
+    term acts; clocks with a column for the common lag.
+    """
+    rows = (evidence.observed.fast | ~acts).astype(float)  # so that no product is a further copy
+    lag = evidence.observed.L[:, -len(evidence.lags) :].sum(axis=1, keepdims=True)
+    lag = lag[:, : int(kind == kinds.CLOCKS)] * -evidence.weight[:, None]
+    W, Q = np.c_[evidence.W, lag] if lag.size else evidence.W, np.c_[evidence.estimate.Q, lag]
+    Q *= rows[:, None]  # in place: a copy fewer of a long recording
+    Q = orthonormal(Q)
+    bread = np.linalg.pinv(Q.T @ W, rcond=1e-12).astype(float)
+    fit = replace(evidence.estimate, Q=Q, bread=bread, beta=bread @ (Q.T @ evidence.Y))
+    return fit, W, rows
+
+
+def _usable(evidence: FitData, kind: str, C: Array, z: Array) -> tuple[Bools, Bools]:
+    """Which columns are independent of W, and which terms are kept: also a zero that acts at all,
+    and a rotor in the span of W but for rounding, which is a part of a link's parameter.
+    """
+    norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
+    independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
+    if kind == kinds.ZERO:
+        return independent, norm > MIN_BIAS * np.linalg.norm(evidence.Y)
+    return independent, left > MIN_BIAS * norm if kind == kinds.ROTOR else independent
+
+
+def _moves(evidence: FitData, shifts: Array) -> Array:
+    """(k,) the largest shifts of essential parameters, in half-widths, of those (b, k) of beta."""
+    found_well = np.isin(evidence.estimate.names, evidence.essential)
+    within = np.where(found_well, evidence.intervals.half, np.inf)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.nan_to_num(np.abs(shifts[: len(within)]) / within).max(axis=0))
+
+
+def _noticed(rho: Array, apart: Array, sigma: Array) -> Array:
+    """(k,) sizes of coefficients that are significant and take enough of the residual."""
+    large = np.sqrt(0.01 * kinds.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
+    with np.errstate(divide="ignore"):
+        large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
+    return np.asarray(np.maximum((MIN_T + MARGIN_T) * sigma, large))
 
 
 def _columns(evidence: FitData, terms: Sequence[MissingTerm]) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array, Ints
-from ..model import DirectModel, base_prior, direct_model
+from ..model import DirectModel, direct_model
 from ..regression import MotionBlock, Problem, row_blocks, smooth
 
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
@@ -29,7 +29,7 @@ PARTS = 6  # of the time
 TRAVELS = (0.1, 0.2)
 FORGOTTEN = 1e-12  # share of z that is left after the way since
 POSITIVE = (STRIBECK, ROTOR, HYSTERESIS)  # their values
-# Near reversals, friction that rises smoothly looks like these; they hardly show in the residual.
+# Near reversals, friction that rises smoothly looks like these.
 IN_FAST_ROWS = (LAG, CLOCKS)
 MIN_ARM_M = 1e-9  # of a weight about an axis
 # at which the torque of the links is computed: smooth, and low-passed to half a sample a row
@@ -83,11 +83,6 @@ class About:
         ways = row_s * np.concatenate([0 * self.travels[:1], self.speed])
         z = np.stack([_dahl(ways / travel, ways[0]) for travel in self.travels])
         return {near.start: z[:, near.start] for near, _ in row_blocks(self.problem)}
-
-    @cached_property
-    def prior(self) -> tuple[dict[str, float], str]:
-        """A-priori base parameters of links, by name, and their source."""
-        return base_prior(self.problem.model, self.problem.base)
 
     @property
     def robot(self) -> Robot:

@@ -6,28 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from ..report import Assumed
-from .columns import added_columns_test
-from .drives import LAW, centre_of_mass_test, gains_test, lag_test, payload_assumptions
-from .efforts import (
-    effort_test,
-    positions_test,
-    saturation_test,
-    signs_and_order_test,
-    turned_sign,
-)
+from . import columns, drives, efforts, physical, predictions, solution
+from .drives import LAW, payload_assumptions
+from .efforts import turned_sign
 from .evidence import LEVELS, FitData, Trust, TrustLine, part_of
-from .physical import consistent_test, physical_test
-from .predictions import HELD_OUT, prior_test
-from .solution import (
-    ends_test,
-    essential_test,
-    excitation_test,
-    halves_test,
-    instruments_test,
-    motion_test,
-    rows_test,
-    units_test,
-)
+from .predictions import HELD_OUT
 from .words import assume
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
@@ -84,29 +67,29 @@ def made_before(test: str) -> Callable[[FitData], TrustLine | None]:
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here,
 # and a row of words.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    signs_and_order_test,
-    saturation_test,
-    positions_test,
-    gains_test,
-    centre_of_mass_test,
+    efforts.signs_and_order_test,
+    efforts.saturation_test,
+    efforts.positions_test,
+    drives.gains_test,
+    drives.centre_of_mass_test,
     made_before("fixed point"),
-    physical_test,
-    units_test,
-    prior_test,
-    motion_test,
-    rows_test,
+    physical.physical_test,
+    solution.units_test,
+    predictions.prior_test,
+    solution.motion_test,
+    solution.rows_test,
     made_before(LAW),
-    halves_test,
-    excitation_test,
-    lag_test,
-    added_columns_test,
+    solution.halves_test,
+    solution.excitation_test,
+    drives.lag_test,
+    columns.added_columns_test,
     made_before(HELD_OUT),
-    consistent_test,
-    ends_test,
-    essential_test,
-    instruments_test,
+    physical.consistent_test,
+    solution.ends_test,
+    solution.essential_test,
+    solution.instruments_test,
     made_before("position noise"),
-    effort_test,
+    efforts.effort_test,
 )
 
 
@@ -116,14 +99,14 @@ def trust_in(evidence: FitData) -> Trust:
     says why.
     """
     lines = {line.test: line for test in TESTS if (line := test(evidence)) is not None}
-    held, physical = lines[HELD_OUT], lines["physical"]
-    if held.case == "far off" and (physical.value or 0.0) <= 0:
+    held, of_robot = lines[HELD_OUT], lines["physical"]
+    if held.case == "far off" and (of_robot.value or 0.0) <= 0:
         text = part_of(HELD_OUT, "not positive", text=held.text)
         lines[HELD_OUT] = replace(held, level=LEVELS[0], text=text)
-    if physical.level != LEVELS[0] and (found := _witness(evidence, lines)):
-        text = part_of("physical", "far", text=physical.text, witness=found)
+    if of_robot.level != LEVELS[0] and (found := _witness(evidence, lines)):
+        text = part_of("physical", "far", text=of_robot.text, witness=found)
         lines["physical"] = replace(
-            physical, level=LEVELS[0], text=text, finding=physical.finding or found
+            of_robot, level=LEVELS[0], text=text, finding=of_robot.finding or found
         )
     fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
     known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)

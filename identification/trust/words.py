@@ -2,7 +2,7 @@
 
 A test is a function that finds which of its cases holds, and the figures. All words stand in the
 rows, as templates of these figures: the terminal, the report and the JSON print the case that
-holds, and the guide has a table of the rows. A row also has parts of texts. A part stands in a
+holds, and the guides have tables of the rows. A row also has parts of texts. A part stands in a
 text, or in a later part, where its name stands in braces; where the test says that it does not
 hold, nothing stands there. `WORDS` in `evidence` has the rows of all tests.
 """
@@ -27,15 +27,21 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Words:
-    """The row of a test: for the guide what it detects, its limits, and what to do where that is
-    not what its cases advise; its cases by name, and parts of their texts.
+    """The row of a test.
+
+    Attributes:
+        wrong, advice: for the guide what is wrong where it fails, and what to do.
+        detects, limit: the same in full, for the page of results.
+        cases: what it says, by name.
+        parts: of the texts of its cases.
     """
 
+    wrong: str
+    advice: str
     detects: str
     limit: str
     cases: Mapping[str, Case]
     parts: Mapping[str, str] = field(default_factory=dict)
-    advice: str = ""
 
 
 @dataclass(frozen=True)

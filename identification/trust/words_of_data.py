@@ -6,6 +6,9 @@ from .words import Case, Words
 
 OF_DATA: Mapping[str, Words] = {
     "signs and order": Words(
+        wrong="two efforts are exchanged, or an effort or a position has the wrong sign; with "
+        "the torque error once that is undone",
+        advice="correct columns and signs in `map.toml`, import again",
         detects="Only printed if efforts of two motors or joints are exchanged, or an effort or "
         "a position of a motor has the wrong sign. Where a joint's torque error is over 5 %, or "
         "a motor takes power from the robot over the recording, each such mistake is undone and "
@@ -28,6 +31,8 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "saturation": Words(
+        wrong="a drive saturates at a limit that is not described, so the simulated robot does not",
+        advice="state `saturation` of the motor",
         detects="Only printed if the law or the simulated robot is not confirmed and drives "
         "saturate at a limit that is not stated: over 1 % of their efforts are within 2 to 8 % "
         "of their largest, and three times as many as in each of the next two ranges as wide",
@@ -42,13 +47,16 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "positions": Words(
+        wrong="joints move within a 57th of their limits",
+        advice="check whether positions are radians, declared as degrees",
         detects="Only printed if positions look like radians that were declared as degrees",
         limit="`caution`: revolute joints move within a 57th of their limits, one of them over "
         "a tenth of its range if its radians were degrees",
-        advice="check whether positions are radians, and declare them as such",
         cases={"radians": Case("caution", "{text}", finding="radians declared as degrees?")},
     ),
     "gains": Words(
+        wrong="identified drive gains are negative, not determined, or off by one common factor",
+        advice="check which recording has the payload, and its mass",
         detects="With `--gains` only: whether the drive gains are positive and determined, and "
         "not all off by one factor",
         limit="`do not use`: a drive gain is negative, or the best one is known to no better "
@@ -95,6 +103,8 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "centre of mass": Words(
+        wrong="the data contradict the stated centre of mass of a payload",
+        advice="measure it again, or state a larger `center_half_width_m`",
         detects="Only printed for a payload whose centre of mass is stated: how far the centre "
         "by the recordings alone is from it",
         limit="`caution`: beyond the 95 % region of the statement and the data together "
@@ -113,6 +123,8 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "motion": Words(
+        wrong="a joint stands still in all recordings",
+        advice="move it",
         detects="A joint stands still in all recordings",
         limit="`caution`: one does, so its friction values are not valid for motion",
         cases={
@@ -125,6 +137,8 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "rows": Words(
+        wrong="rows of the log are missing or repeated",
+        advice="record stamps or a counter with the rows; record again",
         detects="Only printed if rows are doubtful, by position steps that are twice the median "
         "of their four neighbours, or none, where these are over 10 robust deviations",
         limit="`caution`: over 0.1 % of the moving rows are missing or repeated. `ok`: rows "
@@ -146,6 +160,9 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "control law": Words(
+        wrong="the law found from reference, position and effort is not the described one",
+        advice="check rated value, ratio, sample rate, `[controller]`; a structure that fits "
+        "better is named",
         detects="Kp, Kd, Ki found by least squares from reference, position and effort, with "
         "their intervals, against those described. The delay of the reference is estimated "
         "beside them and not judged; the drive gain is on both sides and is not tested. Without "
@@ -202,6 +219,9 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "lag": Words(
+        wrong="the delay of the torque cannot be estimated, or contradicts what is stated; "
+        "without a reference it is assumed",
+        advice="state `effort_timing`, take `--method iv`, or record longer moves",
         detects="How late the recorded torque is against the motion; [found, corrected and "
         "counted](#the-lag-of-the-torque)",
         limit="`caution`: the recorded reference does not show it, and its uncertainty moves an "
@@ -251,6 +271,8 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "position noise": Words(
+        wrong="noise of the position biases least squares",
+        advice="take `--method iv`, which needs the reference",
         detects="Least squares only: how far position noise has moved the estimate, in "
         "half-widths. Noise of the spectrum seen above the low-pass (white, or falling with "
         "frequency as AR(1)) is added to the position with both signs; the mean of the two "
@@ -278,6 +300,9 @@ OF_DATA: Mapping[str, Words] = {
         },
     ),
     "effort": Words(
+        wrong="a recorded effort is a fifth or more beyond `effort_nm`, `effort_n`, the URDF's "
+        "`effort` or `saturation`",
+        advice="check drive gain, ratio and unit; correct the limit",
         detects="Only printed if a recorded effort is beyond its limit (`effort_nm`, "
         "`effort_n`, the URDF's `effort`, `saturation`). Rated values, which drives exceed for "
         "seconds, and the range of the recorded object are no limits. Not made with `--gains`",

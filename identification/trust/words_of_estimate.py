@@ -23,6 +23,8 @@ _APART = Case(
 
 OF_ESTIMATE: Mapping[str, Words] = {
     "fixed point": Words(
+        wrong="iv does not converge, or the simulated robot does not confirm it",
+        advice="check signs, gains, `bandwidth_hz`; record faster motion",
         detects="Whether the passes of iv converge to a fixed point that the simulated robot "
         "confirms. With `instruments: reference` nothing is simulated, and there is one "
         "solution, as by least squares",
@@ -43,6 +45,10 @@ OF_ESTIMATE: Mapping[str, Words] = {
         parts={"caused": "{text}: {cause}?"},
     ),
     "physical": Words(
+        wrong="the inertia matrix is not positive, friction feeds energy, a rotor inertia is "
+        "negative, or torques lack the robot's weight",
+        advice="check what the line names: a sign only where it may be wrong; what the driver "
+        "publishes as effort, `gravity_m_s2`",
         detects="Whether M is positive on the trajectory, friction takes energy, and no rotor "
         "inertia is below zero. Joints that share motors are tested together: the viscous "
         "matrix, and Coulomb power at its corners (Fc5 + Fcm6, Fc6 + Fcm6, Fc5 + Fc6 of the "
@@ -56,9 +62,6 @@ OF_ESTIMATE: Mapping[str, Words] = {
         "when turned, or more than 20 % held out. `caution`: M is below zero by less, or "
         "friction by over 1.4 half-widths; or a model without gravity leaves less than 90 % of "
         "the residual",
-        advice="check what the line names: the sign of effort and position where it may be "
-        "wrong, else friction, rotor and zero; what the drives record as effort, and "
-        "gravity_m_s2; before simulating run fit --consistent",
         cases={
             "wrong sign": Case("do not use", "{what}", _SIGN, _WRONG),
             "impossible": Case("do not use", "{what}", _TERMS),
@@ -91,6 +94,8 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "units": Words(
+        wrong="joints share a parameter, and their drive gains are not known",
+        advice="state `drive_gain`",
         detects="Whether joints share a parameter although their drive gains, and so the units "
         "of their torques, are not known",
         limit="`do not use`: they do",
@@ -107,6 +112,10 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "prior": Words(
+        wrong="the torque of a joint is not that of the links in the URDF or `[parameters]`; "
+        "columns seem exchanged, a zero off by 90 degrees, or the efforts lack the torque of "
+        "links",
+        advice="check its drive gain, ratio, units and the order of columns; then the URDF",
         detects="Only printed if the URDF or `[parameters]` describe links, and gains are "
         "known: the torque of each joint over that of these links, with rotor and friction "
         "fitted beside",
@@ -117,8 +126,6 @@ OF_ESTIMATE: Mapping[str, Words] = {
         "or factors are near 0 at every joint, as the efforts lack the links' torque. `cannot "
         "tell`: all factors are outside, without a common one: the prior is off everywhere. "
         "Never `do not use`",
-        advice="check what the line names: drive_gain, ratio, unit, the order of columns, a "
-        "sign or a zero; then a payload, or the prior itself",
         cases={
             "cause": Case(
                 "caution", "{cause}? {links} then need the recorded torques", finding="{cause}"
@@ -159,6 +166,8 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "halves": Words(
+        wrong="both halves differ",
+        advice="warm the robot up; look for what changes in time",
         detects="Both halves, fitted separately, differ: the torque changes with time",
         limit="`caution`: a Wald test at 0.1 %",
         cases={
@@ -180,6 +189,9 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "excitation": Words(
+        wrong="the motion hardly excites a combination of parameters, as joints on a single "
+        "sine do",
+        advice="record a more varied motion: `excite` designs one",
         detects="The motion hardly excites a combination of the essential parameters: condition "
         "number of their columns, scaled, with the parameters of the worst direction",
         limit="`caution`: above 50 (a motion of five sines has 7 to 11, a single sine 80 to 100)",
@@ -197,6 +209,11 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "added columns": Words(
+        wrong="a term is missing or wrong: friction, offset, a rotor, a spring, tilt of "
+        "gravity, the zero or the ratio of a joint, a lag of one joint, clocks that run apart, "
+        "drifts, hysteresis, a limit of the effort, a brake that drags for a time",
+        advice="describe it (`friction`, `offset`, `gravity_m_s2`), record it "
+        "([`known_torque`](../acquisition/formats.md#maptoml)), remove its cause",
         detects="A term that the model lacks: asymmetric friction, friction by the root of "
         "speed or by load, offset, drift, a spring, one that is not linear, a limit of the "
         "effort, Stribeck friction, a denied rotor, tilt of gravity, the zero of a joint, gain, "
@@ -208,8 +225,6 @@ OF_ESTIMATE: Mapping[str, Words] = {
         "spring 10 % where gravity acts on no link, friction of a part of the time 10 %; a lag "
         "instead moves an essential parameter by over one half-width, clocks do one or the "
         "other)",
-        advice="do what the line advises for its term: describe it, record its torque, or "
-        "remove its cause",
         cases={
             "every term": Case("not made", "not made: the model has every term that is tried"),
             "missing": Case("caution", "{strongest}{more}", "{each}", "{finding}"),
@@ -225,12 +240,12 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "held-out blocks": Words(
+        wrong="parts of the recording are not predicted by the rest",
+        advice="record longer, with more varied motion; `--essential`",
         detects="Five blocks of time, or each of several recordings, predicted by the fit of "
         "the others",
         limit="`caution`: their error is over 1.5 times that of the fit. `do not use`: over 3 "
         "times, and M is not positive",
-        advice="record longer, with more varied motion, fit with --essential, or take the "
-        "parameters of --consistent",
         cases={
             "few rows": Case(
                 "not made",
@@ -255,6 +270,8 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "consistent": Words(
+        wrong="the nearest physical robot is further away than noise explains",
+        advice="check signs, units, frames",
         detects="How far the nearest parameters of a physical robot are: chi² over all "
         "parameters, and the largest move in half-widths of the 95 % interval; as by "
         "`--consistent` with its default prior",
@@ -276,6 +293,8 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "ends": Words(
+        wrong="outliers at an end",
+        advice='`edges = "smooth"`; cut the ends off',
         detects="Outliers of moving rows at an end of a recording, as of a bad edge",
         limit="`caution`: one at an end is beyond 30 robust deviations, and twice the largest "
         "elsewhere",
@@ -293,6 +312,8 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "essential": Words(
+        wrong="no inertia has an interval narrower than itself",
+        advice="record faster, longer motion",
         detects="No inertia is determined",
         limit="`caution`: no inertia has an interval narrower than itself",
         cases={
@@ -306,6 +327,8 @@ OF_ESTIMATE: Mapping[str, Words] = {
         },
     ),
     "instruments": Words(
+        wrong="weak: first-stage F below 10",
+        advice="record faster motion; describe the controller",
         detects="The instruments hardly explain the regressor, or are the regressor itself",
         limit="`caution`: weak, first-stage F below 10. `cannot tell`: they are W itself",
         cases={
