@@ -10,9 +10,10 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..model import DirectModel, base_prior, inertia_unit, torque_of_links
+from ..model import DirectModel, inertia_unit, torque_of_links
 from ..regression import MotionBlock, smooth
-from .kinds import IN_FAST_ROWS, KINDS, LAG, MIN_TAKEN_PERCENT, About, stride_of
+from .about import About
+from .kinds import IN_FAST_ROWS, KINDS, LAG, MIN_TAKEN_PERCENT, stride_of
 
 MIN_T = 5.0  # deviations, above chance
 
@@ -70,11 +71,6 @@ class Candidates(About):
     """
 
     sliding: Array
-
-    @cached_property
-    def prior(self) -> tuple[dict[str, float], str]:
-        """A-priori base parameters of links, by name, and their source."""
-        return base_prior(self.problem.model, self.problem.base)
 
     @cached_property
     def terms(self) -> tuple[MissingTerm, ...]:
