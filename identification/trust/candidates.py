@@ -7,8 +7,6 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from acquisition.robot import Robot
-
 from ..arrays import Array
 from ..model import DirectModel, inertia_unit, torque_of_links
 from ..regression import MotionBlock, smooth
@@ -81,17 +79,19 @@ class Candidates(About):
                 if kind.friction in robot.joints[j].terms or not kind.lacks(self, k):
                     continue
                 listed = kind.listed and isinstance(robot.joints[j].friction, tuple)
+                place = i, k if kind.everywhere else k % kind.parts
                 term = MissingTerm(
                     kind=kind.name,
                     where=where,
-                    unit=kind.unit.format(**_units(robot, j)),
+                    unit=kind.unit.format(
+                        effort=robot.effort_units[j],
+                        position=robot.joints[j].position_unit,
+                        zero="deg" if robot.joints[j].type == "revolute" else "mm",
+                        inertia=inertia_unit(robot, j),
+                    ),
                     advice=f'add "{kind.friction}" to its friction' if listed else kind.advice,
                     place=(i, k),
-                    column=-1
-                    if kind.torque is None
-                    else columns.setdefault(
-                        (i, k if kind.everywhere else k % kind.parts), len(columns)
-                    ),
+                    column=columns.setdefault(place, len(columns)) if kind.torque else -1,
                     joint=None if kind.everywhere else j,
                     least_percent=kind.least_percent(self),
                 )
@@ -129,14 +129,3 @@ def _of_links(links: DirectModel, zero: Array, q: Array, dq: Array, ddq: Array) 
     tau, slopes = torque_of_links(links, (q, dq, ddq))
     by_factor = sum(of * x[:, None] for of, x in zip(slopes, (q - zero, dq, ddq), strict=True))
     return np.concatenate([tau[..., None], slopes[0], by_factor], axis=2)
-
-
-def _units(robot: Robot, j: int) -> dict[str, str]:
-    """The units of a joint."""
-    turns = robot.joints[j].type == "revolute"
-    return {
-        "effort": robot.effort_units[j],
-        "position": robot.joints[j].position_unit,
-        "zero": "deg" if turns else "mm",
-        "inertia": inertia_unit(robot, j),
-    }

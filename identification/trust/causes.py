@@ -81,28 +81,23 @@ def _mistakes(robot: Robot) -> Iterator[Mistake]:
     none = Mistake("", same, same, np.ones(robot.n), np.zeros(robot.n))
     yield none
     for a, b in combinations(same, 2):
-        order = same.copy()
+        order, pair = same.copy(), {"one": names[a], "other": names[b]}
         order[[a, b]] = b, a
-        efforts, positions = (
-            part_of("prior", part, one=names[a], other=names[b])
-            for part in ("efforts", "positions")
-        )
-        yield replace(none, text=efforts, efforts=order)
-        yield replace(none, text=positions, positions=order)
-    own = np.eye(robot.n)
+        yield replace(none, text=part_of("prior", "efforts", **pair), efforts=order)
+        yield replace(none, text=part_of("prior", "positions", **pair), positions=order)
+    own, gravity = np.eye(robot.n), np.array(robot.gravity)
     for joints, of in (*zip(own, names, strict=True), (none.factors, "all joints")):
         for unit, factor in FACTORS.items():
-            text = part_of("prior", unit, one=of)
-            yield replace(none, text=text, factors=1 + (factor - 1) * joints)
+            factors = 1 + (factor - 1) * joints
+            yield replace(none, text=part_of("prior", unit, one=of), factors=factors)
     for one, joint in zip(own, robot.joints, strict=True):
         for deg in (-90, 90, 180) if joint.type == "revolute" else ():
             text = part_of("prior", "zero", one=joint.name, deg=deg)
             yield replace(none, text=text, turns=-np.deg2rad(deg) * one)
-    gravity = np.array(robot.gravity)
     for along in (*np.eye(3), *-np.eye(3)) if not gravity[:2].any() else ():
         axis = f"{'-' if along.sum() < 0 else '+'}{'xyz'[int(np.abs(along).argmax())]}"
-        text = part_of("prior", "gravity", axis=axis)
-        yield replace(none, text=text, gravity=np.linalg.norm(gravity) * along - gravity)
+        turned = np.linalg.norm(gravity) * along - gravity
+        yield replace(none, text=part_of("prior", "gravity", axis=axis), gravity=turned)
 
 
 def _torque_of_links(

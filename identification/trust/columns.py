@@ -143,7 +143,9 @@ def _scored(
     """Terms of a kind with their figures; `fast`: of a single one, with the rows of its joint in
     which a lag shows only, and clocks beside the common lag, which its prior holds.
     """
-    C, acts = _acting(evidence, kind, terms)
+    acts = np.stack([_rows_of(evidence, term) for term in terms], axis=1)
+    C = _columns(evidence, terms) * evidence.weight[:, None]
+    C *= acts & (evidence.observed.fast[:, None] | (kind not in kinds.IN_FAST_ROWS))
     fit, W, rows = evidence.estimate, evidence.W, np.ones(1)
     if fast:
         fit, W, rows = _by_fast_rows(evidence, kind, acts[:, 0])
@@ -176,13 +178,9 @@ def _scored(
     ]
 
 
-def _acting(evidence: FitData, kind: str, terms: Sequence[MissingTerm]) -> tuple[Array, Bools]:
-    """The weighted columns (r, k) of terms of a kind, and the rows in which they act."""
-    joint = evidence.observed.system.joint_of_row
-    acts = np.stack([(joint == term.joint) | (term.joint is None) for term in terms], axis=1)
-    C = _columns(evidence, terms) * evidence.weight[:, None]
-    C *= acts & (evidence.observed.fast[:, None] | (kind not in kinds.IN_FAST_ROWS))
-    return C, acts
+def _rows_of(evidence: FitData, term: MissingTerm) -> Bools:
+    """(r,) the rows in which a term acts."""
+    return np.asarray((evidence.observed.system.joint_of_row == term.joint) | (term.joint is None))
 
 
 def _by_fast_rows(evidence: FitData, kind: str, acts: Bools) -> tuple[Estimate, Array, Array]:

@@ -168,8 +168,8 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
     """Whether drives saturate at a limit that is not stated, where controller or simulated
     robot are not confirmed.
     """
-    law = evidence.made.get(LAW)
-    if evidence.is_confirmed and (law is None or law.level not in LEVELS[:2]):
+    lines = filter(None, map(evidence.made.get, ("fixed point", LAW)))
+    if all(line.level not in LEVELS[:2] for line in lines):
         return None
     limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
     text = "; ".join(dict.fromkeys(limits))

@@ -224,11 +224,6 @@ class FitData:
         return "" if (line := self.made.get("fixed point")) is None else line.case
 
     @cached_property
-    def is_confirmed(self) -> bool:
-        """Whether a simulation confirms its fixed point, or none is needed."""
-        return self.ending in ("confirmed", "by reference", "least squares")
-
-    @cached_property
     def gains(self) -> tuple[str, ...]:
         """Names of the estimated gains; one is 1 where the drive gain of the problem's robot
         is the identified one.

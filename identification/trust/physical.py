@@ -45,7 +45,7 @@ def physical_test(evidence: FitData) -> TrustLine | None:
     """
     check = cache(partial(sign_may_be_wrong, evidence))
     found, lowest = _findings(evidence, check)
-    found += _gravity_findings(evidence)
+    found += filter(None, [_finding_of_gravity(evidence)])
     if evidence.method == "ols" and all(line.level != LEVELS[0] for line in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
@@ -69,12 +69,13 @@ def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
     of_friction = [*_driving_findings(evidence, own, check)]
     of_inertia, lowest = _inertia_findings(evidence, np.any(own, axis=0), check)
-    return [*of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)], lowest
+    found = *of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)
+    return [*filter(None, found)], lowest
 
 
 def _findings_below_zero(
     evidence: FitData, own: Sequence[Bools], check: Check
-) -> Iterator[TrustLine]:
+) -> Iterator[TrustLine | None]:
     """Joints with friction or rotor inertia below zero."""
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     apart, by_base = any("@" in name for name in evidence.estimate.names), np.linalg.pinv(base.K)
@@ -103,7 +104,7 @@ def _findings_below_zero(
 
 def _finding(
     far: float, what: str, joint: str, check: Check, *, noise: bool = False, terms: bool = False
-) -> TrustLine:
+) -> TrustLine | None:
     """Of a value that is so many half-widths below zero; whether by fewer it may be `noise`, and
     whether further friction `terms` may be the cause.
     """
@@ -115,9 +116,7 @@ def _finding(
         "perhaps wrong sign": sign,
         "doubtful": True,
     }
-    line = judge(PHYSICAL, cases, what=what, joint=joint, or_terms=terms)
-    assert line is not None
-    return line
+    return judge(PHYSICAL, cases, what=what, joint=joint, or_terms=terms)
 
 
 def _worst(
@@ -141,7 +140,7 @@ def _worst(
 
 def _driving_findings(
     evidence: FitData, arms: Sequence[Bools], check: Check
-) -> Iterator[TrustLine]:
+) -> Iterator[TrustLine | None]:
     """Whether friction of further terms would drive a joint, or joints that share
     motors, at recorded speeds.
 
@@ -175,7 +174,9 @@ def _driving_findings(
             yield _finding(far, text, joint.name, check, terms=True)
 
 
-def _inertia_findings(evidence: FitData, own: Bools, check: Check) -> tuple[list[TrustLine], float]:
+def _inertia_findings(
+    evidence: FitData, own: Bools, check: Check
+) -> tuple[list[TrustLine | None], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
@@ -193,13 +194,13 @@ def _inertia_findings(evidence: FitData, own: Bools, check: Check) -> tuple[list
     return [_finding(far, text, joint, check, noise=True)], least
 
 
-def _gravity_findings(evidence: FitData) -> list[TrustLine]:
+def _finding_of_gravity(evidence: FitData) -> TrustLine | None:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
     base, rows, weighs = evidence.problem.base, evidence.observed, evidence.candidates.weighs
     if not len(weighs):
-        return []
+        return None
     # by unknown its column at rest
     same = np.array(base.names)[weighs][:, None] == np.array(rows.system.names)
     # The small R factor has the same column products as the rows.
@@ -208,8 +209,7 @@ def _gravity_findings(evidence: FitData) -> list[TrustLine]:
     G, W, Y = np.split(estimation.r_factor(A), [len(weighs), -1], axis=1)
     left = [100 * estimation.relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
     lighter = left[1] < MIN_RESIDUAL_RATIO * left[0]
-    line = judge(PHYSICAL, {"no weight": lighter}, without=left[1], residual=left[0])
-    return [*filter(None, [line])]
+    return judge(PHYSICAL, {"no weight": lighter}, without=left[1], residual=left[0])
 
 
 def consistent_test(evidence: FitData) -> TrustLine | None:
