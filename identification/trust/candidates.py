@@ -80,22 +80,23 @@ class Candidates(About):
                     continue
                 listed = kind.listed and isinstance(robot.joints[j].friction, tuple)
                 place = i, k if kind.everywhere else k % kind.parts
-                term = MissingTerm(
-                    kind=kind.name,
-                    where=where,
-                    unit=kind.unit.format(
-                        effort=robot.effort_units[j],
-                        position=robot.joints[j].position_unit,
-                        zero="deg" if robot.joints[j].type == "revolute" else "mm",
-                        inertia=inertia_unit(robot, j),
-                    ),
-                    advice=f'add "{kind.friction}" to its friction' if listed else kind.advice,
-                    place=(i, k),
-                    column=columns.setdefault(place, len(columns)) if kind.torque else -1,
-                    joint=None if kind.everywhere else j,
-                    least_percent=kind.least_percent(self),
+                found.append(
+                    MissingTerm(
+                        kind=kind.name,
+                        where=where,
+                        unit=kind.unit.format(
+                            effort=robot.effort_units[j],
+                            position=robot.joints[j].position_unit,
+                            zero="deg" if robot.joints[j].type == "revolute" else "mm",
+                            inertia=inertia_unit(robot, j),
+                        ),
+                        advice=f'add "{kind.friction}" to its friction' if listed else kind.advice,
+                        place=(i, k),
+                        column=columns.setdefault(place, len(columns)) if kind.torque else -1,
+                        joint=None if kind.everywhere else j,
+                        least_percent=kind.least_percent(self),
+                    )
                 )
-                found.append(term)
         return tuple(found)
 
     def at_rest(self, motion: MotionBlock) -> Array:

@@ -220,8 +220,7 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     unsure = ", ".join(
         f"{n} ±{h:.2g} %" for n, h in zip(names, half, strict=True) if h >= MAX_HALF_PERCENT
     )
-    known = (half < MAX_HALF_PERCENT) & np.isfinite(described)
-    factor_of_all, scatter, is_common = _common_factor((K / described)[known])
+    factor_of_all, scatter, is_common = _common_factor((K / described)[half < MAX_HALF_PERCENT])
     torques = any(
         (np.abs(np.abs(K * by) - 1) < 0.01 * MAX_OFF_ONE_PERCENT).all()
         for by in (np.ones(len(K)), np.abs(np.diag(robot.R))[motors])
@@ -251,10 +250,10 @@ def gains_test(evidence: FitData) -> TrustLine | None:
 
 
 def _common_factor(factors: Array) -> tuple[float, float, bool]:
-    """The median of factors (m,), the robust deviation of their logarithms, and whether the median
-    is off beyond that.
+    """Of factors (m,), nan where unknown, the median, the robust deviation of their logarithms, and
+    whether the median is off beyond that.
     """
-    of = np.log(np.maximum(np.abs(factors), 1e-300))
+    of = np.log(np.maximum(np.abs(factors[np.isfinite(factors)]), 1e-300))
     if len(of) < 2:
         return 1.0, 0.0, False
     scatter, off = 1.4826 * np.median(np.abs(of - np.median(of))), np.median(of)

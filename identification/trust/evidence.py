@@ -166,8 +166,6 @@ class FitData:
         candidates: terms that are not in the model, of the first recording.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
-        lags: one per group of recordings of equal timing.
-        essential: names of the parameters that the recordings determine well.
         made: lines of tests that were made with the solution and with its predictions, by test:
             `fixed point`, `control law`, `position noise`, `held-out blocks`; and `BY_PRIOR`, the
             same of the prior's links with all else fitted to the other blocks, or recordings.

@@ -95,9 +95,16 @@ def _held_out(
             weighted = (evidence.error(part, x) for x in (beta, evidence.estimate.beta))
             norms.append([torque, *both, *weighted])
         elif several:
-            some = ", ".join(its[:8])
-            said = {"lost": bool(its), "resting": not its}
-            without.append(part_of(HELD_OUT, "no prediction", name=name, names=some, **said))
+            without.append(
+                part_of(
+                    HELD_OUT,
+                    "no prediction",
+                    name=name,
+                    lost=bool(its),
+                    names=", ".join(its[:8]),
+                    resting=not its,
+                )
+            )
         if several:
             each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
     return _line_of(evidence, made, np.array(norms), "; ".join(without)), tuple(each)

@@ -219,10 +219,9 @@ def rows_test(e: FitData) -> TrustLine | None:
         for place, one, steps, held in zip(places, e.problems, coarse, shares[:, 2], strict=True)
         if (note := one.signals.unmeasured or _slow_encoder(one, steps, float(held)))
     )
-    note = next(notes, "")
     return judge(
         "rows",
-        {"lost": finding, "note": note},
+        {"lost": finding, "note": (note := next(notes, ""))},
         value=float(surplus[k].sum()) if finding else None,
         where=places[k],
         found=finding,
