@@ -55,4 +55,4 @@ def test_instruments_that_explain_nothing_are_not_converged():
     robot = dataclasses.replace(signals.robot, controller=slow)
     fit = identify_iv(dataclasses.replace(signals, robot=robot), Overrides(), Iteration())
     assert fit.status == "diverged"
-    assert "does not resemble the measured one" in fit.reason
+    assert "does not resemble the measured one" in fit.solution.reason
