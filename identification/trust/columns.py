@@ -33,7 +33,7 @@ from .evidence import FitData, TrustLine, judge
 from .kinds import KINDS
 from .words import assume
 
-FIGURES = "value", "t", "taken_percent", "moves", "noticed"
+FIGURES = "value", "t", "taken_percent", "together_percent", "moves", "noticed"
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 # share of a column's norm outside the span of W, for a usable coefficient
@@ -143,7 +143,8 @@ def _scored(
     """Terms of a kind with their figures; `fast`: of a single one, with the rows of its joint in
     which a lag shows only, and clocks beside the common lag, which its prior holds.
     """
-    acts = np.stack([_rows_of(evidence, term) for term in terms], axis=1)
+    own = np.array([-1 if term.joint is None else term.joint for term in terms])
+    acts = (evidence.observed.system.joint_of_row[:, None] == own) | (own < 0)
     C = _columns(evidence, terms) * evidence.weight[:, None]
     C *= acts & (evidence.observed.fast[:, None] | (kind not in kinds.IN_FAST_ROWS))
     fit, W, rows = evidence.estimate, evidence.W, np.ones(1)
@@ -167,20 +168,15 @@ def _scored(
         g,
         np.divide(g, sigma, out=np.zeros_like(g), where=sigma > 0),
         _taken_percent(rho, with_term),
+        np.full_like(g, _taken_percent(rho, with_all)),
         _moves(evidence, by_column * g),
         np.where(independent, _noticed(rho, apart, sigma), np.inf),
     )
-    together = float(_taken_percent(rho, with_all))
     return [
-        replace(term, together_percent=together, **dict(zip(FIGURES, of_term, strict=True)))
+        replace(term, **dict(zip(FIGURES, of_term, strict=True)))
         for term, stay, of_term in zip(terms, stays, np.transpose(figures).tolist(), strict=True)
         if stay
     ]
-
-
-def _rows_of(evidence: FitData, term: MissingTerm) -> Bools:
-    """(r,) the rows in which a term acts."""
-    return np.asarray((evidence.observed.system.joint_of_row == term.joint) | (term.joint is None))
 
 
 def _by_fast_rows(evidence: FitData, kind: str, acts: Bools) -> tuple[Estimate, Array, Array]:

@@ -165,9 +165,8 @@ def predictions_by_others(
 
 def _betas(evidence: FitData, parts: list[tuple[str, Part, Array, list[str]]]) -> list[Estimate]:
     """The estimates that predict the parts, of those that others do not determine that of all."""
-    estimate = evidence.estimate
-    betas = [estimate.beta if lost else beta for _, _, beta, lost in parts]
-    return [replace(estimate, beta=beta) for beta in betas] or [estimate]
+    whole = evidence.estimate
+    return [whole if lost else replace(whole, beta=beta) for _, _, beta, lost in parts] or [whole]
 
 
 def with_predictions(
