@@ -40,6 +40,11 @@ MAP_TABLES = {
     "Angles": "[position] and [reference]",
     "Quantity": "[effort] and others",
 }
+# By guide the columns of its table of tests, each with the field of `Words` that it shows.
+GUIDES = {
+    "README.md": {"what is wrong": "wrong", "what to do": "advice"},
+    "results.md": {"what it detects": "detects", "limit": "limit", "what to do": "advice"},
+}
 MADE = "made by `python tests/key_reference.py` -->"  # the mark above a table in a guide
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 
@@ -132,24 +137,17 @@ def option_table(program: Program) -> Iterator[str]:
         yield f"| `{name}` | {', '.join(f'`{command}`' for command in commands)} | {meaning} |"
 
 
-def tables_of_tests() -> dict[str, list[str]]:
-    """By guide its table of the tests of a fit, in lines."""
-    guide = ["| line | what is wrong | what to do |", "|---|---|---|"]
-    results = ["| line | what it detects | limit | what to do |", "|---|---|---|---|"]
-    for name, row in WORDS.items():
-        guide.append(f"| `{name}` | {row.wrong} | {row.advice} |")
-        results.append(f"| `{name}` | {row.detects} | {row.limit} | {row.advice} |")
-    return {"README.md": guide, "results.md": results}
-
-
-def with_tables_of_tests() -> dict[Path, str]:
-    """By path the guides, with their tables of tests between two marks."""
-    found = {}
-    for name, lines in tables_of_tests().items():
-        path = ROOT / "identification" / name
+def guides() -> Iterator[tuple[Path, str]]:
+    """Path and text of the guides, with their tables of the tests of a fit between two marks."""
+    for page, columns in GUIDES.items():
+        rows = [
+            ("line", *columns),
+            *((f"`{name}`", *map(vars(row).get, columns.values())) for name, row in WORDS.items()),
+        ]
+        lines = [f"| {' | '.join(row)} |" for row in rows]
+        path, border = ROOT / "identification" / page, "|---" * len(rows[0]) + "|"
         begin, _, end = re.split(f"(?<={MADE})\n\n(.*?)(?=<!-- end)", path.read_text(), flags=re.S)
-        found[path] = "\n".join((begin, "", *lines, "", end))
-    return found
+        yield path, "\n".join((begin, "", lines[0], border, *lines[1:], "", end))
 
 
 def pages() -> dict[Path, str]:
@@ -186,7 +184,7 @@ def pages() -> dict[Path, str]:
     found = {
         ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()
     }
-    return found | with_tables_of_tests()
+    return found | dict(guides())
 
 
 if __name__ == "__main__":
