@@ -71,7 +71,6 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
         },
         value=late,
         figures=figures_of(["lag"], [late], [half], [prior.value_s * fs]),
-        unit="samples",
         assumed=(unseen,) * (lost and not lag.stated and not exogenous),
         value_s=lag.value_s,
         found=found,
@@ -237,7 +236,6 @@ def gains_test(evidence: FitData) -> TrustLine | None:
         },
         value=float(half.max()),
         figures=figures_of(names, K, np.abs(K) * half / 100, expected),
-        unit="N m per unit of effort",
         negative=" and ".join(np.array(names)[(K < 0) & usable]),
         unsure=unsure or "one is negative",
         some_unsure=bool(unsure),
@@ -288,7 +286,6 @@ def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
                 },
                 value=far,
                 figures=figures_of(["distance"], [far], [width], [0.0]),
-                unit="mm",
                 half=width,
                 stated=1e3 * one.payload.center_half_width_m,
             )

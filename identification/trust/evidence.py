@@ -73,7 +73,6 @@ def judge(
     *,
     value: float | None = None,
     figures: tuple[Figure, ...] = (),
-    unit: str = "",
     assumed: tuple[Assumed, ...] = (),
     **said: object,
 ) -> TrustLine | None:
@@ -95,7 +94,7 @@ def judge(
         value=value,
         finding=finding,
         figures=figures,
-        unit=unit,
+        unit=row.unit,
         case=name,
         assumed=assumed,
     )

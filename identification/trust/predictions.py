@@ -128,7 +128,6 @@ def _line_of(evidence: FitData, names: list[str], norms: Array, without: str) ->
         },
         value=float(100 * error / torque),
         figures=figures_of(names, percents[:, 0], 0 * percents[:, 0], percents[:, 1]),
-        unit="%",
         training=100 * training / torque,
         of_recordings=several,
         and_without=bool(without),

@@ -34,6 +34,7 @@ class Words:
         detects, limit: the same in full, for the page of results.
         cases: what it says, by name.
         parts: of the texts of its cases.
+        unit: of its figures by joint, motor or block.
     """
 
     wrong: str
@@ -42,6 +43,7 @@ class Words:
     limit: str
     cases: Mapping[str, Case]
     parts: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
 
 
 @dataclass(frozen=True)

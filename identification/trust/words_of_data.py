@@ -101,6 +101,7 @@ OF_DATA: Mapping[str, Words] = {
             "some_unsure": "; not determined: {unsure}",
             "torques": "; all are 1 N m per unit: the recorded effort is a torque already",
         },
+        unit="N m per unit of effort",
     ),
     "centre of mass": Words(
         wrong="the data contradict the stated centre of mass of a payload",
@@ -121,6 +122,7 @@ OF_DATA: Mapping[str, Words] = {
         parts={
             "distance": "centre of mass by the data {value:.2g} ± {half:.2g} mm from the stated one"
         },
+        unit="mm",
     ),
     "motion": Words(
         wrong="a joint stands still in all recordings",
@@ -269,6 +271,7 @@ OF_DATA: Mapping[str, Words] = {
             "late": "torque {size:.2f} ± {half:.2f} samples {way}: corrected, included in the "
             "intervals{rejected}{delayed}{whitened}",
         },
+        unit="samples",
     ),
     "position noise": Words(
         wrong="noise of the position biases least squares",

@@ -268,6 +268,7 @@ OF_ESTIMATE: Mapping[str, Words] = {
             "consistent": ", or take the parameters of --consistent, which generalise better",
             "not positive": "{text}; and the inertia matrix is not positive: fit with --consistent",
         },
+        unit="%",
     ),
     "consistent": Words(
         wrong="the nearest physical robot is further away than noise explains",
