@@ -154,8 +154,7 @@ def _driving_findings(
             G = friction_power(idm, columns, *states) @ of_arm
             j = np.abs(states[0]).argmax(axis=1)[:, None]
             each.append(np.c_[j, np.take_along_axis(states[0], j, axis=1), G])
-    no_power = np.zeros((0, 2 + len(evidence.estimate.names)))
-    power = np.concatenate([*each, no_power])
+    power = np.concatenate([*each, np.zeros((0, 2 + len(evidence.estimate.names)))])
     power = power[np.lexsort(power[:, 1::-1].T)]
     for j in np.unique(power[:, 0]).astype(int):
         own, joint = power[power[:, 0] == j], idm.robot.joints[j]
