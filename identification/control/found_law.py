@@ -121,7 +121,7 @@ def law_of(problem: Problem) -> FoundLaw | None:
     period_s = 1 / (controller.sample_rate_hz or signals.sample_rate_hz)
     # Of a controller that is not described the period is anything up to that of the samples.
     unknown_s = 0.0 if controller.sample_rate_hz else 0.25 * period_s
-    known = problem.settings.known_lag
+    known = problem.settings.lag
     known = replace(known, value_s=known.value_s + 0.5 * period_s)
     with suppress(NoFitError):  # too few samples to filter
         motors = motor_paths(problem, known, period_s - 2 * unknown_s)

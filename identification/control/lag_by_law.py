@@ -29,7 +29,7 @@ def _lag_by_law(problem: Problem, found: FoundLaw | None) -> Lag | None:
     value_s = float(found.lag_s[similar].mean()) - 0.5 * found.law.period_s
     sd_s = float(np.hypot(found.lag_sd_s[similar].max(), DRIVE_DELAY_S))
     return replace(
-        problem.settings.known_lag, value_s=value_s, sd_s=sd_s, source="the described control law"
+        problem.settings.lag, value_s=value_s, sd_s=sd_s, source="the described control law"
     )
 
 
@@ -39,7 +39,7 @@ def lag_without_fit(group: Sequence[tuple[Problem, FoundLaw | None]]) -> Lag:
     """
     each, by_law_s = list[Lag](), None
     for problem, found in group:
-        known, by_law = problem.settings.known_lag, _lag_by_law(problem, found)
+        known, by_law = problem.settings.lag, _lag_by_law(problem, found)
         if by_law is not None:
             by_law_s = by_law.value_s if by_law_s is None else by_law_s
             if not known.stated:

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array, Bools, Ints
 from ..regression import Lag, Problem, differentiate, lowpass, on_spline, spline_coefficients
 
 FIRST_STEPS, STEPS, MAX_STEP, MIN_STEP = 3, 12, 2.0, 1e-2  # Gauss-Newton steps; samples of one
@@ -138,34 +138,48 @@ def scaled_solution(A: Array, y: Array) -> Array:
 def motor_paths(problem: Problem, known: Lag, period_s: float) -> list[MotorPaths]:
     """The motors of a recording, with the lag as known, and the period of the controller's sum."""
     s, settings, R = problem.signals, problem.settings, problem.signals.robot.R
-    fs, n_d = s.sample_rate_hz, settings.decimation
-    used = slice(settings.start, min(settings.stop, settings.start + round(MAX_USED_S * fs)))
-    step = max(1, n_d // SAMPLES_PER_ROW)
+    fs, n_d = s.sample_rate_hz, settings.decimator.factor
+    first_s = settings.used[: round(MAX_USED_S * fs)]
+    used, step = slice(first_s.start, first_s.stop), max(1, n_d // SAMPLES_PER_ROW)
     assert s.q_ref is not None
     u, first = s.robot.motor_effort(s.effort[used]), s.q_ref[used.start] @ R.T
-    limited = np.abs(u) >= SATURATED * s.robot.saturation
-    # neither follows the law
-    saturated: Ints = np.cumsum(limited | ~problem.measured_samples()[used, None], axis=0)
+    at = _row_places(len(u), n_d, fs)
+    free = _follow_the_law(problem, u, used, at)
     u = u if s.feedforward is None else u - s.feedforward[used]
     r, q, u = (
         lowpass(x, PASSBAND * fs / n_d, fs)
         for x in (s.q_ref[used] @ R.T - first, s.q[used] @ R.T - first, u)
     )
-    edge = EDGE_ROWS * n_d + math.ceil(MAX_DELAY_S * fs)
-    apart = max(n_d, (len(u) - 2 * edge) // MAX_ROWS)
-    at = np.arange(edge - edge % step, len(u) - edge, max(step, apart - apart % step))
-    far = SATURATED_ROWS * n_d
-    free = saturated[at + far] - saturated[at - far] <= MAX_SATURATED * 2 * far
     paths, held = [_paths(x, fs, step) for x in (r, q)], _gravity(problem, q[at] + first)
     found = []
-    for own, *of_motor, gravity, effort in zip(
+    for rows, *of_motor, gravity, effort in zip(
         free.T, *paths, held.transpose(2, 0, 1), u[at].T, strict=True
     ):
-        moved = (x for x in gravity[:, own] if x.any())
-        beside = np.column_stack([np.ones(own.sum()), *moved, effort[own]])
-        by_delay = [_path(c, at[own] // step, fs / step) for c in of_motor]
+        beside = np.column_stack(
+            [np.ones(rows.sum()), *(x for x in gravity[:, rows] if x.any()), effort[rows]]
+        )
+        by_delay = [_path(c, at[rows] // step, fs / step) for c in of_motor]
         found.append(MotorPaths(by_delay, beside, fs / step, known, period_s))
     return found
+
+
+def _row_places(N: int, n_d: int, fs: float) -> Ints:
+    """Samples of the rows at which efforts are compared, of N: samples of the paths too, away from
+    the ends.
+    """
+    step, edge = max(1, n_d // SAMPLES_PER_ROW), EDGE_ROWS * n_d + math.ceil(MAX_DELAY_S * fs)
+    apart = max(n_d, (N - 2 * edge) // MAX_ROWS)
+    return np.arange(edge - edge % step, N - edge, max(step, apart - apart % step))
+
+
+def _follow_the_law(problem: Problem, u: Array, used: slice, at: Ints) -> Bools:
+    """Which rows (rows, n), at the samples `at` of those used, have few near them whose effort u
+    (N, n) is at its limit, or that were not measured: neither follows the law.
+    """
+    limited = np.abs(u) >= SATURATED * problem.signals.robot.saturation
+    left: Ints = np.cumsum(limited | ~problem.measured_samples()[used, None], axis=0)
+    far = SATURATED_ROWS * problem.settings.decimator.factor
+    return np.asarray(left[at + far] - left[at - far] <= MAX_SATURATED * 2 * far)
 
 
 def _gravity(problem: Problem, q: Array) -> Array:

@@ -12,8 +12,7 @@ from acquisition.files import refuse_clash
 from ..arrays import Array
 from ..errors import BadInputError
 from ..model import SHAPES, InverseModel, base_parameters
-from ..regression import base_name
-from ..report import Document, FitFile, Section
+from ..report import Document, FitFile, Section, base_name
 from ..results import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from .exported_model import ExportedModel, split_parameters
 from .exporting import export_model, write_models

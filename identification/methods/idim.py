@@ -178,28 +178,25 @@ def _by_instruments(loop: iv.Loop, say: Say) -> Solution:
     same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq,
     decimated as W, finds the lag L of the torque by the same instruments, and solves for beta_k+1.
     """
-    model, x, passes, asked = loop.model, loop.x, [loop.start], iv.start_values(loop)
+    model, passes, failure = loop.model, [loop.start], None
     while not passes[-1].is_last and len(passes) <= loop.most:
+        x, asked = iv.next_values(loop, passes)
         say(f"pass {len(passes)}: simulating the robot")
         passes = [one.without_rows() for one in passes]
         try:
             passes += [loop.next_pass(passes, x, asked)]
         except NoFitError as error:
-            text = f"pass {len(passes)}: {error}"
+            failure = f"pass {len(passes)}: {error}"
             if len(passes) == 1:
-                place = ", ".join(one.signals.recording for one in model.problems)
-                raise NoFitError(f"no instruments: {text}", place=place) from error
-            passes[-1] = replace(passes[-1], failure=text)
+                place = ", ".join(problem.signals.recording for problem in model.problems)
+                raise NoFitError(f"no instruments: {failure}", place=place) from error
             break
-        x = iv.next_values(model, passes)
-        asked = x, loop.covariance(passes[-1])
-    best = iv.conclude(loop, passes)
+    best, confirmed = iv.conclude(loop, passes)
     tests = iv.tests_of(best)
-    ended = status_of(model, passes[-1], best, tests[1])
+    ended = status_of(model, passes[-1], (best, confirmed), tests[1], failure)
     if (alone := iv.by_reference(loop, best, ended)) is not None:
-        best = replace(alone, number=len(passes))
+        best, confirmed = replace(alone, number=len(passes)), alone.z
         passes, tests = [*passes, best], iv.tests_of(best)
-        ended = status_of(model, best, best, tests[1])
-    return solution_by_instruments(
-        loop, best, [one.without_rows() for one in passes[1:]], ended, tests
-    )
+        ended = status_of(model, best, (best, confirmed), tests[1], None)
+    made = [one.without_rows() for one in passes[1:]]
+    return solution_by_instruments(loop, (best, confirmed), made, ended, tests)

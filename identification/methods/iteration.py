@@ -20,7 +20,7 @@ from ..estimation import (
 )
 from ..model import BaseParameters, InverseModel
 from ..regression import Lag, Rows, lags_in
-from ..report import Status
+from ..report import Status, is_base
 from ..simulation import Simulated
 from .model import Asked, Model
 from .passes import Pass, join_reasons
@@ -82,7 +82,9 @@ class Loop:
         self.tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
         prior = inertia_prior(model, self.x)
         self.robots = model.robots(prior, gain_update=iteration.gain_update)
-        kept = {name for name in names if not essential or ":" in name} | {*self.essential.names}
+        kept = {name for name in names if not essential or not is_base(name)} | {
+            *self.essential.names
+        }
         self.fitted = np.flatnonzero([name in kept for name in names])
 
     def step(self, rows: Rows) -> Estimate:
@@ -140,6 +142,9 @@ class Loop:
         with np.errstate(divide="ignore"):
             in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
             in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
+        moved_percent = None
+        if not norm_change <= tolerance * norm_before:
+            moved_percent = 100 * norm_change / norm_before if norm_before > 0 else 0.0
         return Pass(
             x=rows.x,
             z=z,
@@ -147,13 +152,10 @@ class Loop:
             estimate=estimate,
             intervals=intervals_of(rows.system, estimate),
             lags=lags,
-            asked=asked,
-            about=settled and not other,
-            change_sigma=float(in_sigma.max()),
+            is_consistent=settled and not other,
+            change_in_sigma=in_sigma,
             change_percent=float(in_percent.max()),
-            changed=estimate.names[int(in_sigma.argmax())],
-            residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
-            residual_settled=norm_change <= tolerance * norm_before,
+            residual_change_percent=moved_percent,
             parameters_settled=bool(
                 (change <= np.maximum(tolerance * size, estimate.sigma / 2)).all()
             ),
@@ -179,13 +181,18 @@ def start_values(loop: Loop) -> Asked:
     return x, loop.covariance(loop.start)
 
 
-def next_values(model: Model, passes: Sequence[Pass]) -> Array:
-    """Return x (p,) to simulate next: the estimate x_k+1, or from the fourth pass on its mean with
-    x_k, which damps oscillation.
+def next_values(loop: Loop, passes: Sequence[Pass]) -> tuple[Array, Asked]:
+    """Return x (p,) about which the rows of the pass after these are, and what is asked of it.
+
+    Both are the estimate x_k+1, or from the fourth pass on its mean with x_k, which damps
+    oscillation; after least squares what is asked is the start.
     """
     last = passes[-1]
-    x = model.x_of(last.estimate, last.x)
-    return 0.5 * (x + last.x) if last.number >= MAX_FULL_STEPS else x
+    if last.number == 0:
+        return loop.x, start_values(loop)
+    x = loop.model.x_of(last.estimate, last.x)
+    x = 0.5 * (x + last.x) if last.number >= MAX_FULL_STEPS else x
+    return x, (x, loop.covariance(last))
 
 
 def with_lags_found(
@@ -222,7 +229,7 @@ def with_lags_found(
     return rows.about(np.r_[rows.x[:f], values]), lags, settled
 
 
-def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
+def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated, ...]]:
     """Choose the pass that is returned: the last one if it settled, else the one whose estimate,
     simulated in the next pass, tracks best at its worst joint.
 
@@ -233,8 +240,8 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
 
     Returns
     -------
-    That pass with its rows, about the last lags, and with the robot simulated with its estimate,
-    or with the values that it settled at (`confirmed_by`).
+    That pass with its rows, about the last lags; and by recording the robot simulated with its
+    estimate, or with the values that it settled at.
 
     Raises
     ------
@@ -242,7 +249,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     """
     last, model = passes[-1], loop.model
     if last.is_last:
-        return replace(last, confirmed_by=last.z)
+        return last, last.z
 
     def confirmed(one: Pass) -> tuple[Simulated, ...]:
         x = model.x_of(one.estimate, last.x)
@@ -252,11 +259,12 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> Pass:
     tracked = [_tracking(one.z) for one in passes[2:]] + [_tracking(after)]
     best = passes[int(np.argmin(tracked)) + 1 if min(tracked) < np.inf else -1]
     if best is last and last.rows is not None and last.rows.C.size:
-        return replace(last, confirmed_by=after)
+        return last, after
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
-    z, rows = model.along(loop.robots, x, best.asked, loop.measured)
+    _, asked = next_values(loop, passes[: best.number])
+    z, rows = model.along(loop.robots, x, asked, loop.measured)
     found = replace(best, x=x, z=z, rows=rows, estimate=loop.step(rows), lags=last.lags)
-    return replace(found, confirmed_by=after if best is last else confirmed(found))
+    return found, after if best is last else confirmed(found)
 
 
 def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pass | None:
@@ -273,8 +281,8 @@ def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pa
     passes = [loop.start]
     with suppress(NoFitError):
         for _ in range(2):  # residuals of least squares have the lag in them
-            passes.append(loop.next_pass(passes, next_values(loop.model, passes), None))
-        last = replace(passes[-1], by_reference=why, confirmed_by=passes[-1].z)
+            passes.append(loop.next_pass(passes, next_values(loop, passes)[0], None))
+        last = replace(passes[-1], by_reference=why)
         return last if tests_of(last)[1] >= MIN_F else None
     return None
 

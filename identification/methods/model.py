@@ -112,14 +112,13 @@ class Model:
     def concluded(self, x: Array) -> tuple[Problem, ...]:
         """The problems with the lags and gains of x."""
         kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
-        return tuple(
-            replace(
-                problem,
-                settings=replace(problem.settings, torque_lag_s=float(x[one.drives.lag])),
-                gains=kappa,
-            )
-            for problem, one in zip(self.problems, self.equations, strict=True)
-        )
+        found = []
+        for problem, equation in zip(self.problems, self.equations, strict=True):
+            known = problem.settings.lag
+            lag = replace(known, value_s=float(x[equation.drives.lag]), prior=known)
+            settings = replace(problem.settings, lag=lag)
+            found.append(replace(problem, settings=settings, gains=kappa))
+        return tuple(found)
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
         """The results of a task for each recording: of several on the workers of the fit."""

@@ -29,20 +29,14 @@ class Pass:
         rows: about x, with the instruments; `z`: by recording, the robot simulated for them.
         estimate: of the free unknowns, and its `intervals`.
         lags: found, with what is known.
-        asked: values (p,) simulated, and their covariance (f, f), None for a regular start; None
-            along the reference.
-        about: whether the rows are about these lags, and the values simulated.
-        change_sigma, change_percent, changed: largest change of a parameter in its deviations; in
-            percent of those larger than two deviations; the parameter of the former.
-        residual_percent: change of the residual norm by the pass, over the same rows.
-        residual_settled, parameters_settled: whether the residual, and every parameter, changed
-            less than the tolerance.
+        is_consistent: whether the rows are about these lags, and the values simulated.
+        change_in_sigma: (f,) of each parameter by the pass, in its deviations; empty of least
+            squares. `change_percent`: the largest, of parameters above two deviations.
+        residual_change_percent: of the residual norm by the pass, over the same rows; None if it
+            is within the tolerance. `parameters_settled`: whether that of every parameter is.
         number: counted from 1; least squares is 0.
         by_reference: why no simulated robot confirms others, so that its instruments, of kind
             `reference`, stand alone: one solution; None where they do not.
-        failure: why the next pass gave no estimate; None if it did, or there was none.
-        confirmed_by: by recording, the robot simulated with the estimate, or with the values that
-            it settled at; only of the pass that is returned.
         tau_predicted: (rows, n) decimated torque of the estimate; of least squares alone.
     """
 
@@ -53,17 +47,12 @@ class Pass:
     parameters_settled: bool
     lags: tuple[Lag, ...]
     z: tuple[Simulated, ...] = ()
-    asked: tuple[Array, Array | None] | None = None
-    about: bool = False
-    change_sigma: float = 0.0
+    is_consistent: bool = False
+    change_in_sigma: Array = field(default_factory=lambda: np.zeros(0))
     change_percent: float = 0.0
-    changed: str = ""
-    residual_percent: float = 0.0
-    residual_settled: bool = False
+    residual_change_percent: float | None = None
     number: int = 0
     by_reference: str | None = None
-    failure: str | None = None
-    confirmed_by: tuple[Simulated, ...] = ()
     tau_predicted: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def without_rows(self) -> "Pass":
@@ -71,8 +60,22 @@ class Pass:
         if self.rows is None:
             return self
         z = tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z)
-        estimate = self.estimate.without_rows()
-        return replace(self, z=z, rows=None, estimate=estimate, confirmed_by=())
+        return replace(self, z=z, rows=None, estimate=self.estimate.without_rows())
+
+    @property
+    def change_sigma(self) -> float:
+        """The largest change of a parameter in its deviations."""
+        return float(self.change_in_sigma.max())
+
+    @property
+    def changed(self) -> str:
+        """The parameter that changes most, in its deviations."""
+        return self.estimate.names[int(self.change_in_sigma.argmax())]
+
+    @property
+    def residual_settled(self) -> bool:
+        """Whether the residual norm changed by no more than the tolerance."""
+        return self.residual_change_percent is None
 
     @property
     def kind(self) -> InstrumentKind:
@@ -105,4 +108,4 @@ class Pass:
     @property
     def is_last(self) -> bool:
         """Whether it and its lags settled, at the robot that was simulated."""
-        return self.settled and self.about
+        return self.settled and self.is_consistent

@@ -11,13 +11,12 @@ from ..estimation import Estimate
 from ..regression import (
     FilteredMotion,
     Problem,
-    base_name,
     equation_alone,
     fast_size,
     rows_of_recording,
     sample_weights,
 )
-from ..report import FTest, Method
+from ..report import FTest, Method, base_name
 from ..trust import TrustLine, judge, part_of
 from .passes import Pass
 from .start import solver_of

@@ -4,6 +4,7 @@ the passes ended, and whether the simulated robot confirms the estimate.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from ..estimation import (
     not_below_white,
 )
 from ..model import direct_model, why_not_positive
-from ..regression import Lag, Rows, base_places
-from ..report import DirectModelResidual, FTest, Method, Status
+from ..regression import Lag, Rows
+from ..report import DirectModelResidual, FTest, Method, Status, is_base
 from ..simulation import Simulated
 from ..trust import FitData, control_law_line, fixed_point_line, judge
 from .iteration import MIN_F, Loop
@@ -64,9 +65,9 @@ class Solution:
 
 def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    at = base_places(estimate.names)
-    at = at[found.half[at] < np.abs(estimate.beta[at])]
-    return tuple(name for i in at if (name := estimate.names[i]) in essential.names)
+    certain = found.half < np.abs(estimate.beta)
+    names = compress(estimate.names, certain)
+    return tuple(name for name in names if is_base(name) and name in essential.names)
 
 
 def evidence_of(
@@ -136,14 +137,15 @@ def held_and_counted(
 
 def solution_by_instruments(
     loop: Loop,
-    best: Pass,
+    concluded: tuple[Pass, tuple[Simulated, ...]],
     passes: Sequence[Pass],
     ended: tuple[Status, str | None],
     tests: tuple[float, float],
 ) -> Solution:
-    """The solution of the pass that is returned, how the passes `ended`, and the `tests` of its
-    instruments.
+    """The solution of the pass that is returned with the robot that confirms it, how the passes
+    `ended`, and the `tests` of its instruments.
     """
+    best, confirmed = concluded
     model, estimate, rows = loop.model, best.estimate, best.rows
     assert rows is not None
     x = model.x_of(estimate, best.x)
@@ -160,7 +162,7 @@ def solution_by_instruments(
         evidence=replace(evidence, first_stage_F=F, made={**evidence.made, "fixed point": line}),
         least_squares=loop.ls,
         essential=loop.essential,
-        simulated=best.confirmed_by,
+        simulated=confirmed,
         status=status,
         reason=reason,
         start=loop.iteration.start,
@@ -171,18 +173,23 @@ def solution_by_instruments(
 
 
 def status_of(
-    model: Model, last: Pass, best: Pass, first_stage_F: float
+    model: Model,
+    last: Pass,
+    concluded: tuple[Pass, tuple[Simulated, ...]],
+    first_stage_F: float,
+    failure: str | None,
 ) -> tuple[Status, str | None]:
     """`converged` needs settled passes, simulated instruments that explain W, and a simulation
     that tracks the recording; or instruments along the motion that the reference predicts which
     stand alone, and explain W.
 
     Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot
-    would hide a joint of small travel.
+    would hide a joint of small travel. `failure`: why the pass after the last gave no estimate.
     """
-    unconfirmed = None if best.by_reference else _unconfirmed(model, best)
-    if last.failure is not None:
-        return "diverged", last.failure
+    best, confirmed = concluded
+    unconfirmed = None if best.by_reference else _unconfirmed(model, best, confirmed)
+    if failure is not None:
+        return "diverged", failure
     if not first_stage_F >= MIN_F:
         return (
             "diverged",
@@ -200,13 +207,13 @@ def status_of(
     moving = []
     if not last.parameters_settled:
         moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
-    if not last.residual_settled:
-        moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
+    if (percent := last.residual_change_percent) is not None:
+        moving.append(f"the residual norm still changes by {percent:.2g} %")
     still = " and ".join(moving) or "only the start is known"
     return "max_iterations", f"after {last.number} passes {still}"
 
 
-def _unconfirmed(model: Model, best: Pass) -> str | None:
+def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> str | None:
     """Why the simulation with the final estimate does not confirm it; None if it does."""
     reasons, x = list[tuple[str, str | None]](), model.x_of(best.estimate, best.x)
     for one in model.equations:
@@ -216,10 +223,10 @@ def _unconfirmed(model: Model, best: Pass) -> str | None:
         reasons.append((problem.signals.recording, why_not_positive(M)))
     if (reason := join_reasons(reasons)) is not None:
         return f"the final estimate cannot be simulated: {reason}"
-    percents = [np.inf if one.percent is None else one.percent for one in best.confirmed_by]
+    percents = [np.inf if one.percent is None else one.percent for one in confirmed]
     if not max(percents) <= MAX_TRACKING_PERCENT:
         return "the simulated position does not follow the measured one"
-    for d in direct_errors(best.confirmed_by):
+    for d in direct_errors(confirmed):
         if (
             d.position_error_percent is not None
             and not d.position_error_percent <= MAX_TRACKING_PERCENT

@@ -25,6 +25,7 @@ import numpy as np
 
 from ..arrays import Array, Bools, Ints
 from ..errors import BadInputError
+from ..report import is_load
 from .inverse import InverseModel
 from .joint_terms import SHAPES
 
@@ -93,7 +94,7 @@ class BaseParameters:
 
 def load_parameters(base: BaseParameters) -> tuple[str, ...]:
     """Names of the load friction parameters mu1, mu2, ...; the model is not linear in them."""
-    return tuple(name for name in base.names if name.startswith("mu"))
+    return tuple(filter(is_load, base.names))
 
 
 def base_parameters(dynamics: InverseModel) -> BaseParameters:

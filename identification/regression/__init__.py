@@ -4,8 +4,9 @@ It owns `Problem`, a recording with its settings and its model, and the terms wh
 the rows. It may use `model` and the rooms below.
 """
 
-from .blocks import MotionBlock, motion_blocks, predicted_torque
+from .blocks import Candidate, MotionBlock, motion_blocks, predicted_torque
 from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass, lowpass_reach
+from .known_lag import NOTHING, Lag
 from .lag import combined_lag, lags_in
 from .motion import (
     BLOCK_SAMPLES,
@@ -23,7 +24,6 @@ from .motion import (
 )
 from .problem import Problem, make_problem, row_blocks, with_common_band
 from .rows import (
-    Candidate,
     Equation,
     Rows,
     equation_alone,
@@ -33,10 +33,8 @@ from .rows import (
     torque_of_recording,
 )
 from .settings import (
-    NOTHING,
     RAMPS,
     ROWS,
-    Lag,
     Overrides,
     Settings,
     decimation_rule,
@@ -45,5 +43,5 @@ from .settings import (
     with_bandwidth,
 )
 from .states import LAG_ORDERS, friction_states, recorded_power, rigid_torque_at_rows, row_states
-from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
+from .unknowns import Arm, Unknowns, base_places, make_unknowns
 from .weights import refuse_standing_joints, sample_weights, weights_at

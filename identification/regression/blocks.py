@@ -9,7 +9,7 @@ unknowns of the term `Drives`.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -132,6 +132,20 @@ class MotionBlock(Motion):
         found = object.__new__(MotionBlock)
         vars(found).update(vars(self), tau=tau)
         return found
+
+
+class Candidate(Protocol):
+    """What is asked for its columns along a motion of a recording, beside the terms."""
+
+    @property
+    def sliding(self) -> Array:
+        """(c,) largest speeds along the directions of Coulomb friction."""
+
+    def columns(self, motion: MotionBlock) -> Array:
+        """(n, k, rows), weighted and decimated."""
+
+    def at_rest(self, motion: MotionBlock) -> Array:
+        """(n, g, rows) of links at rest, along the measured motion."""
 
 
 def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:

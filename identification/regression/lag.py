@@ -31,8 +31,8 @@ from ..estimation import (
     weights_of,
 )
 from .blocks import MotionBlock
+from .known_lag import Lag
 from .problem import Problem
-from .settings import Lag
 from .states import LAG_ORDERS, fast_for_lag, fast_for_lag_by
 
 MIN_ROWS = 20  # of a joint that moves, behind the filter; with fewer the next order is taken

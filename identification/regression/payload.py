@@ -23,6 +23,7 @@ from ..estimation import (
     pseudo_inertia,
 )
 from ..model import LINK, InverseModel, link_columns, payload_parameters
+from ..report import payload_name, payload_parameter
 from .problem import Problem
 
 MASS = LINK.index("M")
@@ -67,7 +68,7 @@ class PayloadColumns:
             payload_parameters(self.model, payload),
             payload.mass_kg * payload.center_half_width_m,
         )
-        each = ((name, name.partition(":")[0]) for name in self.names)
+        each = ((name, payload_parameter(name)) for name in self.names)
         return {name: (float(phi[i]), half) for name, of in each for i in MOMENTS if LINK[i] == of}
 
     def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
@@ -100,7 +101,7 @@ class PayloadColumns:
 
         Returns XX XY XZ YY YZ ZZ MX MY MZ M (10,), their deviations, and which come from the prior.
         """
-        given = {name.partition(":")[0]: x for name, x in zip(self.names, phi, strict=True)}
+        given = {payload_parameter(name): x for name, x in zip(self.names, phi, strict=True)}
         by_place = [given.get(name, x) for name, x in zip(LINK, self.fixed, strict=True)]
         stated, not_found = np.flatnonzero(self.fixed), (np.zeros(10), np.ones(10, dtype=bool))
         mass = self.payload.mass_kg or (by_place[MASS] if by_place[MASS] > 0 else 1.0)
@@ -177,7 +178,7 @@ def _columns(
         payload=payload,
         model=model,
         names=tuple(
-            f"{LINK[place]}{'R' * int(r)}:{label}"
+            payload_name(LINK[place] + "R" * int(r), label)
             for place, r in zip(places, regrouped, strict=True)
         ),
         grouping=grouping,

@@ -16,9 +16,9 @@ from ..data import RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
 from .filtering import decimation_reach, nearby
+from .known_lag import LAG_REACH
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
-    LAG_REACH,
     Overrides,
     Settings,
     make_settings,
@@ -173,7 +173,10 @@ class Problem:
         s, fs = self.settings, self.signals.sample_rate_hz
         if (stop := s.start + round(BEGINNING_S * fs)) >= s.stop:
             return self
-        signals, settings = self.signals.first(stop + round(MARGIN_S * fs)), replace(s, stop=stop)
+        signals, settings = (
+            self.signals.first(stop + round(MARGIN_S * fs)),
+            replace(s, used=range(s.start, stop)),
+        )
         motion = FilteredMotion(signals)
         return replace(self, signals=signals, source=None, motion=motion, settings=settings)
 

@@ -13,14 +13,15 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, groupby, islice, pairwise, repeat, starmap
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
 from ..data import HERE, Work
 from ..estimation import SpanRows, System, by_joint, one_thread, stacked
-from .blocks import MotionBlock, motion_blocks, predicted_torque
+from ..report import is_gain, motor_of
+from .blocks import Candidate, MotionBlock, motion_blocks, predicted_torque
 from .lag import LagFilters
 from .problem import Problem
 from .states import fast_for_lag
@@ -29,8 +30,7 @@ from .unknowns import Arm, Stated, Unknowns, make_unknowns
 from .weights import sample_weights
 
 MOST_AT_ONCE = 16  # blocks that are sent to workers: a block has some 10 MB
-# numbers of the positions of all recordings together whose measured motion is kept: 8 MB, a few
-# times as much in all
+# numbers of the positions of all recordings whose measured motion is kept: a few times 8 MB in all
 MAX_KEPT = 1_000_000
 
 
@@ -58,10 +58,15 @@ class Equation:
         few = self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT
         return tuple(motion_blocks(self.problem)) if few else ()
 
+    def prepare(self) -> None:
+        """Make W of what is kept, for all passes: blocks share what was made before."""
+        for motion in self.kept:
+            _ = motion.W
+
     def read(self) -> "Equation":
         """The same with the samples of its recording."""
-        problem = self.problem.with_samples()
-        return self if problem is self.problem else replace(self, problem=problem)
+        read = self.problem.with_samples()
+        return self if read is self.problem else replace(self, problem=read)
 
     @property
     def apart(self) -> "Equation":
@@ -113,14 +118,14 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int, work: Work = HERE)
     """Put together the equation of motion of recording k: its arm, its drives, and load friction
     and what is stated if there is any.
     """
-    arm, places = unknowns.arms[k], {name: i for i, name in enumerate(unknowns.all)}
-    robot = problem.signals.robot
+    arm, motors = unknowns.arms[k], problem.signals.robot.motors
+    places = {motor_of(name): i for i, name in enumerate(unknowns.all) if is_gain(name)}
     return Equation(
         problem=problem,
         unknowns=unknowns,
         arm=arm,
         drives=Drives(
-            gains=np.array([places.get(f"K:{motor.name}", -1) for motor in robot.motors]),
+            gains=np.array([places.get(motor.name, -1) for motor in motors]),
             lag=int(unknowns.lags[next(g for g, of in enumerate(unknowns.groups) if k in of)]),
         ),
         load=load_of(problem, arm),
@@ -203,20 +208,6 @@ class Rows:
         return replace(self, x=x, late=None, system=replace(self.system, Y=Y))
 
 
-class Candidate(Protocol):
-    """What is asked for its columns along a motion of a recording, beside the terms."""
-
-    @property
-    def sliding(self) -> Array:
-        """(c,) largest speeds along the directions of Coulomb friction."""
-
-    def columns(self, motion: MotionBlock) -> Array:
-        """(n, k, rows), weighted and decimated."""
-
-    def at_rest(self, motion: MotionBlock) -> Array:
-        """(n, g, rows) of links at rest, along the measured motion."""
-
-
 @one_thread
 def _rows_of_block(
     equation: Equation,
@@ -224,10 +215,10 @@ def _rows_of_block(
     asked: tuple[Ints, Candidate | None, LagFilters | None],
     motion: MotionBlock,
     z: MotionBlock | None,
-) -> tuple[Ints, SpanRows, SpanRows, Array, Array, Array, Array]:
-    """Of a block, along its measured motion and along `z`, None for the same: where [G C Z J r] are
-    split, these rows, and those of the lag; (rows, n) torque, speed, weights of the rows of the
-    lag; and `most`. What is `asked`: places (k,) of Z in x, further columns, filters of the lag.
+) -> tuple[SpanRows, SpanRows, Array, Array, Array, Array, Ints]:
+    """Of a block, along its measured motion and along `z`, None for the same: the rows [G C Z J r],
+    and those of the lag; (rows, n) torque, speed, weights of the rows of the lag; `most`; and where
+    the rows are split. What is `asked`: places (k,) of Z in x, further columns, filters of the lag.
     """
     (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
     instants, drives = len(motion.problem.settings.instants), motion.filtered(motion.tau.T)
@@ -248,13 +239,13 @@ def _rows_of_block(
     # not the columns of the lags: the rate of a recorded torque is noise
     each = G, C, Z[:, places], J[:, : -len(lags)]
     return (
-        np.cumsum([part.shape[1] for part in each]),
         SpanRows.of_block(instants, motion.first, np.concatenate([*each, r], axis=1), share, fast),
         late,
         (drives + motion.filtered(motion.known_torque.T) if has_known else drives).T,
         motion.kept(motion.dq),
         of_lag.T,
         np.abs(drives).max(axis=1)[None],
+        np.cumsum([part.shape[1] for part in each])[None],
     )
 
 
@@ -285,34 +276,26 @@ def rows_of_recording(
     -------
     The rows, torques in N m or N, stacked by joint and span of time.
     """
-    problem, unknowns, lag = (equation := equation.read()).problem, equation.unknowns, None
-    share = sample_weights(problem).of_rows
-    if of_lag:
-        tau, (predicted,), _, speed, *_ = torque_of_recording(equation, x)
-        of = np.r_[unknowns.arm, unknowns.lags]
-        lag = LagFilters(problem, of, share, share * (tau - predicted), speed)
-    names, f, own = unknowns.all, len(unknowns.names), bool(unknowns.motors) or along is not None
+    unknowns = (equation := equation.read()).unknowns
+    share = sample_weights(equation.problem).of_rows
+    lag = _lag_filters(equation, x, share) if of_lag else None
+    f, own = len(unknowns.names), bool(unknowns.motors) or along is not None
     # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
     places = np.r_[: f * own, unknowns.lags] if own or further is not None else np.arange(0)
     task = partial(_rows_of_block, equation.apart, x, (places, further, lag))
-    collected, late, parts = SpanRows(), SpanRows(), list[Sequence[Array]]()
     # The robot may have been prepared for other weights.
-    along = None if along is None else (replace(z, problem=problem) for z in along)
-    _ = [motion.W for motion in equation.kept]  # for all passes: blocks share what was made before
-    for block in equation.by_block(task, x, along):
-        edges, rows, of_late, *arrays = block
-        collected.add(rows)
-        late.add(of_late)
-        parts.append(arrays)
-    tau, speed, of_lags, most = (np.concatenate(each) for each in zip(*parts, strict=True))
-    rows, fast_rows, followed = collected.rows(share)
-    G, C, Z, J, r = np.split(rows, edges, axis=1)
+    motions = None if along is None else (replace(z, problem=equation.problem) for z in along)
+    equation.prepare()
+    collected, late, arrays = _collected(equation.by_block(task, x, motions))
+    tau, speed, share_of_lag, most, edges = arrays
+    rows, fast, followed = collected.rows(share)
+    G, C, Z, J, r = np.split(rows, edges[0], axis=1)
     return Rows(
         x=x,
-        system=System(W=J[:, :f], Y=r[:, 0] + J[:, :f] @ x[:f], names=names[:f], **followed),
+        system=System(W=J[:, :f], Y=r[:, 0] + J[:, :f] @ x[:f], names=unknowns.names, **followed),
         L=np.c_[J[:, f:], Z[:, f * own :]],
         C=C,
-        fast=fast_rows,
+        fast=fast,
         G=G,
         Z=Z[:, : f * own],
         share=share,
@@ -320,8 +303,25 @@ def rows_of_recording(
         speed=speed,
         most=most,
         recorded=along is None,
-        late=lag.system(late, of_lags, names) if lag else None,
+        late=lag.system(late, share_of_lag, unknowns.all) if lag else None,
     )
+
+
+def _lag_filters(equation: Equation, x: Array, share: Array) -> LagFilters:
+    """The filters of the rows of the lag, by the residuals about x with the weights `share`."""
+    tau, (predicted,), _, speed, *_ = torque_of_recording(equation, x)
+    of = np.r_[equation.unknowns.arm, equation.unknowns.lags]
+    return LagFilters(equation.problem, of, share, share * (tau - predicted), speed)
+
+
+def _collected(blocks: Iterable[Any]) -> tuple[SpanRows, SpanRows, list[Array]]:
+    """What `_rows_of_block` gives of all blocks: rows, those of the lag, and the arrays."""
+    rows, late, parts = SpanRows(), SpanRows(), list[Sequence[Array]]()
+    for of_block, of_lag, *arrays in blocks:
+        rows.add(of_block)
+        late.add(of_lag)
+        parts.append(arrays)
+    return rows, late, [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
 def stacked_rows(each: Sequence[Rows]) -> Rows:

@@ -2,26 +2,36 @@
 
     beta_k = P_k x + known_k
 
-P_k and known_k are constant. A shared base parameter, or one of recording k alone (Off1@A), is a
-unit column of P_k; the free part of a payload K_n phi are further columns, its known part is in
-known_k. x has, one after the other: the free unknowns, which rows determine, gains of motors last;
-what is stated with a half-width, which is held at its value; and the lags, which have rows of their
-own.
+P_k and known_k are constant. A shared base parameter, or one of recording k alone, is a unit column
+of P_k; the free part of a payload K_n phi are further columns, its known part is in known_k. x has,
+in this order:
+
+    Fv1, Off1@A, Off1@B, ZZ2 ...    base parameters as in the model, those of one recording each in
+                                    the order of the recordings, in the place of the common one
+    MX:loaded ...                   what is estimated of each payload
+    K:motor_1 ...                   gains of drives, as factors on the described ones
+    K:motor_2, half-width 0:0 ...   what is stated with a half-width
+    lag 0 ...                       the lag of each group of recordings
+
+Rows determine all up to the gains: these are the free unknowns. What is stated is held at its
+value, its columns only widen the intervals; the lags have rows of their own.
 """
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from acquisition.robot import Payload
+from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Ints
 from ..errors import BadInputError
 from ..estimation import Estimate
+from ..report import base_name, gain_name, is_base, is_own, own_name
 from .blocks import MotionBlock
 from .payload import PayloadColumns, payload_columns
 from .problem import Problem
@@ -31,15 +41,8 @@ KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
 
 
 def base_places(names: Sequence[str]) -> Ints:
-    """Places of the base parameters in names, some of which may be of payloads and
-    gains: MX:loaded, K:motor_1.
-    """
-    return np.flatnonzero([":" not in name for name in names])
-
-
-def base_name(name: str) -> str:
-    """The name without its recording: Off1 of Off1@A."""
-    return name.partition("@")[0]
+    """Places of the base parameters in names, some of which may be of payloads and gains."""
+    return np.flatnonzero([bool(is_base(name)) for name in names])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,9 +80,7 @@ class Arm:
         """Names of the parameters that other recordings do not have; those of equal
         payloads are the same.
         """
-        return {name for name in self.names if "@" in name} | set(
-            self.payload.names if self.payload else ()
-        )
+        return set(filter(is_own, self.names)) | set(self.payload.names if self.payload else ())
 
     def values(self, estimate: Estimate) -> Array:
         """(b,) base parameters by an estimate, in which unknowns that it lacks are zero."""
@@ -126,9 +127,9 @@ class Stated:
     def columns(self, x: Array, motion: MotionBlock) -> Array:
         """Return its derivatives (n, p, rows)."""
         found = np.zeros((len(motion.share), len(x), motion.share.shape[1]))
-        for place, one in enumerate(self.held, self.first):
-            if one.column is not None:
-                found[:, place] = one.column(x, motion)
+        for place, held in enumerate(self.held, self.first):
+            if held.column is not None:
+                found[:, place] = held.column(x, motion)
         return found
 
 
@@ -174,7 +175,7 @@ class Unknowns:
         """x (p,) of nothing but described gains, what is stated, and known lags."""
         x = np.zeros(len(self.all))
         x[self.gains] = 1.0
-        x[len(self.names) : len(x) - len(lags_s)] = [one.value for one in self.held]
+        x[len(self.names) : len(x) - len(lags_s)] = [stated.value for stated in self.held]
         x[self.lags] = lags_s
         return x
 
@@ -186,7 +187,7 @@ class Unknowns:
     @property
     def own(self) -> tuple[str, ...]:
         """Names of the base parameters that are of one recording each."""
-        return tuple(name for name in self.names if "@" in name)
+        return tuple(filter(is_own, self.names))
 
     def simulated(self, x: Array, C: Array | None) -> list[tuple[Array, Array | None, Array]]:
         """By recording what is simulated for x: base parameters (b,), their covariance without the
@@ -226,51 +227,64 @@ def make_unknowns(
     Raises `BadInputError` for a kind that the robot lacks, or that gravity or
     other parameters absorb.
     """
-    base, robot = problems[0].base, problems[0].signals.robot
-    own = list[int]()
-    if len(problems) > 1:
-        listed = robot.identification.own
-        for kind in friction if listed is None else listed:
-            with suppress(*[BadInputError] * (listed is None)):
-                own += _own_places(problems[0], kind)
-    labels = _labels([problem.signals.recording for problem in problems])
-    of = [
-        tuple(f"{n}@{label}" if i in own else n for i, n in enumerate(base.names))
+    robot, labels = problems[0].signals.robot, _labels([one.signals.recording for one in problems])
+    names = _base_names(problems[0], labels, friction)
+    carried = payload_columns(problems, labels, scale=bool(motors))
+    payloads = tuple(dict.fromkeys(payload for payload in carried if payload is not None))
+    arm = [*dict.fromkeys(chain.from_iterable(zip(*names, strict=True)))]
+    arm += [name for payload in payloads for name in payload.names]
+    free = (*arm, *(gain_name(robot.motors[m].name) for m in motors))
+    held = (*_held_gains(robot, motors, len(free)), *_held_payloads(payloads, free))
+    groups = lag_groups(problems)
+    x = (*free, *(stated.name for stated in held), *(f"lag {g}" for g in range(len(groups))))
+    return Unknowns(
+        names=free,
+        arms=tuple(_arm(x, *of_one) for of_one in zip(names, carried, strict=True)),
+        motors=motors,
+        gains=slice(len(arm), len(free)),
+        payloads=payloads,
+        held=held,
+        groups=groups,
+    )
+
+
+def _base_names(
+    problem: Problem, labels: Sequence[str], friction: Sequence[str]
+) -> list[tuple[str, ...]]:
+    """By recording the names of its base parameters in x."""
+    listed, own = problem.signals.robot.identification.own, list[int]()
+    for kind in (friction if listed is None else listed) if len(labels) > 1 else ():
+        with suppress(*[BadInputError] * (listed is None)):
+            own += _own_places(problem, kind)
+    names = problem.base.names
+    return [
+        tuple(own_name(name, label) if i in own else name for i, name in enumerate(names))
         for label in labels
     ]
-    carried = payload_columns(problems, labels, scale=bool(motors))
-    names = list(dict.fromkeys(name for each in zip(*of, strict=True) for name in each))
-    payloads = tuple(dict.fromkeys(one for one in carried if one is not None))
-    names += [name for one in payloads for name in one.names]
-    free = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
-    held = [
-        Held(name=f"K:{motor.name}", value=1.0, half=half / gain, stated=np.zeros(len(free)))
+
+
+def _held_gains(robot: Robot, motors: tuple[int, ...], free: int) -> list[Held]:
+    """The drive gains that are stated with a half-width, beside those of `motors`."""
+    return [
+        Held(name=gain_name(motor.name), value=1.0, half=half / gain, stated=np.zeros(free))
         for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
         if (half := motor.drive_gain_half_width) and m not in motors
     ]
-    held += [
+
+
+def _held_payloads(payloads: Sequence[PayloadColumns], free: tuple[str, ...]) -> list[Held]:
+    """Masses and centres of mass that are stated with a half-width, in half-widths."""
+    return [
         Held(
             name=f"half-width {i}:{number}",
             value=0.0,
             half=1.0,
             stated=stated,
-            column=partial(_with_payload, one.payload, moves),
+            column=partial(_with_payload, columns.payload, moves),
         )
-        for number, one in enumerate(payloads)
-        for i, (moves, stated) in enumerate(one.half_widths(free))
+        for number, columns in enumerate(payloads)
+        for i, (moves, stated) in enumerate(columns.half_widths(free))
     ]
-    groups = lag_groups(problems)
-    x = (*free, *(one.name for one in held), *(f"lag {g}" for g in range(len(groups))))
-    arms = tuple(_arm(x, *one) for one in zip(of, carried, strict=True))
-    return Unknowns(
-        names=free,
-        arms=arms,
-        motors=motors,
-        gains=slice(len(names), len(free)),
-        payloads=payloads,
-        held=tuple(held),
-        groups=groups,
-    )
 
 
 def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
@@ -301,35 +315,29 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
 
 
 def _own_places(problem: Problem, kind: str) -> list[int]:
-    base, model, place, found = (
-        problem.base,
-        problem.model,
-        f"robot {problem.signals.robot.name}",
-        list[int](),
+    """Places of the base parameters of a kind, each of which stands alone."""
+    base, model, found = problem.base, problem.model, list[int]()
+    refused = partial(
+        BadInputError,
+        place=f"robot {problem.signals.robot.name}",
+        key="identification.own",
+        value=kind,
     )
     columns = [c for c, term in model.terms.items() if term.kind == KINDS[kind]]
     if not columns:
-        raise BadInputError(
+        raise refused(
             "no joint has it",
-            place=place,
-            key="identification.own",
-            value=kind,
             expected="offset = true of a joint" if kind == "Off" else "joints with this friction",
         )
     for c in columns:
-        alone = [
-            i for i in range(base.b) if base.columns[i] == c and np.count_nonzero(base.K[i]) == 1
-        ]
-        if not alone:
-            raise BadInputError(
+        alone = np.flatnonzero((base.columns == c) & (np.count_nonzero(base.K, axis=1) == 1))
+        if not len(alone):
+            raise refused(
                 f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs "
                 "an offset)",
-                place=place,
-                key="identification.own",
-                value=kind,
                 expected="a kind whose parameters stand alone in the base parameters",
             )
-        found += alone
+        found += alone.tolist()
     return found
 
 

@@ -24,7 +24,7 @@ from ..errors import NoFitError
 from .filtering import nearby
 from .motion import BLOCK_SAMPLES
 from .problem import Problem, row_blocks
-from .settings import LOOP_PER_MOTION, LOW_SPEED_PERCENT, MAX_CUTOFF_SHARE, RAMPS, ROWS
+from .settings import LOW_SPEED_PERCENT, MAX_CUTOFF_SHARE, RAMPS, ROWS, SURROGATE_BANDWIDTH_RATIO
 
 LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed
 # terms of friction that tell it at lower speeds, and how much lower
@@ -137,7 +137,7 @@ def _moves(problem: Problem) -> Bools:
     percent, directions = settings.low_speed_percent, problem.model.coulomb_directions
     cutoff_hz = problem.slip_cutoff_hz
     if problem.signals.motion_hz is not None:
-        cutoff_hz = min(LOOP_PER_MOTION * cutoff_hz, MAX_CUTOFF_SHARE * fs)
+        cutoff_hz = min(SURROGATE_BANDWIDTH_RATIO * cutoff_hz, MAX_CUTOFF_SHARE * fs)
     measured = problem.measured_samples()[:, None]
     if percent == 0:
         return np.broadcast_to(measured, (N, directions.shape[1]))

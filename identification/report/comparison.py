@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from ..errors import BadInputError
 from .document import Document, Number, Row, Section, Table, columns, value_form
 from .fit_file import FitFile
+from .names import recording_of
 from .parameters import Parameter
 
 
@@ -104,11 +105,9 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
     """
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
-    named = {
-        (value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()
-    }
+    named = {(value.expression, recording_of(name)): name for name, value in b.parameters.items()}
     shared = {
-        name: named.get((x.expression, name.partition("@")[2]), named.get((x.expression, "")))
+        name: named.get((x.expression, recording_of(name)), named.get((x.expression, "")))
         for name, x in a.parameters.items()
     }
     return {name: partner for name, partner in shared.items() if partner}

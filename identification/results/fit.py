@@ -26,6 +26,7 @@ from ..report import (
     StandardParameter,
     Status,
     TorqueResidual,
+    is_base,
 )
 from ..trust import FitData, Trust
 from .on_recording import FitOnRecording
@@ -105,7 +106,7 @@ class Fit:
     def essential(self) -> FTest:
         """The essential base parameters by least squares, and the test of leaving out others."""
         found = self.solution.essential
-        names = tuple(name for name in found.names if ":" not in name)
+        names = tuple(name for name in found.names if is_base(name))
         return msgspec.structs.replace(found, names=names)
 
     @cached_property

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from ..regression import ROWS, base_name
+from ..regression import ROWS
 from ..report import (
     NO_FIXED_POINT,
     Cell,
@@ -16,6 +16,7 @@ from ..report import (
     Row,
     Section,
     Table,
+    base_name,
     columns,
     known,
     value_form,

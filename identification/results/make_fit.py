@@ -16,8 +16,8 @@ from ..estimation import (
     spans_of,
 )
 from ..methods import Iteration, Model, Say, Solution, solve
-from ..regression import ROWS, Overrides, Problem, base_name, sample_weights
-from ..report import FTest, Method
+from ..regression import ROWS, Overrides, Problem, sample_weights
+from ..report import FTest, Method, base_name
 from ..trust import MIN_FIRST_STAGE_F, trust_in, with_predictions
 from .fit import Fit
 from .gain_results import gains_of, payloads_of

@@ -26,8 +26,8 @@ from ..model import (
     base_prior,
     direct_model,
 )
-from ..regression import Overrides, Problem, base_name, make_problem, with_common_band
-from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
+from ..regression import Overrides, Problem, make_problem, with_common_band
+from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit
 from .horizon import errors_ahead

@@ -180,9 +180,11 @@ class ClosedLoop:
         """
         substeps, q_ref, half = self._substeps, reference.q, 0.5 * self._h
         (N, n), rows, reason = q_ref.shape, 0, None
-        out, known = np.empty((4, N * substeps, n)), reference.known_torque
+        out = np.empty((4, N * substeps, n))
         q_out, v_out, _, tau_out = out[..., 0] if self._numbers is FLOATS else out
-        pushed = None if known is None else self._numbers.each(known)
+        pushed = reference.known_torque
+        if pushed is not None:
+            pushed = self._numbers.each(pushed)
         control, friction, q, v = self._control, self._friction, self._q, self._v
         control.take(reference)
         for first in range(0, N, CHECK_EVERY):
@@ -197,17 +199,26 @@ class ClosedLoop:
             except ArithmeticError as error:
                 reason, rows = str(error), rows - 1
             off = out[0, first * substeps : rows : substeps] - q_ref[first : -(-rows // substeps)]
-            far = ~(np.abs(off) < bound)
-            if far.any():
-                k = first + int(far.any(axis=1).argmax())
+            if (left := _first_beyond(off, bound)) is not None:
+                k = first + left[0]
                 rows, t_s = k * substeps, (self._instants + k) * substeps * self._h
-                joint = 1 + int(far[k - first].argmax())
-                reason = f"the simulated robot leaves its reference at joint {joint}, {t_s:.3f} s"
+                reason = f"the simulated robot leaves its reference at joint {left[1]}, {t_s:.3f} s"
             if reason is not None:
                 break
         self._q, self._v, self._instants = q, v, self._instants + N
         out[2, :rows] = np.diff(out[1, :rows], axis=0, append=np.reshape(v, (1, n))) / self._h
         return out[:, :rows], reason
+
+
+def _first_beyond(off: Array, bound: Array) -> tuple[int, int] | None:
+    """The first row of deviations (K, n) beyond a bound (n,), or not finite, and the number of the
+    joint; None if there is none.
+    """
+    far = ~(np.abs(off) < bound)
+    if not far.any():
+        return None
+    row = int(far.any(axis=1).argmax())
+    return row, 1 + int(far[row].argmax())
 
 
 class RigidBodyPlant:

@@ -42,14 +42,14 @@ def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> N
     if signals.q_ref is None:
         return
     first, blocks = (
-        signals.q_ref[problem.settings.start],
+        signals.q_ref[problem.settings.used.start],
         _blocks(problem, signals.q, signals.q_ref),
     )
     sums = [
         [x.sum(axis=0) for x in (q_ref - first, (q_ref - first) ** 2, (q_ref - q) ** 2)]
         for q, q_ref in blocks
     ]
-    mean, square, of_error = np.sum(sums, axis=0) / (problem.settings.stop - problem.settings.start)
+    mean, square, of_error = np.sum(sums, axis=0) / len(problem.settings.used)
     error = np.sqrt(of_error)
     scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
     far = ~(error <= MAX_DEVIATION * scale)
@@ -70,7 +70,7 @@ def saturated_percents(problem: Problem) -> dict[str, float]:
     """Percentage of the recorded samples at each motor's limit, by motor and limit;
     empty if none is stated.
     """
-    robot, N = problem.signals.robot, problem.settings.stop - problem.settings.start
+    robot, N = problem.signals.robot, len(problem.settings.used)
     limits = SATURATED * robot.saturation
     at = [(np.abs(effort) >= limits).sum(axis=0) for effort in _motor_efforts(problem)]
     return {
@@ -124,7 +124,8 @@ def _motor_efforts(problem: Problem) -> Iterator[Array]:
 
 def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
     """The rows (K, n) of series in the span used, in blocks."""
-    start, stop = problem.settings.start, problem.settings.stop
+    used = problem.settings.used
+    start, stop = used.start, used.stop
     for a in range(start, stop, BLOCK_SAMPLES):
         yield [x[a : min(stop, a + BLOCK_SAMPLES)] for x in series]
         if stop - start > BLOCK_SAMPLES:

@@ -116,15 +116,15 @@ class SimulatedRecording:
         self._late_s = 0.0 if law is None else law.common_delay_s
         refuse_foreign_reference(problem, self.saturated)
         signals, settings, robot = problem.signals, problem.settings, problem.robot
-        fs, n_d, hz = signals.sample_rate_hz, settings.decimation, robot.bandwidth_hz
+        fs, n_d, hz = signals.sample_rate_hz, settings.decimator.factor, robot.bandwidth_hz
         step_hz, self.cutoff_hz = rate_per_bandwidth * hz, rule_cutoff_hz(signals)
         self.blocks = tuple(row_blocks(problem))
         self.stride = max(
             m for m in range(1, n_d + 1) if n_d % m == 0 and m <= max(1, fs / step_hz)
         )
         self.decimation = replace(settings.decimator, factor=n_d // self.stride)
-        self.N = -(-(settings.stop - settings.start) // self.stride)
-        self.first = settings.stop - 1 - (self.N - 1) * self.stride
+        self.N = -(-len(settings.used) // self.stride)
+        self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
         loop = _loop_of(problem, law)
         self.controller: ControllerKind = "surrogate" if loop is None else loop.kind
@@ -222,8 +222,8 @@ class SimulatedRecording:
         # places of the controller's instants in recorded samples; of those in a step the middle
         each = self.first + self.loop.period_s / m * fs * np.arange(first * m, last * m)
         at = each.reshape(-1, m).mean(axis=1)
-        low = max(settings.start, math.floor(at[0]) - SPLINE_REACH)
-        high = min(settings.stop, math.ceil(at[-1]) + 1 + SPLINE_REACH)
+        low = max(settings.used.start, math.floor(at[0]) - SPLINE_REACH)
+        high = min(settings.used.stop, math.ceil(at[-1]) + 1 + SPLINE_REACH)
         at, near = at - low, slice(low, high)
         known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
         if signals.q_ref is None:
@@ -239,7 +239,7 @@ class SimulatedRecording:
             if self.instants > CHUNK:
                 release_pages(signals.q_ref)
         if feedforward is not None:  # held between samples: a cubic would overshoot
-            held = np.minimum(each + 1e-6, settings.stop - 1).astype(np.intp)
+            held = np.minimum(each + 1e-6, settings.used.stop - 1).astype(np.intp)
             feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
             if self.controller == "surrogate":  # a surrogate's output is torque at the joints
                 feedforward = self.problem.robot.joint_effort(feedforward)
@@ -290,7 +290,8 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
     """
     if (r := problem.signals.q_ref) is None:
         return problem.motion
-    span = problem.settings.start, problem.settings.stop
+    used = problem.settings.used
+    span = used.start, used.stop
     return problem.motion.once(("predicted", *span), lambda: _predicted(problem.signals, r, *span))
 
 

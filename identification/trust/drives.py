@@ -16,7 +16,7 @@ from ..arrays import Array
 from ..control import MAX_LAW_PERCENT, FoundLaw
 from ..estimation import by_rows_alone, differs, intervals_of
 from ..regression import LAG_ORDERS, Lag, Problem
-from ..report import Assumed
+from ..report import Assumed, gain_name
 from .evidence import LEVELS, FitData, TrustLine, figures_of, judge, part_of, worst_of
 from .words import assume
 
@@ -208,9 +208,9 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     if not evidence.gains:
         return None
     robot, of = evidence.problem.signals.robot, evidence.estimate.names
-    motors = [m for m, motor in enumerate(robot.motors) if f"K:{motor.name}" in evidence.gains]
+    motors = [m for m, motor in enumerate(robot.motors) if gain_name(motor.name) in evidence.gains]
     names = [robot.motors[m].name for m in motors]
-    at = [of.index(f"K:{name}") for name in names]
+    at = [of.index(gain_name(name)) for name in names]
     factor, gains = evidence.estimate.beta[at], [robot.motors[m].gain for m in motors]
     half = 100 * evidence.intervals.half[at] / np.abs(factor)
     described = np.array([np.nan if gain is None else gain for gain in gains])

@@ -12,7 +12,7 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools, Ints
 from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
-from ..report import Assumed, Level, Method, Verdict
+from ..report import Assumed, Level, Method, Verdict, is_gain
 from .candidates import Candidates
 from .words import Words, written
 from .words_of_data import OF_DATA
@@ -225,7 +225,7 @@ class FitData:
         """Names of the estimated gains; one is 1 where the drive gain of the problem's robot
         is the identified one.
         """
-        return tuple(name for name in self.estimate.names if name.startswith("K:"))
+        return tuple(filter(is_gain, self.estimate.names))
 
     @property
     def by_recording(self) -> bool:

@@ -24,6 +24,7 @@ from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
+from ..report import is_own
 from .efforts import sign_may_be_wrong
 from .evidence import LEVELS, FitData, TrustLine, judge, part_of
 
@@ -78,7 +79,7 @@ def _findings_below_zero(
 ) -> Iterator[TrustLine | None]:
     """Joints with friction or rotor inertia below zero."""
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
-    apart, by_base = any("@" in name for name in evidence.estimate.names), np.linalg.pinv(base.K)
+    apart, by_base = any(map(is_own, evidence.estimate.names)), np.linalg.pinv(base.K)
     # by joint and kind: half-widths, and a text
     beyond = dict[tuple[int, str], tuple[float, str]]()
     for k, (matrix, first, of) in product(

@@ -28,7 +28,7 @@ from ..estimation import (
     spans_at,
     undetermined_parameters,
 )
-from ..regression import base_name
+from ..report import base_name
 from .causes import MIN_LEFT, cause_by_prior
 from .evidence import BY_PRIOR, FitData, HeldOut, Part, TrustLine, figures_of, judge, part_of
 

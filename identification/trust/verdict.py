@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..report import Assumed
+from ..report import Assumed, is_own
 from . import columns, drives, efforts, physical, predictions, solution
 from .drives import LAW, payload_assumptions
 from .efforts import turned_sign
@@ -30,7 +30,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     holds = {
         "drive gains": robot.gain_known and not evidence.gains,
         "efforts": True,
-        "own parameters": any("@" in name for name in evidence.estimate.names),
+        "own parameters": any(map(is_own, evidence.estimate.names)),
         "ratios": True,
         "lengths": several,
         "sample rate": True,

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..arrays import Array, Ints
 from ..model import InverseModel, friction_alone
-from ..regression import base_name, rigid_torque_at_rows
-from ..report import FitFile
+from ..regression import rigid_torque_at_rows
+from ..report import FitFile, base_name
 from ..results import FitOnRecording
 from .colors import GREY, ORANGE, PREDICTED, SKY, VERMILLION
 from .panels import Curve, Graph

@@ -16,6 +16,7 @@ from identification.data import Recordings, load_signals
 from identification.errors import NoFitError
 from identification.regression import (
     ROWS,
+    Decimation,
     FilteredMotion,
     Overrides,
     equation_alone,
@@ -56,7 +57,9 @@ def test_weights_are_those_of_the_formula_in_any_block():
     moves = np.ones((400, 2), dtype=bool)
     moves[150:160, 0] = moves[300:, 0] = moves[40:60, 1] = False
     problem = scara()
-    settings = dataclasses.replace(problem.settings, start=0, stop=400, decimation=10)
+    settings = dataclasses.replace(
+        problem.settings, used=range(400), decimator=Decimation(factor=10)
+    )
     problem = dataclasses.replace(problem, settings=settings)
     weights = SampleWeights(problem, moves)
     expected = np.stack([by_formula(own, 20) for own in moves.T])

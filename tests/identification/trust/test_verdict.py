@@ -18,10 +18,9 @@ from identification.results import identify_iv
 
 def verdict(tracking, errors, first_stage_F=500.0):
     settled = Pass(
-        x=None, z=(), rows=None, estimate=None, asked=(None, None), intervals=None,
-        lags=(), about=True,
-        change_sigma=0.1, change_percent=0.1, changed="M1",
-        residual_percent=0.1, residual_settled=True, parameters_settled=True,
+        x=None, z=(), rows=None, estimate=None, intervals=None,
+        lags=(), is_consistent=True,
+        parameters_settled=True,
     )  # fmt: skip
     of = DirectModelResidual
     direct = [
@@ -32,9 +31,7 @@ def verdict(tracking, errors, first_stage_F=500.0):
     settled = dataclasses.replace(settled, z=(robot,))
     # whether M is positive is asked of each recording
     none = SimpleNamespace(equations=(), x_of=lambda estimate, x: x)
-    return status_of(
-        none, settled, dataclasses.replace(settled, confirmed_by=(robot,)), first_stage_F
-    )
+    return status_of(none, settled, (settled, (robot,)), first_stage_F, None)
 
 
 def test_every_joint_has_to_track():
