@@ -16,7 +16,7 @@ from ..report import Method
 from ..trust import judge
 from . import iteration as iv
 from .iteration import Iteration
-from .model import Model, Say, read_model
+from .model import Model, ProgressCallback, read_model
 from .passes import Pass
 from .position_noise import position_noise_line
 from .solution import Solution, evidence_of, solution_by_instruments, status_of
@@ -37,7 +37,7 @@ def solve(
     method: Method | None = None,
     iteration: Iteration | None = None,
     essential: bool = False,
-    say: Say = lambda text: None,
+    say: ProgressCallback = lambda text: None,
 ) -> Solution:
     """Solve for base parameters beta (b,) from measured torque and position.
 
@@ -92,7 +92,7 @@ def _read(
     overrides: Overrides,
     method: Method | None,
     iteration: Iteration | None,
-    say: Say,
+    say: ProgressCallback,
 ) -> tuple[Model, Method, str]:
     """The model, the method and its reason: with drive gains always instruments, by default where
     every recording has its reference.
@@ -170,7 +170,7 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     return Solution(model=model, x=x, evidence=evidence, least_squares=ls, essential=kept)
 
 
-def _by_instruments(loop: iv.Loop, say: Say) -> Solution:
+def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:
     """IDIM-IV: the instruments Z are the columns of x along the motion of the robot simulated with
     the previous estimate.
 

@@ -126,7 +126,7 @@ class Loop:
         # The first pass is not the last one where a lag is looked for, and needs no tests.
         tests = not of_lag or number > 1 or all(lag.stated for lag in before[-1].lags)
         measured = self.measured if tests else None  # q_s, dq_s, ddq_s, with (E), and (6)
-        z, rows = self.model.along(self.robots, x, asked, measured, of_lag=of_lag)
+        z, rows = self.model.with_instruments(self.robots, x, asked, measured, of_lag=of_lag)
         rows, lags, settled = with_lags_found(rows, before[-1].lags, number)  # (G)
         try:
             estimate = self.step(rows)  # (C), (D)
@@ -226,7 +226,7 @@ def with_lags_found(
         each = zip(lags, values.tolist(), strict=True)
         lags = tuple(replace(lag, value_s=value_s) for lag, value_s in each)
     settled = bool(small.all()) and (number > 1 or all(lag.stated for lag in lags))
-    return rows.about(np.r_[rows.x[:f], values]), lags, settled
+    return rows.linearised_at(np.r_[rows.x[:f], values]), lags, settled
 
 
 def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated, ...]]:
@@ -253,7 +253,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated,
 
     def confirmed(one: Pass) -> tuple[Simulated, ...]:
         x = model.x_of(one.estimate, last.x)
-        return model.along(loop.robots, x, (x, loop.covariance(one)))[0]
+        return model.with_instruments(loop.robots, x, (x, loop.covariance(one)))[0]
 
     after = confirmed(last)
     tracked = [_tracking(one.z) for one in passes[2:]] + [_tracking(after)]
@@ -262,7 +262,7 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated,
         return last, after
     x = np.r_[best.x[: len(model.names)], last.x[len(model.names) :]]
     _, asked = next_values(loop, passes[: best.number])
-    z, rows = model.along(loop.robots, x, asked, loop.measured)
+    z, rows = model.with_instruments(loop.robots, x, asked, loop.measured)
     found = replace(best, x=x, z=z, rows=rows, estimate=loop.step(rows), lags=last.lags)
     return found, after if best is last else confirmed(found)
 

@@ -37,7 +37,7 @@ from ..trust import Candidates
 # numbers of the positions of several recordings that are held: 64 MB, a few times as much in all
 MAX_HELD = 8_000_000
 
-Say = Callable[[str], None]
+ProgressCallback = Callable[[str], None]
 # by recording, what prepares it at a rate per period of the bandwidth
 Robots = Sequence[Callable[[float], SimulatedRecording]]
 # values of x (p,) to simulate, and their covariance (f, f), None for a regular start
@@ -218,7 +218,7 @@ class Model:
         held = here and all(len(one.signals.q) for one in self.problems)
         return [cache(one) for one in each] if held else each
 
-    def along(
+    def with_instruments(
         self,
         robots: Robots,
         x: Array,
@@ -335,7 +335,7 @@ def with_common_rate(
     return with_common_band(found), laws
 
 
-def read_model(given: Signals | Recordings, overrides: Overrides, say: Say) -> Model:
+def read_model(given: Signals | Recordings, overrides: Overrides, say: ProgressCallback) -> Model:
     """The model of one recording or several, each filtered and decimated separately: with the
     lowest cut-off and rate of rows that the rules give. Raises `BadInputError` if the recordings
     are not of one robot, and as `make_problem`.

@@ -45,7 +45,7 @@ def position_noise_line(
     if reason is not None:
         return judge(NAME, {"no noise": True}, reason=reason)
     assert settings.cutoff_hz is not None
-    problem = problem.beginning()
+    problem = problem.first_minutes()
     noise = _noise_like(problem)
     try:
         plain = (

@@ -305,7 +305,7 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
     def at(ramp: float) -> tuple[Model, Rows]:
         one = model.with_ramps(ramp)
         with suppress(BadInputError):  # what cannot be simulated is told after least squares
-            return one, one.along(robots, x, None)[1] if instruments else one.rows(x)
+            return one, one.with_instruments(robots, x, None)[1] if instruments else one.rows(x)
         return one, one.rows(x)
 
     tried = {ramp: at(ramp) for ramp in (LONG, SHORT, *[ROWS] * short)}

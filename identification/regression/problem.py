@@ -26,7 +26,7 @@ from .settings import (
     with_bandwidth,
 )
 
-BEGINNING_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
+FIRST_MINUTES_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
 # numbers of the regressor of a block, 64 MB; short blocks spend more time on margins
 _SERIES_BLOCK = 8_000_000
 
@@ -166,12 +166,12 @@ class Problem:
         signals = self.signals if stated else replace(self.signals, motion_hz=None)
         return replace(self, signals=signals, settings=settings)
 
-    def beginning(self) -> "Problem":
+    def first_minutes(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it
         is no longer.
         """
         s, fs = self.settings, self.signals.sample_rate_hz
-        if (stop := s.start + round(BEGINNING_S * fs)) >= s.stop:
+        if (stop := s.start + round(FIRST_MINUTES_S * fs)) >= s.stop:
             return self
         signals, settings = (
             self.signals.first(stop + round(MARGIN_S * fs)),

@@ -82,7 +82,10 @@ class Equation:
         drives have by x (p,), and of another motion; on workers some blocks at a time.
         """
         each = zip(
-            (self.drives.about(x, motion) for motion in self.kept or motion_blocks(self.problem)),
+            (
+                self.drives.with_gains_and_lag(x, motion)
+                for motion in self.kept or motion_blocks(self.problem)
+            ),
             repeat(None) if along is None else along,
             strict=False,
         )
@@ -199,7 +202,7 @@ class Rows:
         Z = self.Z[:, stay] if self.Z.size else self.Z
         return replace(self, x=x, Z=Z, system=self.system.with_columns(np.flatnonzero(stay)))
 
-    def about(self, x: Array) -> "Rows":
+    def linearised_at(self, x: Array) -> "Rows":
         """The same about other values of what is held and of the lags, to first order, without rows
         of the lag.
         """

@@ -38,7 +38,7 @@ class Drives:
         of = self.gains >= 0
         return np.where(of, x[self.gains], 1.0) if of.any() else None
 
-    def about(self, x: Array, motion: MotionBlock) -> MotionBlock:
+    def with_gains_and_lag(self, x: Array, motion: MotionBlock) -> MotionBlock:
         """Return a measured motion with the torque sum_m kappa_m E_m(t + L) (N, n), N m or N, of
         equation (I) in place of the recorded one.
         """

@@ -15,7 +15,7 @@ from ..estimation import (
     relative_residual,
     spans_of,
 )
-from ..methods import Iteration, Model, Say, Solution, solve
+from ..methods import Iteration, Model, ProgressCallback, Solution, solve
 from ..regression import ROWS, Overrides, Problem, sample_weights
 from ..report import FTest, Method, base_name
 from ..trust import MIN_FIRST_STAGE_F, trust_in, with_predictions
@@ -39,7 +39,7 @@ def identify(
     method: Method | None = None,
     iteration: Iteration | None = None,
     essential: bool = False,
-    say: Say = lambda text: None,
+    say: ProgressCallback = lambda text: None,
 ) -> Fit:
     """Identify base parameters, and judge the fit by its tests.
 
@@ -58,7 +58,7 @@ def identify_ls(
     *,
     method: Literal["ols", "wls"] = "wls",
     essential: bool = False,
-    say: Say = lambda text: None,
+    say: ProgressCallback = lambda text: None,
 ) -> Fit:
     """Identify by least squares, IDIM-LS, section 2 of Janot2014; parameters as of `identify`."""
     return identify(signals, overrides, method=method, essential=essential, say=say)
@@ -70,7 +70,7 @@ def identify_iv(
     iteration: Iteration,
     *,
     essential: bool = False,
-    say: Say = lambda text: None,
+    say: ProgressCallback = lambda text: None,
 ) -> Fit:
     """Identify by instrumental variables, IDIM-IV, section 3 of Janot2014; as of `identify`."""
     return identify(

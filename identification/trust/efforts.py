@@ -86,7 +86,7 @@ def _undone(
     """The torque error; and with each of the mistakes undone, of signs of `motors` only if these
     are given: error, mistake, motor of a sign, and the map (n, n) of torques times speeds.
     """
-    problem, one = evidence.problem.with_samples().beginning(), np.eye(evidence.robot.n)
+    problem, one = evidence.problem.with_samples().first_minutes(), np.eye(evidence.robot.n)
     factors = _factors(problem, decimated := _decimated(problem), one)
     return _error(factors, one), [
         (

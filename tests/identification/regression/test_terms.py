@@ -38,7 +38,7 @@ def exact():
 
 def test_terms_leave_nothing_of_an_exact_torque(exact):
     equation, x, motion = exact
-    drives = equation.drives.about(x, motion)
+    drives = equation.drives.with_gains_and_lag(x, motion)
     size = np.linalg.norm(equation.drives.torque(x, drives), axis=1)
     assert (np.linalg.norm(equation.residual(x, drives), axis=1) < 1e-9 * size).all()
     tau, (whole,), *_ = torque_of_recording(equation, x)  # from its first sample on
@@ -59,7 +59,7 @@ def test_columns_are_the_derivatives_of_torques(exact, late_s):
     x = x + np.where(np.isin(np.arange(len(x)), equation.drives.gains), 0.1, 0.0)
     x[equation.unknowns.lags] = late_s
     for term, rel in zip(equation.terms, (1e-6, 0.05, 0.05), strict=True):
-        J = term.columns(x, equation.drives.about(x, motion))
+        J = term.columns(x, equation.drives.with_gains_and_lag(x, motion))
         for i in [
             *np.random.default_rng(0).permutation(len(x))[:20].tolist(),
             *equation.drives.gains[[0, 5]],
@@ -68,7 +68,8 @@ def test_columns_are_the_derivatives_of_torques(exact, late_s):
             h = np.zeros(len(x))
             h[i] = 1e-4 if i == -1 else 1e-3 * max(abs(x[i]), 1e-3)
             above, below = (
-                term.torque(at, equation.drives.about(at, motion)) for at in (x + h, x - h)
+                term.torque(at, equation.drives.with_gains_and_lag(at, motion))
+                for at in (x + h, x - h)
             )
             slope = (above - below) / (2 * h[i])
             assert np.linalg.norm(J[:, i] - slope) <= rel * np.linalg.norm(slope)

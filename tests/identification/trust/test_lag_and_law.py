@@ -124,7 +124,7 @@ def test_a_lag_takes_half_its_step_from_the_fourth_pass_on(monkeypatch):
     before = make_problem(recorded("scara"), Overrides()).settings.known_lag
     found = [replace(before, value_s=1.4e-3)]
     monkeypatch.setattr("identification.methods.iteration.lags_in", lambda *_: found)
-    rows = SimpleNamespace(late=(), x=np.array([1.0, 1e-3]), about=lambda x: x)
+    rows = SimpleNamespace(late=(), x=np.array([1.0, 1e-3]), linearised_at=lambda x: x)
     for number, value_s in ((3, 1.4e-3), (4, 1.2e-3)):
         x, (lag,), settled = with_lags_found(rows, [before], number)
         assert (x[-1], lag.value_s, settled) == pytest.approx((value_s, value_s, False))
