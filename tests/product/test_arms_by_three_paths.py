@@ -113,7 +113,7 @@ def test_from_drives(arm, capsys):
     assert true_to(truth, identification.read_fit("fit.json"), MOST_OF_DRIVES)
 
 
-def test_from_a_table(arm):
+def test_from_table(arm):
     """Without a reference nothing tells the delay of the torque, and it is assumed."""
     truth = arm_of(Path("arm.urdf").read_text(), described(ARMS[arm], "--effort", "N m"))
     q, torque = truth.measured(1, 20.0, RATE_HZ)

@@ -37,7 +37,7 @@ def statements(source: str) -> int:
     )
 
 
-def test_statements_are_counted_without_docstrings():
+def test_docstrings_do_not_count():
     source = '"""Text."""\nif x:\n    """Text."""\n    y = [1,\n 2]\n'
     assert statements(source) == 2
 
@@ -49,7 +49,7 @@ def test_statements(tree):
     assert count > MOST_STATEMENTS[tree] - SLACK, "lower the limit to what is there"
 
 
-def test_rooms():
+def test_subpackage_counts():
     assert {
         p: sum(1 for x in (ROOT / p).iterdir() if (x / "__init__.py").exists()) for p in PACKAGES
     } == ROOMS
@@ -104,7 +104,7 @@ def repeated(visits: list[str]) -> int:
     return next(lengths, 0)
 
 
-def test_one_fit_takes_a_short_way():
+def test_fit_visits_few_subpackages():
     trip, command = (
         Trip(),
         ["fit", str(REPLAY / "scara" / "session.mcap"), "--method", "iv", "--workers", "1"],

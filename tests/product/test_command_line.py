@@ -34,9 +34,7 @@ FIT = REPLAY / "scara" / "fit.json"
     ],
     ids=lambda given: given.split()[0] if isinstance(given, str) else None,
 )
-def test_a_reader_that_is_gone_before_the_first_line_costs_nothing(
-    program, command, files, tmp_path, monkeypatch, capfd
-):
+def test_closed_output_pipe_loses_nothing(program, command, files, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     read, written = os.pipe()
     os.close(read)
@@ -72,7 +70,7 @@ raise SystemExit(run_command("p", (), command))
         ("ACQ check nobody.toml | true", 1, "", []),
     ],
 )
-def test_streams_that_cannot_be_written_lose_nothing(line, status, error, files, tmp_path):
+def test_unwritable_streams_lose_nothing(line, status, error, files, tmp_path):
     """The number of a closed stream is not given to the next file: what is
     printed would stand in it.
     """
@@ -106,7 +104,7 @@ def test_streams_that_cannot_be_written_lose_nothing(line, status, error, files,
         assert int(written) > 2 if name == "number" else len(written) > 100
 
 
-def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tmp_path, capsys):
+def test_unwritable_plot_keeps_fit_and_table(tmp_path, capsys):
     assert (
         identify(
             [
@@ -137,7 +135,7 @@ def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tm
         (PermissionError(13, "Permission denied", "x\ny"), 1, "p: x y: Permission denied\n"),
     ],
 )
-def test_statuses(end, status, expected, capsys):
+def test_exit_statuses(end, status, expected, capsys):
     def command():
         print("result")
         if isinstance(end, BaseException):
@@ -148,13 +146,13 @@ def test_statuses(end, status, expected, capsys):
     assert capsys.readouterr() == ("result\n", expected)
 
 
-def test_an_error_that_nobody_foresaw_is_not_hidden():
+def test_unexpected_error_is_not_hidden():
     with pytest.raises(ZeroDivisionError):
         run_command("p", (RobotIdimError,), lambda: 1 // 0)
 
 
 @pytest.mark.parametrize("package", ["acquisition", "identification"])
-def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
+def test_exit_statuses_are_in_help_and_readme(package, capsys):
     with pytest.raises(SystemExit) as stopped:
         (acquire if package == "acquisition" else identify)(["--help"])
     assert stopped.value.code == 0
@@ -166,14 +164,14 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
 
 
 @pytest.mark.parametrize(("program", "lines"), [(ACQUIRE, 24), (IDENTIFY, 30)])
-def test_the_help_of_a_program_is_one_screen(program, lines, capsys, monkeypatch):
+def test_help_fits_one_screen(program, lines, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         program.main(["--help"])
     assert capsys.readouterr().out.count("\n") <= lines
 
 
-def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
+def test_invalid_file_name_gives_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
     for command in (
@@ -194,7 +192,7 @@ def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("program", "name"), [(acquire, "robot-acquire"), (identify, "robot-identify")]
 )
-def test_versions_are_those_of_what_is_installed(program, name, capsys):
+def test_version_is_installed_version(program, name, capsys):
     with pytest.raises(SystemExit) as stopped:
         program(["--version"])
     assert stopped.value.code == 0
@@ -211,7 +209,7 @@ def test_versions_are_those_of_what_is_installed(program, name, capsys):
     [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2), ({"OMP_NUM_THREADS": "2"}, 2)],
     ids=lambda given: " ".join(given) if isinstance(given, dict) else "",
 )
-def test_a_command_computes_by_one_thread_unless_the_user_asks_for_more(given, threads):
+def test_one_blas_thread_by_default(given, threads):
     code = (
         "from contextlib import suppress\nfrom identification.commands import main\n"
         "with suppress(SystemExit): main(['--help'])\n"
@@ -222,7 +220,7 @@ def test_a_command_computes_by_one_thread_unless_the_user_asks_for_more(given, t
     assert told.splitlines()[-1] == str(min(threads, os.cpu_count() or 1))
 
 
-def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
+def test_progress_on_terminal_only(capfd, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     with Progress("reading") as progress:
         progress.say("fitting")
@@ -296,7 +294,7 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
         (identify, "study a --rrd s.rrd", "error: study --rrd is gone: use --report FILE.html"),
     ],
 )
-def test_wrong_usage_is_one_line_with_what_was_meant(program, command, line, capsys):
+def test_typing_error_gets_suggestion(program, command, line, capsys):
     with pytest.raises(SystemExit) as stopped:
         program(command.split())
     assert stopped.value.code == 2
@@ -333,18 +331,18 @@ def test_wrong_usage_is_one_line_with_what_was_meant(program, command, line, cap
         (identify, "excite r.toml -o a --cutoff-hz -3", ""),
     ],
 )
-def test_what_was_meant_is_told_only_where_it_is_near(program, typed, meant, capsys):
+def test_suggestion_only_for_near_match(program, typed, meant, capsys):
     with pytest.raises(SystemExit):
         program(typed.split())
     said = capsys.readouterr().err.strip()
     assert said.partition(": did you mean ")[2] == (f"{meant}?" if meant else "")
 
 
-def test_a_method_may_be_in_capitals():
+def test_method_may_be_in_capitals():
     assert IDENTIFY.parser("fit").parse_args(["fit", "a.mcap", "--method", "IV"]).method == "iv"
 
 
-def test_a_shell_completes_commands_options_and_files_with_a_package(capsys, monkeypatch):
+def test_shell_completion(capsys, monkeypatch):
     pytest.importorskip("shtab")
     for program, status, words in (
         (
@@ -371,7 +369,7 @@ def test_a_shell_completes_commands_options_and_files_with_a_package(capsys, mon
         assert all(word in printed for word in words)
 
 
-def test_exchanged_arguments_are_told(capsys):
+def test_swapped_arguments_are_reported(capsys):
     others = str(REPLAY / "tx40" / "session.mcap")
     for command in ([SESSION, FIT], [SESSION, others, FIT]):
         assert identify(["validate", *map(str, command)]) == 1
@@ -382,7 +380,7 @@ def test_exchanged_arguments_are_told(capsys):
         )
 
 
-def test_a_urdf_in_place_of_a_description_is_told(tmp_path, monkeypatch, capsys):
+def test_urdf_as_robot_toml_is_reported(tmp_path, monkeypatch, capsys):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "arm.urdf").write_text('<?xml version="1.0"?><robot name="a"/>')
     monkeypatch.chdir(tmp_path)
@@ -401,7 +399,7 @@ def test_a_urdf_in_place_of_a_description_is_told(tmp_path, monkeypatch, capsys)
         assert said.count("\n") == 1
 
 
-def test_drives_that_nobody_could_join_are_not_emulated(capsys):
+def test_emulate_refuses_virtual_bus(capsys):
     assert acquire(["emulate", str(SCARA), "--duration", "0.1"]) == 1
     assert capsys.readouterr().err.startswith(
         f"robot-acquire: {SCARA}: bus.interface = 'virtual': other programs cannot join it: "

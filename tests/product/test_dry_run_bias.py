@@ -86,7 +86,7 @@ def cascade(*, smooth: bool) -> LoopGains:
     )  # fmt: skip
 
 
-def test_a_demand_at_one_phase_has_a_ripple_where_targets_are_joined_by_lines():
+def test_linear_targets_give_torque_demand_ripple():
     """(w T)²/3 of the inertia; a twentieth of it with a smooth reference, with and
     without speed fed forward.
     """
@@ -100,7 +100,7 @@ def test_a_demand_at_one_phase_has_a_ripple_where_targets_are_joined_by_lines():
     assert abs(inertia_and_lag(*sampled(FINE, loops))[0]) < expected / 20
 
 
-def test_loops_of_a_bandwidth_are_cascades_of_the_motors():
+def test_bandwidth_gives_motor_cascades():
     """Kd (w e + de) (1 + w / s) at each motor, Kd being 4 w times the inertia that turns with it;
     joint 6 hangs on both.
     """
@@ -118,7 +118,7 @@ def test_loops_of_a_bandwidth_are_cascades_of_the_motors():
 
 
 @pytest.mark.parametrize("smooth", [True, False])
-def test_an_actual_value_is_the_mean_of_the_period_before(smooth):
+def test_actual_value_is_mean_of_last_period(smooth):
     """Half a period late and of the true inertia, whatever the interpolation."""
     text = FINE.replace('reference = "6074"', 'actual = "6077"')
     off, lag = inertia_and_lag(*sampled(text, cascade(smooth=smooth)))
@@ -126,7 +126,7 @@ def test_an_actual_value_is_the_mean_of_the_period_before(smooth):
     assert lag == pytest.approx(0.5, abs=0.02)
 
 
-def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
+def test_check_and_report_note_ripple(monkeypatch):
     at_10_hz = bus_text(1).replace("bandwidth_hz = 5", "bandwidth_hz = 10")  # SYNC every 2 ms
 
     def notes_of(text: str) -> tuple[str, ...]:
@@ -151,7 +151,7 @@ def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
     assert [(f.found, f.ok) for f in found if f.subject == "effort"] == [(text, True)]
 
 
-def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning():
+def test_one_demand_per_sync_is_a_note():
     signals = load_signals(REPLAY / "tx40" / "session.mcap")
     drives = [
         msgspec.structs.replace(one, actual=None, reference="6074")
@@ -168,7 +168,7 @@ def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning():
     assert identify_ls(replace(signals, provenance="tables"), Overrides()).notes == ()
 
 
-def test_only_a_recording_of_simulated_drives_states_their_law():
+def test_dry_run_recording_gives_control_law():
     robot = load_robot(REPLAY / "tx40" / "robot.toml")
     loops = cascaded_loops(robot, np.ones(6))
     described = describe_loops(robot, loops)
@@ -195,7 +195,7 @@ def test_only_a_recording_of_simulated_drives_states_their_law():
 @pytest.mark.parametrize(
     ("controller", "told"), [("10.0", False), ("5.0", True), ('10.0\nstructure = "pid"', True)]
 )
-def test_a_controller_that_a_dry_run_does_not_use_is_told(controller, told):
+def test_unused_controller_warns(controller, told):
     text, recording = (REPLAY / "tx40" / "robot.toml").read_text(), REPLAY / "tx40" / "session.mcap"
     assert "\nbandwidth_hz = 10.0" in text
     changed = robot_of(text.replace("\nbandwidth_hz = 10.0", f"\nbandwidth_hz = {controller}"))
@@ -208,7 +208,7 @@ def test_a_controller_that_a_dry_run_does_not_use_is_told(controller, told):
 
 
 @pytest.mark.parametrize("of_the_description", [True, False])
-def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
+def test_frictionless_pendulum_keeps_energy(of_the_description):
     """Plants are stepped at the middle position: from that of the start they
     would gain 5 % in 4 s.
     """
@@ -233,7 +233,7 @@ def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
 
 
 @pytest.mark.parametrize("period_s", [0.0007, 0.003])
-def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
+def test_plant_period_is_sync_period(period_s):
     """A mass with viscous and dry friction under a constant force F: v = F /
     Fv (1 - exp(-Fv t / M)).
     """
@@ -249,7 +249,7 @@ def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
     assert speed == pytest.approx(50.0 / Fv * (1 - np.exp(-Fv * periods * period_s / M)), rel=2e-3)
 
 
-def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(tmp_path, monkeypatch):
+def test_given_control_law_moves_robot_as_drives(tmp_path, monkeypatch):
     """The wrist is coupled: the law acts on motors.
 
     Without it a stand-in PD was 90 mrad off at joint 6.

@@ -30,7 +30,7 @@ def data_of(caught):
         ("joint[0].speed_deg_s", 3000.0),
     ],
 )
-def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most):
+def test_ineffective_guard_is_refused(tmp_path: Path, key, most):
     """Refused where robot.toml is read; a recording made with it still opens."""
     table, name = key.split(".")
     lines = [line for line in bus_text(1).splitlines() if not line.startswith(f"{name} =")]
@@ -57,7 +57,7 @@ def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most):
         ({"q": [100.0, 1.0]}, "", None),  # beyond the limits of position
     ],
 )
-def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, value):
+def test_default_method_gives_same_error_data(change, key, value):
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     scale, caught = change.pop("q", 1.0), []
     signals = replace(signals, q=signals.q * scale, q_ref=signals.q_ref * scale)

@@ -21,7 +21,7 @@ INPUTS = "0x6041:16,0x6061:8,0:8,0x6064:32,0x606C:32,0x6077:16,0x603F:16"
 HEADER, PACKET = 24, 16  # bytes
 
 
-def test_two_parts_of_the_real_capture_are_fitted_together(tmp_path):
+def test_two_real_captures_are_fitted_together(tmp_path):
     content = needs_data("ethercat", "two_drives.pcap").read_bytes()
     half = HEADER
     while half < len(content) // 2:

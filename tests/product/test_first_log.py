@@ -23,7 +23,7 @@ def write(path: Path, header: str, separator: str, columns: list[np.ndarray]) ->
     path.write_text("\n".join([header, *rows, ""]))
 
 
-def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
+def test_ur5_rtde_log(tmp_path, monkeypatch, capsys):
     """True base parameters, by an independent inverse model, are in their 95 % intervals."""
     monkeypatch.chdir(tmp_path)
     Path("ur5.urdf").write_text(six_joints())
@@ -98,7 +98,7 @@ TWO = 'name = "two"\n' + "".join(
 )
 
 
-def test_a_map_that_is_not_complete_is_named_until_it_is(tmp_path, monkeypatch, capsys):
+def test_incomplete_map_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     small_table(tmp_path)
     Path("robot.toml").write_text(TWO + "[controller]\n")
@@ -131,7 +131,7 @@ def test_a_map_that_is_not_complete_is_named_until_it_is(tmp_path, monkeypatch, 
     assert Path("x.map.toml").read_text() == text, "a map that is there is used"
 
 
-def test_without_a_description_the_map_is_written_and_init_is_named(tmp_path, monkeypatch, capsys):
+def test_without_robot_map_and_init_are_proposed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     small_table(tmp_path, "time,state.q[0],state.q[1],state.tau_J[0],state.tau_J[1]")
     assert acquire(["import", "x.csv"]) == 0

@@ -18,9 +18,7 @@ from acquisition.robot import load_robot
 from identification.model import InverseModel
 
 
-def test_the_six_commands_export_models_that_move_as_the_robot_that_was_recorded(
-    tmp_path, monkeypatch, capsys
-):
+def test_six_commands_export_true_models(tmp_path, monkeypatch, capsys):
     """The robot that is moved is known, so what comes out is compared with it.
 
     A study simulates it.

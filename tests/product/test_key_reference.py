@@ -17,17 +17,17 @@ from acquisition.robot import RobotFile
 
 
 @pytest.mark.parametrize("path", pages(), ids=lambda path: path.parent.name)
-def test_the_reference_is_that_of_the_code(path):
+def test_reference_matches_code(path):
     assert path.read_text() == pages()[path], "run `python tests/key_reference.py`"
 
 
-def test_the_reference_has_all_tables():
+def test_reference_has_all_tables():
     assert {*ROBOT_TABLES, *BUS_TABLES} == set(keys_of(RobotFile))
     assert set(MAP_TABLES) == set(keys_of(TableMap))
 
 
 @pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
-def test_an_option_has_a_description(program):
+def test_options_have_descriptions(program):
     found = list(options_of(program))
     assert len(found) > 30
     assert [f"{command} {action.dest}" for command, action in found if not action.help] == []

@@ -401,7 +401,7 @@ def torques_of(result: Result, folder: Path) -> Iterator[Torque]:
         yield mujoco_torque(str(folder / "out.xml"))
 
 
-def test_the_same_command_writes_the_same(desk, monkeypatch, capsys):
+def test_same_command_writes_same_output(desk, monkeypatch, capsys):
     """Else no difference would be an option's."""
     monkeypatch.chdir(desk.folder)
     for command in ("fit noref.mcap --consistent", "validate fit.json other.mcap", VIEWED):

@@ -43,9 +43,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize(("program", "command", "options"), OUTPUTS, ids=lambda x: str(x)[:8])
-def test_no_output_replaces_a_file_of_another_kind(
-    program, command, options, tmp_path, monkeypatch, capsys
-):
+def test_output_keeps_file_of_other_kind(program, command, options, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for option in options.split():
         endings = ENDINGS.get(option, ENDINGS.get(command.split()[0], [".txt"]))
@@ -78,9 +76,7 @@ def test_no_output_replaces_a_file_of_another_kind(
     ],
     ids=lambda x: str(x)[:9],
 )
-def test_a_command_that_is_run_again_replaces_its_own_files(
-    program, command, tmp_path, monkeypatch, capsys
-):
+def test_rerun_replaces_own_files(program, command, tmp_path, monkeypatch, capsys):
     """Whatever their endings are; an empty file loses nothing."""
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
@@ -92,7 +88,7 @@ def test_a_command_that_is_run_again_replaces_its_own_files(
         assert kind_of(path) in command or path.suffix in (".md", ".html", "")
 
 
-def test_results_from_python_replace_their_own_kind_only(tmp_path):
+def test_python_output_replaces_own_kind_only(tmp_path):
     robot, notes = tmp_path / "robot.toml", tmp_path / "notes.csv"
     robot.write_bytes(SCARA.read_bytes())
     notes.write_text("joint, remark\n1, squeaks\n")

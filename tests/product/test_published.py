@@ -10,7 +10,7 @@ from identification.regression import Overrides
 from identification.results import identify_ls
 
 
-def test_tx40_agrees_with_the_earlier_identification(tx40):
+def test_tx40_agrees_with_earlier_identification(tx40):
     """All rows, as in that identification.
 
     Those at low speed are what its error is mostly made of.
@@ -30,13 +30,13 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
     assert fit.essential.p_effective > 0.01
 
 
-def test_the_page_of_published_digits_is_that_of_the_code(emps, tx40):
+def test_published_page_matches_code(emps, tx40):
     assert without_seconds(PAGE.read_text()) == without_seconds(page(emps, tx40)), (
         "run `python tests/published.py`"
     )
 
 
-def test_the_page_has_every_printed_digit_of_the_emps():
+def test_page_has_every_digit_of_emps():
     """Value, value and command; 5 rows of least squares, cond(W), and friction by
     direction with its error.
     """

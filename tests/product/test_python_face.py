@@ -44,7 +44,7 @@ def by_iv(signals):
         return identification.fit(signals.q, signals.effort, 1000.0, SCARA, signals.q_ref)
 
 
-def test_importing_loads_no_library():
+def test_import_loads_no_library():
     code = (
         "import sys, acquisition, identification; dir(identification); "
         "identification.RobotIdimError\n"
@@ -58,7 +58,7 @@ def test_importing_loads_no_library():
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_what_is_named_is_there(package):
+def test_public_names_exist(package):
     module = PACKAGES[package]
     assert dir(module) == sorted(module.__all__)
     assert {getattr(module, name).__name__ for name in module.__all__} == set(module.__all__)
@@ -66,7 +66,7 @@ def test_what_is_named_is_there(package):
         module.nothing  # noqa: B018
 
 
-def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
+def test_array_fit_finds_true_parameters(signals, by_iv):
     from identification.study import study_truth
 
     base, true = study_truth(signals.robot)
@@ -82,7 +82,7 @@ def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     assert asked.file.reference == "surrogate"
 
 
-def test_arrays_are_copied_and_tell_recordings_apart(signals):
+def test_arrays_are_copied_and_distinguished(signals):
     from identification.data import signals_from_arrays
 
     def made(*others, **columns):
@@ -149,7 +149,7 @@ RATE = "the rate in Hz, a number above 0"
         ({"bandwidth_hz": 5.0}, str(SCARA), "", None, "a URDF; robot.toml has a key for it"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
+def test_invalid_input_is_refused(change, place, key, value, expected):
     given = {
         "q": np.zeros((50, 2)),
         "tau": np.zeros((50, 2)),
@@ -178,7 +178,7 @@ STAMPS = 0.25 + np.arange(50) / 125.0
         ([STAMPS, STAMPS], "125 Hz"),  # of two recordings
     ],
 )
-def test_time_stamps_in_place_of_their_rate_are_told_with_it(stamps, doubt):
+def test_timestamps_as_sample_rate_are_refused(stamps, doubt):
     q: object = np.zeros((50, 2))
     if len(stamps) == 2:
         q = [q, q]
@@ -188,13 +188,13 @@ def test_time_stamps_in_place_of_their_rate_are_told_with_it(stamps, doubt):
     assert str(caught.value) == f"arrays: sample_rate_hz = 50 values: {text}expected {RATE}"
 
 
-def test_positions_that_are_missing_are_told():
+def test_missing_positions_are_reported():
     with pytest.raises(identification.BadInputError) as caught:
         identification.fit(None, np.zeros((50, 2)), 125.0, SCARA)
     assert (caught.value.key, caught.value.value) == ("q.shape", ())
 
 
-def test_a_velocity_is_compared_with_the_derivative(signals):
+def test_velocity_is_compared_with_derivative(signals):
     arrays, speed = (signals.q, signals.effort, 1000.0, SCARA), np.gradient(signals.q, 1e-3, axis=0)
     fit = identification.fit(*arrays, method="wls", velocity=0.8 * speed)
     np.testing.assert_array_equal(fit.evidence.problem.signals.velocity, 0.8 * speed)
@@ -208,7 +208,7 @@ def test_a_velocity_is_compared_with_the_derivative(signals):
         identification.fit(*arrays, velocity=-speed)
 
 
-def test_results_say_in_a_line_what_they_are(signals, by_iv):
+def test_results_have_one_line_repr(signals, by_iv):
     error, essential = by_iv.errors[-1].relative_error_percent, len(by_iv.evidence.essential_names)
     assert (
         repr(by_iv)
@@ -249,7 +249,7 @@ class Page(html.parser.HTMLParser):
             self.texts.append(data)
 
 
-def test_a_notebook_shows_the_report_of_a_fit(signals):
+def test_notebook_shows_fit_report(signals):
     from identification.results import fit_document
 
     robot = replace(signals.robot, name="<b>SCARA & Co")
@@ -274,7 +274,7 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
         assert {" ".join(text.split()) for text in lines} <= {*page.texts}
 
 
-def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
+def test_fit_validates_on_other_recording(signals, by_iv, tmp_path):
     at_iv = by_iv.errors[-1].relative_error_percent
     assert identification.validate(by_iv, signals).relative_error_percent == pytest.approx(
         at_iv, rel=0.05
@@ -297,7 +297,7 @@ def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
     assert found[0].provenance.recording == "other.mcap"
 
 
-def test_a_fit_tells_its_verdict_and_its_parameters(by_iv, tmp_path):
+def test_fit_has_verdict_and_parameters(by_iv, tmp_path):
     assert by_iv.verdict == by_iv.evidence.trust.verdict == "trust"
     assert by_iv.assumed == by_iv.evidence.trust.assumed != ()
     by_iv.to_json(tmp_path / "fit.json")
@@ -323,7 +323,7 @@ def test_a_fit_tells_its_verdict_and_its_parameters(by_iv, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::identification.DoNotUseWarning")
-def test_settings_are_plain_keywords(signals):
+def test_settings_are_keywords(signals):
     def fitted(**given):
         return identification.fit(signals.q, signals.effort, 1000.0, SCARA, method="wls", **given)
 
@@ -340,7 +340,7 @@ def test_settings_are_plain_keywords(signals):
 
 
 @pytest.mark.parametrize("by", ["arrays", "recording"])
-def test_what_is_not_to_be_used_warns_where_it_was_asked_for(signals, by):
+def test_do_not_use_warns_at_caller(signals, by):
     wrong = replace(signals, effort=-signals.effort)
     ways = {
         "arrays": lambda: identification.fit(wrong.q, wrong.effort, 1000.0, SCARA),
@@ -372,7 +372,7 @@ def test_two_fits_are_compared(signals, by_iv):
     assert [warning.filename for warning in told] == [__file__]
 
 
-def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
+def test_robot_may_be_urdf(by_iv, tmp_path):
     urdf = tmp_path / "arm.urdf"
     by_iv.consistent().export(urdf=urdf)
     limits = {"position": 2.0, "speed": 3, "acceleration": [20.0, 30.0]}
@@ -396,7 +396,7 @@ def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
     assert fits[0].verdict == "trust"
 
 
-def test_references_and_studies_are_there_from_python(tmp_path):
+def test_references_and_studies_in_python(tmp_path):
     settings = identification.ExcitationSettings(periods=1, period_s=5.0, harmonics=3)
     identification.design_reference(SCARA, settings, noise=[0.1]).write(tmp_path / "ref.csv")
     table = np.loadtxt(tmp_path / "ref.csv", delimiter=",", skiprows=1)
@@ -405,9 +405,7 @@ def test_references_and_studies_are_there_from_python(tmp_path):
     assert [run.number for run in runs] == [0]
 
 
-def test_examples_the_lines_of_the_readme_and_the_script_of_a_user_run(
-    tmp_path, monkeypatch, capsys
-):
+def test_readme_lines_and_examples_run(tmp_path, monkeypatch, capsys):
     import mujoco
 
     shutil.copy(SCARA, tmp_path / "robot.toml")
@@ -436,7 +434,7 @@ def test_examples_the_lines_of_the_readme_and_the_script_of_a_user_run(
 STORED = REPLAY / "tx40" / "fit.json"
 
 
-def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
+def test_stored_fit_has_short_repr():
     stored = identification.read_fit(STORED)
     expected = (
         "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, "
@@ -468,7 +466,7 @@ def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
     assert repr(known) == "FitFile(60 parameters)"
 
 
-def test_a_fit_predicts_the_torque_of_its_model(by_iv, tmp_path):
+def test_fit_predicts_torque(by_iv, tmp_path):
     """Of the nearest physically possible links, where there are some."""
     from identification.model import InverseModel
 
@@ -489,7 +487,7 @@ def test_a_fit_predicts_the_torque_of_its_model(by_iv, tmp_path):
     assert (told.value.place, told.value.key) == (str(tmp_path / "bare.json"), "description")
 
 
-def test_recordings_are_lists_of_arrays(signals, tmp_path):
+def test_several_recordings_are_lists_of_arrays(signals, tmp_path):
     both = slice(0, 2000), slice(2000, 4001)
     q, tau, q_ref = ([x[part] for part in both] for x in (signals.q, signals.effort, signals.q_ref))
     fit = identification.fit(q, tau, 1000.0, SCARA, q_ref)
@@ -529,12 +527,12 @@ def test_recordings_are_lists_of_arrays(signals, tmp_path):
         ("`robot-identify fit --json` and --gains", "`robot-identify fit --json` and gains"),
     ],
 )
-def test_errors_speak_of_keyword_arguments(text, python):
+def test_errors_name_keyword_arguments(text, python):
     error = identification.RobotIdimError(expected=text)
     assert (str(error), error.args[0]) == (f"expected {python}", f"expected {text}")
 
 
-def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
+def test_error_names_option_or_keyword(tmp_path, capsys):
     from identification.commands import main
 
     settings = identification.ExcitationSettings(period_s=1.0, harmonics=30)

@@ -40,7 +40,7 @@ PROGRAMS = {program.name: program for program in (ACQUIRE, IDENTIFY)}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_is_one_the_program_takes(command):
+def test_every_command_parses(command):
     program, *arguments = shlex.split(command)
     assert callable(PROGRAMS[program].parser(arguments[0]).parse_args(arguments).run)
 
@@ -51,7 +51,7 @@ def masked(line):
     return re.sub(number, "x", line), [float(x) for x in re.findall(number, line)]
 
 
-def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, capsys):
+def test_commands_without_hardware_run(tmp_path, monkeypatch, capsys):
     """On the small robot; what the page of the first session shows is of the arm."""
     for name in ("log.mcap", "other.mcap"):
         shutil.copy(REPLAY / "scara" / "session.mcap", tmp_path / name)
@@ -89,7 +89,7 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
         assert numbers_now[: len(numbers)] == pytest.approx(numbers, rel=0.05)
 
 
-def test_the_description_of_your_own_robot_is_one(tmp_path, capsys):
+def test_shown_robot_toml_is_valid(tmp_path, capsys):
     """The description shown, of one joint of a URDF of two, is read, and has base parameters."""
     (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[SESSION], flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "robot.toml").write_text(shown)
@@ -98,7 +98,7 @@ def test_the_description_of_your_own_robot_is_one(tmp_path, capsys):
     assert "ZZ1R" in capsys.readouterr().out
 
 
-def test_the_map_that_is_shown_maps_the_columns_that_are_named(tmp_path):
+def test_shown_map_fits_named_columns(tmp_path):
     shown, header = (
         re.search(pattern, TEXT[FORMATS], flags=re.MULTILINE | re.DOTALL)[1]
         for pattern in (r"^```toml\n(.*?)^```", r"header `(t,[^`]*)`")
@@ -120,7 +120,7 @@ def test_the_map_that_is_shown_maps_the_columns_that_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
-def test_every_option_and_command_of_a_program_stands_in_the_first_readme(program):
+def test_readme_has_every_command_and_option(program):
     for action in program.parser()._actions:
         assert not action.option_strings or f"`{action.option_strings[-1]}`" in TEXT[FIRST], (
             action.option_strings
@@ -138,7 +138,7 @@ def anchors(text):
 
 
 @pytest.mark.parametrize("readme", ALL, ids=lambda path: str(path.relative_to(ROOT)))
-def test_every_link_leads_somewhere(readme):
+def test_links_lead_to_files(readme):
     links = re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", TEXT[readme])
     for place, anchor in links:
         file = (readme.parent / place).resolve() if place else readme

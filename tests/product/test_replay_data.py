@@ -21,7 +21,7 @@ from identification.study import CATALOGUE, PAYLOAD, TRUE_FACTORS, demo
 
 
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])
-def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
+def test_shipped_sessions_give_stored_fit_and_truth(name, count):
     folder = REPLAY / name
     signals, fit = signals_of(folder / "session.mcap"), iv_of(folder / "session.mcap")
     stored = json.loads((folder / "fit.json").read_text())["parameters"]
@@ -58,7 +58,7 @@ def compare_with_readme(out: str) -> None:
         assert a[3] == pytest.approx(b[3], rel=0.05, abs=0.011)  # printed to two decimals
 
 
-def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
+def test_demo_runs_from_bus_to_plot(capsys, tmp_path):
     """Six simulated drives on a bus, recorded, identified by both methods,
     compared with the truth.
     """
@@ -85,7 +85,7 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     compare_with_shipped("tx40", tmp_path / "out" / "session.mcap")
 
 
-def test_demo_finds_the_gains_of_drives_in_amperes(capsys, tmp_path, monkeypatch):
+def test_demo_finds_drive_gains(capsys, tmp_path, monkeypatch):
     """Drives whose gains differ from the catalogue's by motor; the second recording states 2 kg.
 
     Sessions of a third.
@@ -134,7 +134,7 @@ def rounded(files: dict[str, bytes]) -> dict[str, str]:
     }
 
 
-def test_the_shipped_session_of_the_axis_is_that_which_its_readme_makes(tmp_path):
+def test_axis_session_is_as_readme_makes_it(tmp_path):
     made = tmp_path / "session.mcap"
     (line,) = re.findall(
         r"robot-identify (simulate .*)", (REPLAY / "emps" / "README.md").read_text()
@@ -146,7 +146,7 @@ def test_the_shipped_session_of_the_axis_is_that_which_its_readme_makes(tmp_path
     compare_with_shipped("emps", made)
 
 
-def test_the_story_of_the_paper_holds(capsys, monkeypatch):
+def test_results_of_paper_hold(capsys, monkeypatch):
     """LS is biased by noise of the position, IV is not; any start leads to it, and with the gain
     update is simulated and followed by smaller changes.
     """

@@ -51,7 +51,7 @@ def bus_of_scan(*objects: tuple[int, ...]) -> str:
     ],
 )
 @pytest.mark.parametrize("way", ["--dh R", "arm.urdf --joints turn", "arm.urdf --joints slide"])
-def test_motors_have_the_unit_of_the_scanned_object(
+def test_motors_have_unit_of_scanned_object(
     tmp_path, monkeypatch, capsys, objects, unit, scale, way
 ):
     """Nothing is changed in the description but the lines with FILL IN."""
@@ -85,7 +85,7 @@ def test_motors_have_the_unit_of_the_scanned_object(
         assert "--drive-gain = (0.1,): expected with --effort 'A'" in refused(capsys, *gain)
 
 
-def test_what_contradicts_the_drives_is_refused(tmp_path, monkeypatch, capsys):
+def test_unit_against_drives_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("bus.toml").write_text(bus_of_scan((0x6074,), (0x6078,)))
     both = ["init", "--dh", "RR", "--bus", "bus.toml", "-o", "robot.toml"]

@@ -29,7 +29,7 @@ MOST_FILES, MOST_LINES, MOST_LINES_OF_A_FACE = 15, 400, 10
 
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: f"{room.parent.name}.{room.name}")
-def test_a_room_has_a_purpose_a_face_and_few_files(room):
+def test_subpackage_has_docstring_and_few_files(room):
     face = ast.parse((room / "__init__.py").read_text())
     told = ast.get_docstring(face)
     assert len(told.splitlines()) <= MOST_LINES_OF_A_FACE
@@ -69,11 +69,11 @@ def command_files(package):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_a_command_has_the_name_of_its_file(package):
+def test_command_has_name_of_its_file(package):
     assert [file.rstrip("_") for file in command_files(package)] == commands_of(package)
 
 
-def test_every_room_is_in_the_contracts():
+def test_every_subpackage_is_in_contracts():
     with (ROOT / "pyproject.toml").open("rb") as file:
         contracts = tomllib.load(file)["tool"]["importlinter"]["contracts"]
     layers = {
@@ -89,11 +89,11 @@ def test_every_room_is_in_the_contracts():
 
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: f"{room.parent.name}.{room.name}")
-def test_a_room_has_its_tests(room):
+def test_every_subpackage_has_tests(room):
     assert list((ROOT / "tests" / room.parent.name / room.name).glob("test_*.py"))
 
 
-def test_no_file_imports_a_file_of_tests():
+def test_no_file_imports_tests():
     """What two need stands in a helper beside them, which is imported by its name alone."""
     names = [path.stem for path in TESTS]
     assert {name for name in names if names.count(name) > 1} == set()
@@ -129,7 +129,7 @@ def test_help_loads_nothing_heavy(package):
     assert out.count("usage: robot-") == len(helps)
 
 
-def test_methods_and_simulation_do_without_the_slow_parts_of_scipy(tmp_path):
+def test_fit_and_simulation_avoid_slow_scipy(tmp_path):
     """`scipy.signal` imports `scipy.stats`, which alone takes longer than a fit."""
     code = (
         "import sys, identification.methods\nfrom identification.commands import main\n"
@@ -168,13 +168,13 @@ def test_functions_take_few_parameters():
     assert long == PLAIN_KEYWORDS
 
 
-def test_the_list_of_slow_tests_names_tests():
+def test_slow_list_names_tests():
     for name in listed() - {""}:
         file, _, function = name.split("[")[0].partition("::")
         assert f"def {function}(" in (ROOT / file).read_text(), name
 
 
-def test_the_table_of_wordings_is_that_of_the_code():
+def test_wordings_match_code():
     assert TABLE.read_text(encoding="utf-8") == table(), (
         "read what changed, then `python tests/wordings.py`"
     )

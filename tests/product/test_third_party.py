@@ -41,7 +41,7 @@ from acquisition.simulated import node as simulated_supervision
 __all__ = ["folder", "npm", "port"]  # fixtures
 
 
-def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
+def test_third_party_drive_is_recorded(folder, npm):
     """Its motion is known: every sample is what it sent, in number and value."""
     text = slow_bus_text(1, ratio=1.0, channel=bus_at(folder).channel)
     text = text.replace("node = 1\n", "node = 7\n").replace("65536", "6553600")
@@ -81,7 +81,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     )  # one after the other; a busy machine sends late
 
 
-def test_a_third_party_drive_is_scanned(folder, npm):
+def test_third_party_drive_is_scanned(folder, npm):
     """Beside two simulated drives; what goes to the drives are reads of objects."""
     channel = bus_at(folder).channel
     with third_party_drive(folder, npm), drives(folder):
@@ -113,7 +113,7 @@ def test_a_third_party_drive_is_scanned(folder, npm):
     assert any("6092:1 -, 6092:2 -, 6091:1 -, 6091:2 -, 608F:1 -, 608F:2 -" in row for row in rows)
 
 
-def test_a_third_party_master_is_recorded_passively(folder, npm):
+def test_third_party_master_is_recorded(folder, npm):
     """It configures and moves our simulated drives; sent and recorded are
     equal in number and value.
     """
@@ -159,7 +159,7 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     assert np.ptp(samples["position"][:, 0]) > 0.05  # the drives followed
 
 
-def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
+def test_python_canopen_controls_simulated_drives(monkeypatch):
     """The canopen package, unchanged: boot-up, SDO, PDO mapping, NMT, heartbeat, SYNC."""
     # This master sends SYNC when it has something to say, however long that takes it.
     monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 60 * 10**9)

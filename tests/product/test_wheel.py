@@ -31,7 +31,7 @@ def installed(tmp_path_factory):
     return folder / "site"
 
 
-def test_programs_and_demo_are_in_it(installed, tmp_path):
+def test_wheel_has_programs_and_demo(installed, tmp_path):
     """Without `site` no installation of this checkout is found.
 
     The demo reads its robot before it makes its folder.
@@ -70,7 +70,7 @@ def test_programs_and_demo_are_in_it(installed, tmp_path):
     assert "usage: robot-acquire" in done.stdout
 
 
-def test_a_type_checker_sees_the_types_of_an_editable_installation(tmp_path):
+def test_type_checker_sees_editable_install(tmp_path):
     """A user's script, checked in a folder and an environment that know of this checkout by
     the installation alone.
     """
@@ -110,7 +110,7 @@ def test_a_type_checker_sees_the_types_of_an_editable_installation(tmp_path):
     assert checked.stdout == "Success: no issues found in 2 source files\n"
 
 
-def test_its_robots_are_those_of_the_checkout_and_tests_are_not_in_it(installed):
+def test_wheel_has_robots_and_no_tests(installed):
     packages = {"acquisition", "identification"}
     assert {path.parent.name for path in installed.rglob("py.typed")} == packages
     for name in ("scara", "tx40"):

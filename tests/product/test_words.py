@@ -53,9 +53,7 @@ SMALL = (
 @pytest.mark.parametrize(
     ("name", "commands"), [("scara", EVERY + SMALL), ("tx40", EVERY[:2]), ("emps", EVERY)]
 )
-def test_every_line_fits_a_terminal_and_is_in_words_of_users(
-    name, commands, tmp_path, monkeypatch, capsys
-):
+def test_lines_fit_terminal_and_use_user_words(name, commands, tmp_path, monkeypatch, capsys):
     for file, source in (("log.mcap", "session.mcap"), ("robot.toml", "robot.toml")):
         shutil.copy(REPLAY / name / source, tmp_path / file)
     monkeypatch.chdir(tmp_path)
