@@ -35,7 +35,7 @@ def states(n: int, count: int = 20) -> np.ndarray:
 
 @pytest.mark.parametrize("closed_form", [True, False])
 @pytest.mark.parametrize("name", NAMES)
-def test_inverse_dynamics_are_those_of_pinocchio(name, closed_form):
+def test_inverse_dynamics_match_pinocchio(name, closed_form):
     """The conventions of both are the same: frames, coupled wrist, signs, names of parameters; by
     closed forms and chains.
     """
@@ -50,7 +50,7 @@ def test_inverse_dynamics_are_those_of_pinocchio(name, closed_form):
     )
 
 
-def test_gravity_of_a_tilted_base_is_the_gradient_of_the_potential_energy():
+def test_tilted_gravity_is_energy_gradient():
     body, q = plant(toml("tx40"), tilt_rad=0.05), states(6)[0]
 
     def potential(q: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_gravity_of_a_tilted_base_is_the_gradient_of_the_potential_energy():
     assert np.abs(torque[:, 0]).max() > 0.1  # axis 1 is vertical unless the base is tilted
 
 
-def test_steps_with_root_and_load_friction_obey_the_inverse_model():
+def test_friction_obeys_inverse_model():
     """Root and load friction at both joints: half a step later the inverse model
     gives the torque back.
     """
@@ -126,7 +126,7 @@ def integrated(body, runs: Runs, ticks: int, delay_s: float = 0.0) -> np.ndarray
         ("tx40", 0.0, 1e-5),
     ],
 )
-def test_steps_are_those_of_an_integrator_of_variable_step(name, delay_s, closest):
+def test_steps_match_dop853(name, delay_s, closest):
     """The commands of a noisy run through DOP853, friction included, after their delay,
     a part of a period too.
     """
@@ -146,7 +146,7 @@ def test_steps_are_those_of_an_integrator_of_variable_step(name, delay_s, closes
 
 @pytest.mark.parametrize("recorded", ["command", "mean"])
 @pytest.mark.parametrize(("lag", "delay_s"), [(2.25, 0.0), (0, 1.7e-3)])
-def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag, delay_s):
+def test_recorded_delay_of_torque_ramp(recorded, lag, delay_s):
     """Commands of slope one: a record of what acts, at the mean over a period, is
     the instant less the lag.
     """
