@@ -83,7 +83,7 @@ def _busy() -> None:
         sum(range(10_000))
 
 
-def test_a_full_bus_for_a_minute_beside_a_busy_process(tmp_path):
+def test_full_bus_for_a_minute_on_a_busy_machine(tmp_path):
     context, path = multiprocessing.get_context("fork"), tmp_path / "a.mcap"
     here, there = context.Pipe()
     port = 45000 + os.getpid() % 10000

@@ -72,7 +72,7 @@ def run(code: str, *arguments: object) -> tuple[float, float]:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, most
 
 
-def test_import_of_a_candump(tmp_path):
+def test_candump_import(tmp_path):
     path, robot, out = tmp_path / "large.log", tmp_path / "robot.toml", tmp_path / "a.mcap"
     frames = candump(path, MEGABYTES)
     robot.write_text(bus_text(DRIVES, channel="can0"))

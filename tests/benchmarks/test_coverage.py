@@ -28,7 +28,7 @@ def broken(c: Coverage, lowest: float, worst: float) -> list[str]:
     return [f"{c.case.name}: {text}" for text in found]
 
 
-def test_intervals_cover_the_truth():
+def test_intervals_cover_truth():
     print(f"\n{HEADER}")
     found, outside = [], []
     for cases, runs, lowest, worst in ((AXES, RUNS, 90, 82), (ARM, max(2, RUNS // 5), 86, 75)):

@@ -51,7 +51,7 @@ def capture(path: Path, megabytes: int) -> None:
             records[:, :4] = (records[:, :4].copy().view("<u4") + CYCLES // 1000).view(np.uint8)
 
 
-def test_import_of_a_large_capture(tmp_path):
+def test_large_capture_import(tmp_path):
     path, robot = tmp_path / "large.pcap", tmp_path / "robot.toml"
     capture(path, MEGABYTES)
     robot.write_text(robot_text())

@@ -45,7 +45,7 @@ NONE, ROOT, LOAD = frozenset(), frozenset({"root"}), frozenset({"load"})
         ("tx40", WHITE, (0,), (0,)),
     ],
 )
-def test_terms_that_a_robot_has_are_recommended(name, cell, root, load):
+def test_true_friction_terms_are_selected(name, cell, root, load):
     """In 95 % of the recordings, those terms and no other."""
     toml = REPLAY / name / "robot.toml"
     own = tuple(

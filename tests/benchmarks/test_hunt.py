@@ -19,7 +19,7 @@ NOISE_RUNS = int(os.environ.get("NOISE_RUNS", "16"))
 DEVIATIONS_UM = (2, 5, 10, 20)
 
 
-def test_no_fault_is_trusted_that_can_be_seen():
+def test_visible_faults_are_not_trusted():
     each = max(1, RUNS // 2)
     print(f"\n{HEADER}")
     with ProcessPoolExecutor(os.cpu_count()) as pool:
@@ -58,7 +58,7 @@ def test_no_fault_is_trusted_that_can_be_seen():
     assert trusted[0] >= 0.95
 
 
-def test_no_noise_of_the_position_is_trusted_that_harms():
+def test_harmful_position_noise_is_not_trusted():
     print(f"\n{HEADER}")
     wrong = []
     with ProcessPoolExecutor(os.cpu_count()) as pool:

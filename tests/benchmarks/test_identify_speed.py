@@ -95,7 +95,7 @@ def test_regressor():
     )
 
 
-def test_fit_of_the_tx40_recording(tx40):
+def test_tx40_ls_fit(tx40):
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
     q = np.ascontiguousarray(signals.q)
@@ -105,7 +105,7 @@ def test_fit_of_the_tx40_recording(tx40):
     print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
 
 
-def test_instrumental_variables_on_the_tx40_recording(tx40):
+def test_tx40_iv_fit(tx40):
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
     passes = len(identify_iv(signals, Overrides(), Iteration()).passes)
@@ -164,7 +164,7 @@ def cpu_s(*command: object) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def test_whole_processes_on_the_tx40_recording(tx40):
+def test_tx40_command_line(tx40):
     """The command line from start to end, beside the imports that it cannot do without and
     the floor of its passes.
     """
@@ -214,7 +214,7 @@ def test_study_runs():
         print(f"\nstudy run of {name}: {np.median(times):.2f} s of CPU", end="")
 
 
-def test_a_fit_of_one_hour(tmp_path):
+def test_one_hour_fit(tmp_path):
     path = tmp_path / "hour.mcap"
     hour_long_recording(path)
     dynamics = InverseModel(robot_named("tx40"))

@@ -3,7 +3,7 @@
 from jittered_time import covered
 
 
-def test_estimates_from_uneven_times_stay_in_their_intervals(tmp_path):
+def test_uneven_times_keep_interval_coverage(tmp_path):
     found = covered(tmp_path, 100)
     by_parameter = 100 * found.inside.mean(axis=0)
     print(

@@ -108,7 +108,7 @@ def found_in(name: str, cell: Imperfections, runs: list[int]) -> list[Found]:
     return found
 
 
-def test_intervals_cover_the_truth_whatever_the_lag():
+def test_intervals_cover_truth_at_any_delay():
     print(f"\n{HEADER}")
     alike, outside = defaultdict(list), []
     for k in range(RUNS):

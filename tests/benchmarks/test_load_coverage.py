@@ -40,7 +40,7 @@ TERMS = frozenset({"root", "load"}), frozenset({"load"})
     ("noise", "in_loop", "lowest", "lowest_of_mu"),
     [(1e-6, True, 88, 80), (1e-5, True, 65, 0), (1e-5, False, 88, 80)],
 )
-def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest, lowest_of_mu):
+def test_joint_fit_intervals_cover_truth(noise, in_loop, lowest, lowest_of_mu):
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
     body = replace(

@@ -12,7 +12,7 @@ from lossy_can import Kind, Outcome, outcomes, table
 EACH, SEED = int(os.environ.get("LOSSY_CAN", "393")), 1
 
 
-def test_rows_of_lossy_recordings():
+def test_lossy_recording_rows():
     found = outcomes(SEED, EACH)
     print(f"\nseed {SEED}\n{table(found)}")
     everything = sum(found.values(), Outcome(files=0))

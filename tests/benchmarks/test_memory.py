@@ -59,7 +59,7 @@ def robot_toml(path: Path) -> Path:
     return path
 
 
-def test_a_bag_of_300_mb(tmp_path):
+def test_bag_import_of_300_mb(tmp_path):
     found = []
     for size_mb in (1, BAG_MB):
         bag, out = tmp_path / f"{size_mb}", tmp_path / f"{size_mb}.mcap"
@@ -73,7 +73,7 @@ def test_a_bag_of_300_mb(tmp_path):
 
 
 @pytest.mark.parametrize("hours", [0.7, 1])
-def test_an_hour_of_simulated_recording(tmp_path, hours):
+def test_one_hour_of_simulated_recording(tmp_path, hours):
     """Also somewhat less, where single arrays are not yet large."""
     noise = ("--position-noise", 1e-6, "--effort-noise-percent", 3)
     noise += ("--effort-coloured-percent", 2)
