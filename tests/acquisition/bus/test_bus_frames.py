@@ -36,7 +36,7 @@ from acquisition.robot import BusFile, DriveFile
 from acquisition.session import Recorder
 
 
-def test_a_row_byte_for_byte():
+def test_frame_row_bytes():
     """The layout that recordings hold: time, identifier, length, flags, data,
     little-endian, without gaps.
     """
@@ -101,7 +101,7 @@ class KernelSocket(socket.socket):
         return self.messages.pop(0)
 
 
-def test_frames_of_the_kernel():
+def test_kernel_frames():
     """Identifier, flags and time by hand; beyond the length there are zeros, whatever
     the kernel left there.
     """
@@ -169,7 +169,7 @@ FRAMES = [
 
 
 @pytest.mark.parametrize(("given", "expected"), FRAMES)
-def test_frames_of_python_can(given, expected):
+def test_python_can_frames(given, expected):
     tapped: list[Frame] = []
     frame = Link(FakeBus(given), tap=tapped.append).take(0)
     assert frame[1:] == expected[1:]
@@ -188,14 +188,14 @@ def test_frames_of_python_can(given, expected):
         ),
     ],
 )
-def test_a_receiver_ends_with_the_bus_and_says_why(bus, told):
+def test_receiver_ends_with_bus_and_reason(bus, told):
     receiver = Receiver(bus)
     receiver.run()
     assert receiver.error == told
 
 
 @pytest.mark.parametrize("fd", [0, 3])
-def test_can_fd_is_counted_and_in_no_recording(tmp_path, fd):
+def test_can_fd_is_counted_not_recorded(tmp_path, fd):
     robot = robot_of(bus_text(1))
     recorder = Recorder(tmp_path / "a.mcap", robot, source="test", place="robot.toml")
     recorder.add(block_of([Frame(k, 0x185, bytes(8), CAN_FD if k < fd else 0) for k in range(5)]))
@@ -209,7 +209,7 @@ def test_can_fd_is_counted_and_in_no_recording(tmp_path, fd):
     ] == list(found.warnings)
 
 
-def test_a_receiver_keeps_the_order_and_marks_can_fd():
+def test_receiver_keeps_order_and_marks_can_fd():
     fake = FakeBus(*(given for given, _ in FRAMES), message(data=bytes(12), is_fd=True))
     receiver = Receiver(fake)
     receiver.stopped = True  # what has arrived is still taken
@@ -221,7 +221,7 @@ def test_a_receiver_keeps_the_order_and_marks_can_fd():
     assert len(receiver.take()) == 0
 
 
-def test_what_a_link_sends():
+def test_link_sends_frames():
     fake, tapped = FakeBus(), []
     link = Link(fake, tap=tapped.append)
     link.send(0x605, b"\x40\x41\x60\0\0\0\0\0")
@@ -234,7 +234,7 @@ def test_what_a_link_sends():
     link.close()  # it is left
 
 
-def test_what_a_link_cannot_send_or_read_is_told_and_not_noted():
+def test_link_errors_are_reported_not_recorded():
     fake, tapped = FakeBus(OSError("gone")), []
     fake.send = raising(can.CanOperationError("buffer full"))
     link = Link(fake, tap=tapped.append)
@@ -251,7 +251,7 @@ def group(*messages: can.Message | Exception) -> FakeBus:
     return fake
 
 
-def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_fails():
+def test_invalid_datagram_is_ignored_on_multicast():
     datagram, broken = can.CanOperationError("no frame"), can.CanOperationError("failed to wait")
     broken.__cause__ = OSError(19, "No such device")
     assert Link(group(datagram, message())).take(0.1).can_id == 0x185
@@ -263,7 +263,7 @@ def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_f
     assert Link(noisy).take(0.01) is None
 
 
-def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
+def test_adapter_echo_is_not_received(monkeypatch):
     """As gs_usb does, marked as not received.
 
     What others send from this machine may be marked so too, and stays.
@@ -280,7 +280,7 @@ def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
     assert link.take(0.0) is None
 
 
-def test_frames_that_a_group_gives_back_are_left_out_once_and_can_fd_is_for_the_recorder_alone():
+def test_multicast_echo_is_dropped_once():
     """A multicast group returns what was sent; the same bytes from somebody else, later, are
     a frame like any other.
     """
@@ -302,7 +302,7 @@ def test_frames_that_a_group_gives_back_are_left_out_once_and_can_fd_is_for_the_
         ]
 
 
-def test_drops_that_the_kernel_counts():
+def test_kernel_drop_count():
     """SO_MEMINFO: nine counters, the last one of drops; option 55 of SOL_SOCKET."""
     sock = SimpleNamespace(
         getsockopt=lambda *option: (
@@ -339,7 +339,7 @@ def bus_file(**keys) -> BusFile:
          {"channel": "239.1.2.3", "hop_limit": 1, "fd": False}),
     ],
 )  # fmt: skip
-def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
+def test_bus_opening(monkeypatch, keys, passive, expected):
     asked = []
     monkeypatch.setattr(can, "Bus", lambda **options: asked.append(options) or FakeBus())
     bus = open_bus(bus_file(**keys), passive=passive)
@@ -357,7 +357,7 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
         assert (caught.value.place, caught.value.what) == ("bus", "sending")
 
 
-def test_a_queue_is_enlarged_past_the_limit_where_we_may():
+def test_receive_queue_is_enlarged_if_permitted():
     for granted, forced in ((212_992, [(1, 33, 4 * 2**20)]), (8 * 2**20, [])):  # SO_RCVBUFFORCE
         asked = []
         sock = SimpleNamespace(
@@ -368,7 +368,7 @@ def test_a_queue_is_enlarged_past_the_limit_where_we_may():
         assert links.queue_bytes(sock) == granted
 
 
-def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
+def test_socket_of_kernel_and_multicast_bus():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         assert links.socket_of(SimpleNamespace(socket=sock)) is sock
         assert links.socket_of(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock))) is sock
@@ -384,7 +384,7 @@ def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
 
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
 @pytest.mark.parametrize("seen_after", [0, 3])
-def test_times_go_on_where_the_clock_is_set(step_ns, seen_after):
+def test_times_continue_after_clock_step(step_ns, seen_after):
     """Frames 2 ms apart, block by block; that the clock was set is noticed with the first new
     stamp, or a block before.
     """
@@ -402,7 +402,7 @@ def test_times_go_on_where_the_clock_is_set(step_ns, seen_after):
 
 
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, -3_600_000_000_000, -60_000_000])
-def test_times_go_on_where_the_clock_is_set_within_the_first_block(step_ns):
+def test_times_continue_after_step_in_first_block(step_ns):
     true_ns, wall = 10**13 + 2_000_000 * np.arange(6), [0]
     clock = WallClock(lambda: int(true_ns[-1]) + wall[0], lambda: int(true_ns[-1]), offset_ns=0)
     wall[0] = step_ns
@@ -411,7 +411,7 @@ def test_times_go_on_where_the_clock_is_set_within_the_first_block(step_ns):
 
 
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
-def test_times_go_on_where_the_clock_was_set_before_the_first_frame(step_ns):
+def test_times_continue_after_step_before_frames(step_ns):
     true_ns, wall = 10**9 + 2_000_000 * np.arange(100), [0]
     clock = WallClock(lambda: 10**9 + wall[0], lambda: 10**9, offset_ns=0)
     wall[0] = step_ns
@@ -420,7 +420,7 @@ def test_times_go_on_where_the_clock_was_set_before_the_first_frame(step_ns):
     assert np.concatenate(found).tolist() == true_ns.tolist()
 
 
-def test_an_adapter_with_a_clock_of_its_own_keeps_it():
+def test_adapter_clock_is_kept():
     wall = [0]
     clock = WallClock(lambda: wall[0], lambda: 0, offset_ns=0)
     clock.continued(np.array([1, 2]))
@@ -431,7 +431,7 @@ def test_an_adapter_with_a_clock_of_its_own_keeps_it():
     assert clock.continued(np.array([90_000_000])).tolist() == [90_000_000]  # a pause
 
 
-def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():
+def test_clock_step_is_detected():
     wall, monotonic, found, hour_ns = [1_000_000_000], [5_000_000_000], [], 3_600_000_000_000
     clock = WallClock(lambda: wall[0], lambda: monotonic[0])
     for elapsed_ns, by_ns in (

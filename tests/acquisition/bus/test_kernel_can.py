@@ -39,7 +39,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
+def test_session_over_kernel_can(tmp_path: Path) -> None:
     if not UML.exists() or shutil.which("linux.uml") is None:
         pytest.skip(
             "no User-Mode Linux: Debian's user-mode-linux and ../shared/tools/uml_can.sh give a "

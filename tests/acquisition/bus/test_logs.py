@@ -17,7 +17,7 @@ LINES = [  # line of candump, and what it says: time in ns, identifier, flags, b
 ]  # fmt: skip
 
 
-def test_lines_of_candump(tmp_path):
+def test_candump_lines(tmp_path):
     path = tmp_path / "a.log"
     path.write_bytes("".join(f"{line}\n\n" for line, _ in LINES).encode())
     frames, left_out = read_log(path)

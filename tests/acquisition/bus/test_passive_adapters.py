@@ -94,7 +94,7 @@ def told(asked: Asked) -> Asked:
 
 
 @pytest.mark.parametrize("interface", ADAPTERS)
-def test_an_adapter_is_told_to_only_listen(monkeypatch, interface):
+def test_adapter_is_set_to_listen_only(monkeypatch, interface):
     assert set(ADAPTERS) == set(LISTEN_ONLY)
     channel, driver, listen, take_part = ADAPTERS[interface]
     for passive in (True, False):
@@ -109,7 +109,7 @@ def test_an_adapter_is_told_to_only_listen(monkeypatch, interface):
 
 # off; a parameter that the driver does not have
 @pytest.mark.parametrize("confirms", [(0, 0), (0x04000, 1)])
-def test_a_pcan_that_does_not_confirm_is_no_passive_bus(monkeypatch, confirms):
+def test_unconfirmed_pcan_is_not_passive(monkeypatch, confirms):
     asked: Asked = []
     pcan_driver(monkeypatch, asked, confirms)
     with pytest.raises(RefusedError) as caught:
@@ -146,7 +146,7 @@ NO_WAY = TAKES_PART + "python-can has no listen-only"
         ("virtual", None, None),
     ],
 )
-def test_what_listening_does_to_a_bus(monkeypatch, interface, shown, words):
+def test_effect_of_listening_on_bus(monkeypatch, interface, shown, words):
     def run(command, **_):
         assert command == ["ip", "-details", "link", "show", "dev", "can0"]
         if shown is None:
@@ -158,7 +158,7 @@ def test_what_listening_does_to_a_bus(monkeypatch, interface, shown, words):
     assert found.startswith(f"{interface} can0 {words}") if words else found == ""
 
 
-def test_the_user_is_told_before_the_bus_is_opened(tmp_path, monkeypatch, capsys):
+def test_effect_is_shown_before_bus_opens(tmp_path, monkeypatch, capsys):
     robot = tmp_path / "robot.toml"
     robot.write_text(bus_text(1, interface="kvaser", channel="0"))
 

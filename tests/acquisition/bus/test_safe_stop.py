@@ -109,9 +109,7 @@ def slowly(t: float) -> float:
         (lambda t: 1 - 0.5 * t if t < 0.3 else 1.2, {"ramp": ONE_RAD_S2}, 0.302, 0.02),
     ],
 )
-def test_voltage_goes_off_at_standstill_after_the_ramp_or_where_nothing_else_helps(
-    after, how, at_s, within_s
-):
+def test_voltage_off_at_rest_or_after_ramp_time(after, how, at_s, within_s):
     run, master, sent = moving(after, **how)
     assert safe_stop(master, HeldBack()) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
@@ -121,14 +119,14 @@ def test_voltage_goes_off_at_standstill_after_the_ramp_or_where_nothing_else_hel
         assert off_s(sent, 2) == pytest.approx(0.014, abs=0.012)
 
 
-def test_where_sync_of_another_producer_ends_nothing_stands():
+def test_stop_without_foreign_sync():
     _, master, sent = moving(lambda t: 1.0, extra='sync_producer = "other"')
     master.synced_ns = None  # it was not ours
     safe_stop(master, HeldBack())
     assert off_s(sent, 1) == pytest.approx(0.5 + 1.2 * np.deg2rad(200) / LIMIT, abs=0.03)
 
 
-def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp():
+def test_drive_without_position_gets_its_ramp_time():
     def silence(t: float) -> float:
         if t > 0.024:
             run.drives.silent.add(0)
@@ -139,7 +137,7 @@ def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp()
     assert off_s(sent, 1) == pytest.approx(CAP_S, abs=0.03)
 
 
-def test_quick_stop_goes_to_all_nodes_at_once_by_pdo_and_by_sdo():
+def test_quick_stop_goes_to_all_by_pdo_and_sdo():
     _, master, sent = moving(lambda t: 0.0)
     safe_stop(master, HeldBack())
     first_ns = sent[0][0]
@@ -149,7 +147,7 @@ def test_quick_stop_goes_to_all_nodes_at_once_by_pdo_and_by_sdo():
     assert {can_id for can_id, data in at_once if data[:2] == b"\x02\x00"} >= {0x201, 0x202}
 
 
-def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
+def test_drive_deaf_to_pdo_is_stopped_by_sdo():
     run, master, sent = moving(lambda t: 0.0, started=False)
     assert safe_stop(master, HeldBack()) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
@@ -157,7 +155,7 @@ def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
     assert not any(can_id in (0x201, 0x202) for _, can_id, _ in sent)
 
 
-def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
+def test_silent_drive_is_named_and_delays_none():
     run, master, sent = moving(lambda t: 1.0)
     run.drives.silent.add(1)
     began_ns = run.now_ns()
@@ -168,7 +166,7 @@ def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
 
 
 @pytest.mark.parametrize(("by_ms", "steps_ms"), [(30, [2, 32, 2, 2]), (1, [2, 3, 1, 2])])
-def test_a_late_sync_of_the_stop_is_made_up_for_by_the_next_one_alone_if_at_all(by_ms, steps_ms):
+def test_late_stop_sync_causes_no_burst(by_ms, steps_ms):
     """No burst follows a stall; one late by less than a period moves no later one."""
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
 
@@ -189,7 +187,7 @@ def test_a_late_sync_of_the_stop_is_made_up_for_by_the_next_one_alone_if_at_all(
     assert steps.min() >= 1_000_000
 
 
-def test_where_the_bus_takes_no_sync_for_a_while_the_orders_of_a_stop_go_on_period_by_period():
+def test_stop_commands_go_on_while_sync_fails():
     run, master, sent = moving(lambda t: 1.0)
     again_ns = run.now_ns() + 80_000_000
 
@@ -207,7 +205,7 @@ def test_where_the_bus_takes_no_sync_for_a_while_the_orders_of_a_stop_go_on_peri
     assert set(np.diff(orders_ns)) == {2_000_000}
 
 
-def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
+def test_stop_commands_follow_foreign_sync():
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2), extra='sync_producer = "other"')
     master.link = SyncOfAnother(link=run, next_ns=run.now_ns() + 2_000_000)
     assert safe_stop(master, HeldBack()) == []
@@ -216,14 +214,14 @@ def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
     assert words[:100] == [0x201, 0x80] * 50
 
 
-def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
+def test_voltage_off_follows_confirmation():
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
     run.drives.nodes[0].state = State.SWITCH_ON_DISABLED  # by its own reaction, at speed
     assert safe_stop(master, HeldBack()) == []
     assert off_s(sent, 1) < 0.045  # earlier than any judgement of its speed
 
 
-def test_a_fault_is_disabled_switched_on_is_not_and_a_bus_that_takes_nothing_ends_too(monkeypatch):
+def test_fault_is_disabled_and_switched_on_is_not(monkeypatch):
     run, master, _ = moving(lambda t: 0.0)
     with monkeypatch.context() as patch:
         say(patch, lambda node, word: 0x0233 if node == 2 else 0x0250)
@@ -239,7 +237,7 @@ def test_a_fault_is_disabled_switched_on_is_not_and_a_bus_that_takes_nothing_end
     assert safe_stop(master, HeldBack()) == [1, 2]
 
 
-def test_after_disable_or_the_second_stop_no_session_can_enable_by_pdo(monkeypatch):
+def test_no_pdo_enables_after_disable_or_watchdog(monkeypatch):
     run, master, _ = moving(lambda t: 0.0)
     monkeypatch.setattr(stopping, "open_link", lambda *_, **__: run)
     monkeypatch.setattr(run, "close", lambda: None, raising=False)

@@ -42,7 +42,7 @@ TRACK = Task(reference=swing(2, seconds=0.5, amplitude=0.1))
 ASKED, REMOVED = bytes.fromhex("231610012c017f00"), bytes.fromhex("2316100100000000")
 
 
-def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
+def test_tracking_is_monitored_from_start_to_end(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome.reason == "finished"
     frames = session.frames
@@ -96,7 +96,7 @@ def enabled(
         )
     ),
 )
-def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, state):
+def test_lost_heartbeat_reaction_follows_6007(monkeypatch, option, state):
     monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)
     run, master, _ = enabled(abort_connection=option)
     master.wait(run.now_ns() + 298 * MS)
@@ -107,7 +107,7 @@ def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, st
     assert master.nodes[0].emergency == 0x8130
 
 
-def test_an_unsupervised_drive_notices_nothing():
+def test_unmonitored_drive_stays_enabled():
     run, master, heartbeat = enabled(abort_connection=0, supervised=False)
     assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [
         True,
@@ -117,7 +117,7 @@ def test_an_unsupervised_drive_notices_nothing():
     assert run.drives.states == [State.OPERATION_ENABLED] * 2
 
 
-def test_the_sync_of_another_producer_carries_the_heartbeat_and_counts_who_is_silent():
+def test_foreign_sync_paces_heartbeat():
     run, master = connected(robot_of(bus_text(2, extra='sync_producer = "other"')))
     MasterHeartbeat(master).request()
     enable(master)
@@ -130,7 +130,7 @@ def test_the_sync_of_another_producer_carries_the_heartbeat_and_counts_who_is_si
     assert [watch.silent_syncs for watch in master.nodes] == [0, 199]
 
 
-def test_a_boot_up_is_a_restart_and_a_heartbeat_is_none():
+def test_boot_up_is_restart_and_heartbeat_is_not():
     run, master = connected()
     run.drives.set_heartbeats(100)  # after a restart too
     enable(master)
@@ -143,7 +143,7 @@ def test_a_boot_up_is_a_restart_and_a_heartbeat_is_none():
     assert restarted == [[False, False], [True, False], [True, False]]
 
 
-def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
+def test_foreign_heartbeat_consumers_are_kept(tmp_path, monkeypatch):
     other, ours = 5 << 16 | 700, 127 << 16 | 300
 
     def entries(node):
@@ -168,11 +168,11 @@ def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
      ([0, 127 << 16 | 90], 2),
      ([127 << 16, 0], 1), ([5 << 16 | 100], None), ([200 << 16 | 100], 1)],
 )  # fmt: skip
-def test_a_free_entry(entries, sub):
+def test_free_consumer_entry(entries, sub):
     assert free_entry(entries, 127) == sub
 
 
-def test_the_time_out_is_three_heartbeats_or_periods():
+def test_timeout_is_three_heartbeats_or_periods():
     assert timeout_ms(bus_of(robot_of(bus_text(2))).file) == 300
     assert timeout_ms(bus_of(robot_of(bus_text(2, extra="heartbeat_s = 0.01"))).file) == 30
     assert (
@@ -208,7 +208,7 @@ OFF |= {k: f"{ramp}, then off" for k, ramp in RAMPS.items()}
                                                   "position units, after 20 ms"),
     ],
 )  # fmt: skip
-def test_supervision_in_words(values, missing, expected):
+def test_monitoring_words(values, missing, expected):
     run, master = connected(robot_of(bus_text(1)))
     node = run.drives.nodes[0]
     node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
@@ -237,9 +237,7 @@ OFF_6065 = {0x6065: 2**32 - 1}
          ("none of the master (no free 1016", "none of the following error (6065")),
     ],
 )  # fmt: skip
-def test_motion_is_refused_where_a_drive_stops_too_slowly_or_does_not_supervise_itself(
-    refuse, values, text, words
-):
+def test_motion_needs_fast_stop_and_monitoring(refuse, values, text, words):
     run, master = connected(robot_of(text))
     run.drives.nodes[1].values |= {(index, 0): value for index, value in values.items()}
     with pytest.raises(RefusedError) if words else nullcontext() as caught:
@@ -247,7 +245,7 @@ def test_motion_is_refused_where_a_drive_stops_too_slowly_or_does_not_supervise_
     assert all(word in str(caught.value) for word in words and ("node 2 (motor_2)", *words))
 
 
-def test_check_shows_it_and_where_there_is_no_second_stop():
+def test_check_shows_monitoring_and_watchdog():
     run, master = connected()
     (reaction,) = findings(run, master.bus, "reaction 6007", 2)
     assert reaction.found.startswith("1: fault")
@@ -257,7 +255,7 @@ def test_check_shows_it_and_where_there_is_no_second_stop():
     )
 
 
-def test_a_simulated_drive_stops_at_its_own_following_error():
+def test_simulated_drive_stops_at_following_error():
     """Twice the joint's 5 degrees at a ratio of 50 and 65536 counts a turn: 91 022 counts."""
     run, _, _ = enabled()
     node = run.drives.nodes[0]

@@ -65,7 +65,7 @@ def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
     return captured.err
 
 
-def test_info_tells_everything_and_passes_no_terminal_codes_on(tmp_path, capsys):
+def test_info_shows_all_without_terminal_codes(tmp_path, capsys):
     log, start_ns = tmp_path / "a.mcap", 1_795_260_831_000_000_000
     write(log, robot_named("scara"))
     assert main(["info", str(log), "--json", "--csv", str(tmp_path / "a.csv")]) == 0
@@ -103,7 +103,7 @@ def test_info_tells_everything_and_passes_no_terminal_codes_on(tmp_path, capsys)
     assert not {c for c in text if ord(c) < 32} - {"\n"}
 
 
-def test_known_errors_are_one_line_and_leave_nothing(folder, capsys, monkeypatch):
+def test_known_errors_are_one_line_without_files(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     Path("old.mcap").write_bytes(b"old")
     Path("bad.csv").write_text("1,2,3,4\n1,2,3,x\n")
@@ -170,7 +170,7 @@ def test_inputs_are_not_replaced(folder, capsys):
 
 @pytest.mark.parametrize("command", ["import", "import --topic /t", "import --map m.toml", "info"])
 @pytest.mark.parametrize(("name", "content"), [("log.mcap", b"old"), ("log.bin", b"\x89MCAP0")])
-def test_a_recording_is_not_replaced(folder, capsys, command, name, content):
+def test_recording_is_not_replaced(folder, capsys, command, name, content):
     log = folder / name
     log.write_bytes(content)
     of_robot = ["--robot", str(SCARA)] if command.startswith("import") else []
@@ -184,7 +184,7 @@ def test_a_recording_is_not_replaced(folder, capsys, command, name, content):
     assert log.read_bytes() == content
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing(folder):
+def test_full_disk_is_one_line_without_files(folder):
     before = sorted(folder.iterdir())
     result = run(
         *import_command(folder, folder / "log.mcap"),
@@ -197,7 +197,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(folder):
     assert sorted(folder.iterdir()) == before
 
 
-def test_a_terminal_without_unicode(tmp_path):
+def test_terminal_without_unicode(tmp_path):
     write(tmp_path / "a.mcap", robot_named("scara"))
     result = run(
         "info",

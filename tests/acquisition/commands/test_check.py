@@ -19,7 +19,7 @@ from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
 from acquisition.simulated import SimulatedNode
 
 
-def test_drives_that_are_alike_share_a_row_and_one_that_does_not_answer_is_named():
+def test_equal_drives_share_row_and_silent_is_named():
     run, _ = connected(robot_of(bus_text(3)))
     run.drives.nodes[1].values[0x6007, 0] = 0
     lines = table(check_drives(run, run.drives.bus))
@@ -38,7 +38,7 @@ def test_drives_that_are_alike_share_a_row_and_one_that_does_not_answer_is_named
     assert refusal(findings).startswith("no go: no drive answers; without hardware:")
 
 
-def test_what_only_track_needs():
+def test_findings_for_track_only():
     even = Finding(subject="SYNC", found="", ok=False, track=True)
     drive = Finding(subject="state", found="\x1b[2J\n", ok=False, node=4)
     assert refusal([even]) == "no go for --track: SYNC"
@@ -51,7 +51,7 @@ def test_what_only_track_needs():
 
 
 @pytest.mark.parametrize("state", [*State])
-def test_a_drive_in_fault_is_recorded_and_an_enabled_one_is_left_alone(tmp_path, state):
+def test_fault_allows_recording_enabled_does_not(tmp_path, state):
     """As `record` does: it moves a drive in fault only after a reset that somebody confirms."""
     run, master = connected()
     run.drives.nodes[1].state = state
@@ -82,7 +82,7 @@ WITHOUT_CONTROL = ("node = 1", 'rpdo = [{ objects = ["607A"] }]\nnode = 1')
         (("node = 1", 'node = 1\nmapping = "traffic"'), "no go: mapping", "no go: PDOs, mapping"),
     ],
 )
-def test_what_robot_toml_lacks(tmp_path, capsys, monkeypatch, change, recording, motion):
+def test_missing_keys_of_robot_toml(tmp_path, capsys, monkeypatch, change, recording, motion):
     # On a busy machine SYNC is uneven.
     monkeypatch.setattr(checking, "_jitter", lambda master: Finding(subject="SYNC", found=""))
     text, robot = bus_text(1, channel="lacks"), tmp_path / "robot.toml"
@@ -93,9 +93,7 @@ def test_what_robot_toml_lacks(tmp_path, capsys, monkeypatch, change, recording,
     assert told == [f"recording: {recording}", f"motion: {motion}"]
 
 
-def test_drives_that_answer_sdo_otherwise_are_checked_and_recorded_on_a_bus(
-    tmp_path, capsys, monkeypatch
-):
+def test_drives_with_sdo_quirks_are_recorded(tmp_path, capsys, monkeypatch):
     """No 1017h and no 60C2h, no sizes, a value behind them that means nothing."""
     own = SimulatedNode._serve
 

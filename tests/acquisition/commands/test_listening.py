@@ -50,7 +50,7 @@ SERVICES = [
 
 
 @pytest.mark.parametrize(("can_id", "service", "master"), SERVICES)
-def test_what_a_frame_says_of_its_sender(can_id, service, master):
+def test_frame_shows_its_sender(can_id, service, master):
     frame = Frame(0, can_id, b"\x05")
     assert service_of(frame, 0x80) == service
     sign = sign_of_master(frame, BUS)
@@ -59,7 +59,7 @@ def test_what_a_frame_says_of_its_sender(can_id, service, master):
     assert sign_of_master(frame._replace(flags=EXTENDED), BUS) is None
 
 
-def test_what_is_no_sign_of_a_master():
+def test_frames_without_sign_of_master():
     frame = Frame(0, 0x77F, b"\0")
     assert (service_of(frame, 0x80), sign_of_master(frame, BUS)) == ("boot-up of node 127", None)
     assert [other_node(Frame(0, 0x705, data), BUS) for data in (b"\0", b"\x05")] == [None, 5]
@@ -80,7 +80,7 @@ rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
 
 
 @pytest.mark.parametrize("can_id", [0x80, 0x83, 0x185, 0x585, 0x701, 0x705, 0x123])
-def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
+def test_replay_is_refused_on_active_bus(tracked, can_id, monkeypatch):
     file = bus_file(f"replay_{can_id:03X}")
     ear = Ear(file.channel)
     with (
@@ -96,7 +96,7 @@ def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     assert [frame.can_id for frame in ear.frames()] == [can_id]
 
 
-def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
+def test_replay_sends_drive_frames_and_sync(tracked):
     file = bus_file("replay_silent")
     ear = Ear(file.channel)
     options = ["--interface", "virtual", "--channel", file.channel, "--speed", "1000"]
@@ -112,7 +112,7 @@ def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
     ]
 
 
-def test_replay_keeps_the_timing_whatever_the_clock_of_the_recording_was(tracked, monkeypatch):
+def test_replay_keeps_recorded_timing(tracked, monkeypatch):
     recording = read_recording(tracked)
     frames = next(iter(recording.frames.values())).copy()
     frames["time_ns"] += 1_700_000_000_000_000_000
@@ -137,7 +137,7 @@ def test_replay_keeps_the_timing_whatever_the_clock_of_the_recording_was(tracked
     )
 
 
-def test_replay_stops_at_the_first_stranger(tracked, monkeypatch):
+def test_replay_stops_at_first_foreign_frame(tracked, monkeypatch):
     sent: list[tuple[int, bytes]] = []
 
     def take(timeout_s: float) -> Frame | None:
@@ -152,7 +152,7 @@ def test_replay_stops_at_the_first_stranger(tracked, monkeypatch):
     assert caught.value.expected == "an idle bus; 20 frames were sent"
 
 
-def test_replay_onto_hardware_must_be_asked_for(tracked):
+def test_replay_onto_hardware_needs_option(tracked):
     with pytest.raises(RefusedError) as caught:
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
     assert (caught.value.key, caught.value.value) == ("--interface", "socketcan")
@@ -176,7 +176,7 @@ def other_device(can_id: int = 0x185) -> partial:
     )
 
 
-def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
+def test_heartbeat_of_listed_device_is_accepted(tmp_path):
     robot = robot_of(bus_text(2, extra="other_nodes = [5]"))
     session = dry_session(tmp_path / "a.mcap", TASKS[1], robot=robot, through=other_device())
     assert session.outcome.reason == "finished"
@@ -185,9 +185,7 @@ def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_device_that_is_not_listed_has_its_own_words_unless_there_is_another_master(
-    tmp_path, task
-):
+def test_unlisted_device_is_refused(tmp_path, task):
     session = dry_session(tmp_path / "a.mcap", task, through=other_device())
     error = session.outcome.error
     assert (error.place, error.key, error.value) == ("bus", "other_nodes", ())
@@ -200,7 +198,7 @@ def test_a_device_that_is_not_listed_has_its_own_words_unless_there_is_another_m
 
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x605, 0x77F])
-def test_a_session_beside_another_master_sends_nothing(tmp_path, task, can_id):
+def test_session_beside_other_master_sends_nothing(tmp_path, task, can_id):
     session = dry_session(tmp_path / "a.mcap", task, through=neighbour(can_id))
     assert session.outcome.fault
     assert service_of(Frame(0, can_id, b""), 0x80) in session.outcome.reason
@@ -210,7 +208,7 @@ def test_a_session_beside_another_master_sends_nothing(tmp_path, task, can_id):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
+def test_enabled_drive_without_master_is_untouched(tmp_path, task):
     def enabled(frame: Frame) -> Frame:
         # 6041h: operation enabled
         data = frame.data[:4] + b"\x37\x02\0\0" if frame.can_id == 0x581 else frame.data
@@ -247,7 +245,7 @@ def intruder(*frames: tuple[int, int]) -> partial:
 
 
 @pytest.mark.parametrize(("can_id", "flags", "service"), INTRUDERS)
-def test_another_master_in_motion_is_a_fault_within_two_periods(tmp_path, can_id, flags, service):
+def test_other_master_in_motion_is_fault(tmp_path, can_id, flags, service):
     session = dry_session(tmp_path / "a.mcap", LONG, through=intruder((can_id, flags)))
     (event,) = [e for e in session.recording.events if "another master is active" in e.text]
     assert event.text == f"bus: {service}: another master is active: expected none in motion"
@@ -261,9 +259,7 @@ def test_another_master_in_motion_is_a_fault_within_two_periods(tmp_path, can_id
     ("task", "frames"),
     [(LONG, STRANGERS), (Task(duration_s=1.0), {(0x202, 0): "RPDO 1 to node 2"})],
 )
-def test_a_master_that_commands_no_drive_of_ours_or_none_in_motion_is_a_warning_once_each(
-    tmp_path, task, frames
-):
+def test_harmless_master_frames_warn_once_each(tmp_path, task, frames):
     session = dry_session(tmp_path / "a.mcap", task, through=intruder(*frames))
     assert session.outcome.reason == "finished"
     warned = [
@@ -274,7 +270,7 @@ def test_a_master_that_commands_no_drive_of_ours_or_none_in_motion_is_a_warning_
 
 
 @pytest.mark.parametrize("can_id", [0x080, 0x202])
-def test_frames_of_the_second_stop_are_not_those_of_another_master(tmp_path, can_id):
+def test_watchdog_frames_are_not_other_master(tmp_path, can_id):
     class Stopped(InlineLog):
         def poll(self, stamp_ns):
             if stamp_ns >= INTRUDED_NS:
@@ -285,7 +281,7 @@ def test_frames_of_the_second_stop_are_not_those_of_another_master(tmp_path, can
     assert session.outcome.reason == "the recorder's process stopped the drives"
 
 
-def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out():
+def test_check_beside_other_master_sends_nothing():
     sent: list[Frame] = []
     run = LockStepLink(
         SimulatedDrives(ROBOT, BUS),

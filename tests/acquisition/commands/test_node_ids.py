@@ -31,7 +31,7 @@ TRACK = Task(reference=swing(2, seconds=0.4, amplitude=0.02))
 @pytest.mark.parametrize(
     ("task", "after_ms"), [(Task(duration_s=0.2), 5), (TRACK, 0), (TRACK, 5), (TRACK, 45)]
 )
-def test_a_session_ends_before_a_drive_is_enabled(tmp_path, task, after_ms):
+def test_session_with_duplicate_id_enables_nothing(tmp_path, task, after_ms):
     drives = type("Late", (Twice,), {"after_ns": after_ms * 1_000_000})
     done = dry_session(tmp_path / "log.mcap", task, simulated=drives)
     assert "two devices answer as node 2" in done.outcome.reason
@@ -55,7 +55,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_answer_without_a_request(name):
+def test_unrequested_answer(name):
     frames, said = CASES[name]
     run, master = connected()
     link = Unasked(link=run, frames=list(frames))
@@ -79,7 +79,7 @@ class Slow(FaultyDrives):
         return sent
 
 
-def test_a_late_answer_is_not_that_of_a_second_device():
+def test_late_answer_is_no_second_device():
     run, master = connected(kind=Slow)
     assert findings(run, master.bus, "node ids") == []
     assert run.drives.asked > 20

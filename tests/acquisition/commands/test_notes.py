@@ -58,7 +58,7 @@ def dry_run(folder: Path) -> list[str]:
     return noted(folder)
 
 
-def test_lines_of_a_pipe_are_notes(tmp_path, standard_input):
+def test_pipe_lines_are_notes(tmp_path, standard_input):
     read, write = os.pipe()
     os.write(write, b"tool\x1b[1m\t changed\r\n\n\xff\n" + b"x" * (MAX_NOTE_BYTES + 3) + b"\nend")
     os.close(write)
@@ -69,7 +69,7 @@ def test_lines_of_a_pipe_are_notes(tmp_path, standard_input):
 
 
 @pytest.mark.parametrize("path", ["/dev/null", "/dev/zero", "/"])
-def test_no_standard_input_ends_a_session(tmp_path, standard_input, path):
+def test_standard_input_never_ends_session(tmp_path, standard_input, path):
     standard_input(os.open(path, os.O_RDONLY))
     notes = dry_run(tmp_path)
     assert (len(notes) > 50) == (path == "/dev/zero")
@@ -92,7 +92,7 @@ def taken(notes: Notes, done: Callable[[list[str]], bool]) -> list[str]:
     return found
 
 
-def test_the_key_begins_a_note_that_the_terminal_edits(keys, monkeypatch):
+def test_key_starts_note_with_line_editing(keys, monkeypatch):
     before, notes = termios.tcgetattr(0), Notes(StatusLine())
     press(keys, b"m kept\n")
     with monkeypatch.context() as behind:
@@ -114,7 +114,7 @@ def test_the_key_begins_a_note_that_the_terminal_edits(keys, monkeypatch):
     assert os.read(0, 100) == b"behind\n", "what was typed into the note is not the shell's"
 
 
-def test_an_error_gives_the_terminal_back(tmp_path, keys, monkeypatch):
+def test_error_restores_terminal(tmp_path, keys, monkeypatch):
     before = termios.tcgetattr(0)
 
     def record(*arguments):
@@ -128,9 +128,7 @@ def test_an_error_gives_the_terminal_back(tmp_path, keys, monkeypatch):
 
 
 @pytest.mark.parametrize(("answer", "moves"), [(b"yes\n", True), (b"m yes\n", False)])
-def test_what_is_typed_before_the_question_does_not_answer_it(
-    tmp_path, keys, monkeypatch, capsys, answer, moves
-):
+def test_early_input_does_not_answer_question(tmp_path, keys, monkeypatch, capsys, answer, moves):
     def record(*arguments):
         press(keys, b"no\n" if moves else b"yes\n")
         threading.Timer(0.3, os.write, (keys, answer)).start()
@@ -142,7 +140,7 @@ def test_what_is_typed_before_the_question_does_not_answer_it(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_session_on_a_terminal_takes_notes_and_gives_it_back(tmp_path, number):
+def test_session_takes_notes_and_restores_terminal(tmp_path, number):
     command = [sys.executable, "-m", "acquisition", *record_command(tmp_path), "--dry-run"]
     process, terminal = pty.fork()
     if not process:
@@ -169,7 +167,7 @@ def test_a_session_on_a_terminal_takes_notes_and_gives_it_back(tmp_path, number)
     assert noted(tmp_path) == ["changed"]
 
 
-def test_info_shows_notes_behind_many_other_events(tmp_path, capsys):
+def test_info_shows_notes_among_many_events(tmp_path, capsys):
     path = tmp_path / "log.mcap"
     recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
     for k in range(26):

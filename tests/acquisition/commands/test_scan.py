@@ -40,7 +40,7 @@ def is_upload(frame: Frame) -> bool:
     return 0x601 <= frame.can_id <= 0x67F and reads
 
 
-def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
+def test_scan_of_six_drives_only_reads(tmp_path, capsys):
     out = tmp_path / "bus.toml"
     with served("scan_six", 6):
         ear, started_s = Ear("scan_six"), time.monotonic()
@@ -62,7 +62,7 @@ def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
     )
 
 
-def test_requests_are_a_millisecond_apart_and_nothing_comes_before_half_a_second():
+def test_scan_listens_first_and_spaces_requests():
     frames, robot = list[Frame](), robot_of(bus_text(2))
     link = LockStepLink(FaultyDrives(robot, bus_of(robot)), tap=frames.append)
     started_ns = link.now_ns()
@@ -88,7 +88,7 @@ def drives_of(n: int, kind: type[FaultyDrives] = FaultyDrives) -> LockStepLink:
     ],
 )
 @pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x581, 0x600, 0x601, 0x680, 0x77F])
-def test_nothing_but_a_read_can_be_sent(can_id, frame):
+def test_only_reads_can_be_sent(can_id, frame):
     if can_id != 0x601:
         # a read, but to an identifier of another service
         frame = frame or b"\x40\x41\x60\x00" + bytes(4)
@@ -141,7 +141,7 @@ WRONG = "error frame: no acknowledgement.*bitrate"
         *((Frame(0, 0x20, bytes(8), ERROR), after, WRONG, WRONG) for after in (0, 30, 140)),
     ],
 )
-def test_a_master_that_begins_or_an_error_frame_silences_the_scan(frame, after, told, for_good):
+def test_other_master_or_error_frame_ends_scan(frame, after, told, for_good):
     link = Sudden(link=drives_of(2), frame=frame, after=after)
     uploads = Uploads(link, bus_file())
     with pytest.raises(RefusedError, match=told.format(after)):
@@ -185,7 +185,7 @@ def row(nodes, heard, subject, node):
     return found
 
 
-def test_odd_answers_are_said_as_such():
+def test_invalid_answers_are_shown():
     answers = {
         (1, 0x6075, 0): abort_answer(0x6075, 0, "general error"),
         (1, 0x6092, 1): abort_answer(0x6092, 1, "object does not exist"),
@@ -226,7 +226,7 @@ LONG = b"\x41\x02\x65\x00\x08\x00\x00\x00"  # the beginning of an upload of 8 by
 BEGUN_TEXT = b"\x41\x08\x10\x00\x0a\x00\x00\x00"  # 10 bytes follow in segments
 
 
-def test_texts_that_are_odd_or_not_there_are_said():
+def test_invalid_or_missing_texts_are_shown():
     answers = {
         (1, 0x1009, 0): abort_answer(0x1009, 0, "object does not exist"),
         (1, 0x100A, 0): b"\x43\x0a\x10\x00v\xfc\n\x00",  # latin-1, and with a line feed
@@ -243,7 +243,7 @@ def test_texts_that_are_odd_or_not_there_are_said():
         assert (found.ok, found.found) == (False, f'1008 ({problem}), 1009 "none", 100A "none"')
 
 
-def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
+def test_segmented_text_bytes():
     """CiA 301, 7.2.4.3.6: toggle bits, unused bytes of the last segment; then one answer
     more is another device's.
     """
@@ -262,7 +262,7 @@ def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
     assert master.doubled == {5}
 
 
-def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
+def test_silent_node_does_not_delay_scan():
     silent = {
         (1, index, sub): None
         for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)]
@@ -287,7 +287,7 @@ def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
     )
 
 
-def test_mapped_pdos_are_shown_even_where_a_node_then_falls_silent():
+def test_mapped_pdos_are_shown_of_silent_node():
     read = {(0x1800, 1): 0x181, (0x1A00, 0): 2, (0x1A00, 1): 0x60410010, (0x1A00, 2): 0x60640020,
             (0x1400, 1): 0x80000201, (0x1600, 0): 1, (0x1600, 1): 0x60400010,
             (0x1016, 2): 0x7F001E}  # fmt: skip
@@ -307,7 +307,7 @@ def test_mapped_pdos_are_shown_even_where_a_node_then_falls_silent():
     assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181; no answer"
 
 
-def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
+def test_other_devices_and_nodes_only_heard():
     answers = {
         (1, 0x1000, 0): value_answer(0x1000, 0, 0x00030191, 4),
         (1, 0x6041, 0): abort_answer(0x6041, 0, "object does not exist"),
@@ -365,7 +365,7 @@ NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
         (all_answer(0, tuple(range(2, 128))), None),
     ],
 )
-def test_the_node_id_of_this_program_is_that_of_no_device(link, said, tmp_path, monkeypatch):
+def test_proposed_master_node_id_is_free(link, said, tmp_path, monkeypatch):
     monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: link)
     assert scan("scan_all", "--toml", str(tmp_path / "bus.toml")) == 0
     lines = (tmp_path / "bus.toml").read_text().splitlines()
@@ -384,7 +384,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> str:
     return out.read_text()
 
 
-def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, tmp_path, capsys):
+def test_scanned_file_is_no_go_until_filled_in(scanned, tmp_path, capsys):
     text, robot = described(scanned), tmp_path / "robot.toml"
     assert len(lines_to_fill_in(robot_of(text))) == 5
     assert lines_to_fill_in(robot_of(described(re.sub(" *# FILL IN.*", "", scanned)))) == []
@@ -397,7 +397,7 @@ def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, tm
     assert re.search(r"ok  rated value 6076:0 +1, 2 +420\n", out)
 
 
-def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypatch):
+def test_track_refuses_fill_in_marks(scanned, tmp_path, capsys, monkeypatch):
     (tmp_path / "robot.toml").write_text(described(scanned))
     path = swing(2, seconds=0.4, amplitude=0.02)
     rows = [f"{0.002 * k},{q[0]},{q[1]}" for k, q in enumerate(path)]
@@ -412,7 +412,7 @@ def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypa
     assert main([*command, "--dry-run"]) == 0
 
 
-def test_only_marks_of_what_moves_count():
+def test_only_marks_of_motion_keys_count():
     marked = "[controller] # FILL IN\nbandwidth_hz = 5 # FILL IN"
     text = (
         bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked)
@@ -443,7 +443,7 @@ def test_only_marks_of_what_moves_count():
         ),
     ],
 )
-def test_marks_of_ratios_and_limits_count_too(line, marks, counts):
+def test_marks_of_ratios_and_limits_count(line, marks, counts):
     """`counts`: which of the lines put in the place of `line`."""
     text = bus_text(1)
     first = text[: text.index(line)].count("\n")
@@ -463,7 +463,7 @@ def test_marks_of_ratios_and_limits_count_too(line, marks, counts):
         (["virtual", "--toml", "here.toml"], "here.toml: already exists"),
     ],
 )
-def test_options_that_are_refused(options, said, tmp_path, monkeypatch, capsys):
+def test_refused_options(options, said, tmp_path, monkeypatch, capsys):
     (tmp_path / "here.toml").write_text("mine")
     monkeypatch.chdir(tmp_path)
     assert main(["scan", "--channel", "can0", "--interface", *options]) == 1
@@ -471,7 +471,7 @@ def test_options_that_are_refused(options, said, tmp_path, monkeypatch, capsys):
     assert (tmp_path / "here.toml").read_text() == "mine"
 
 
-def test_an_empty_bus(tmp_path, capsys):
+def test_empty_bus(tmp_path, capsys):
     assert scan("scan_nobody", "--toml", str(tmp_path / "bus.toml")) == 1
     assert "bus: virtual scan_nobody: no node answers" in capsys.readouterr().err
     assert not (tmp_path / "bus.toml").exists()
@@ -495,7 +495,7 @@ def test_an_empty_bus(tmp_path, capsys):
          ['objects = { "30D0" = "I32" }', 'reference = "30D0"', "counts_per_turn = 65536"]),
     ],
 )  # fmt: skip
-def test_units_and_efforts_of_a_drive(values, lines):
+def test_drive_units_and_efforts(values, lines):
     link = drives_of(1)
     (node,) = link.drives.nodes
     for key, value in values.items():

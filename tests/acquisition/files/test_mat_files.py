@@ -61,7 +61,7 @@ def refused(path, columns, count) -> str:
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_objects_beside_the_wanted_variables_are_passed_over(tmp_path, compressed):
+def test_other_objects_are_skipped(tmp_path, compressed):
     opaque = matlab_object(b"log")
     if compressed:
         opaque = struct.pack("<II", 15, len(zlib.compress(opaque))) + zlib.compress(opaque)
@@ -92,7 +92,7 @@ def test_fields_by_dotted_name(tmp_path):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_matrices_either_way_round(tmp_path, turned):
+def test_matrices_in_both_orientations(tmp_path, turned):
     both = {"q": Q, "first": Q[:, :2], "last": Q[:, 2:], "deep": Q[:, :, None]}
     path = mat(
         tmp_path,
@@ -107,7 +107,7 @@ def test_matrices_either_way_round(tmp_path, turned):
     )
 
 
-def test_parts_of_a_matrix_as_matlab_writes_them_and_labels_name_them(tmp_path):
+def test_matrix_parts_by_index_and_label(tmp_path):
     spoilt = np.where(np.arange(21).reshape(7, 3) == 7, np.nan, Q)
     path = mat(tmp_path, {"q": Q, "data": {"r": Q.T, "s": spoilt.T}})
     assert refused(path, ["data.s"], 3) == "row 3: data.s(:,2) = nan: expected a finite number"
@@ -122,7 +122,7 @@ def test_parts_of_a_matrix_as_matlab_writes_them_and_labels_name_them(tmp_path):
     assert "does not exist" in refused(path, ["q(1)"], 1)
 
 
-def test_an_ambiguous_shape_is_refused(tmp_path):
+def test_ambiguous_shape_is_refused(tmp_path):
     square = Q[:3]
     path = mat(tmp_path, {"q": square, "wide": Q[:, :2], "short": T[:5]})
     assert refused(path, ["q"], 3) == (

@@ -89,7 +89,7 @@ def behind_its_answer(frames, which):
 
 
 @pytest.mark.parametrize("which", ["all", "some", "syncs", "queues"])
-def test_frames_are_put_in_the_order_of_their_times(tmp_path, which):
+def test_frames_are_sorted_by_time(tmp_path, which):
     frames = behind_its_answer(made_up(), which)
     recording, found = imported(tmp_path / "a.log", candump(frames))
     assert true_rows(recording) == 300
@@ -105,7 +105,7 @@ def test_frames_are_put_in_the_order_of_their_times(tmp_path, which):
 
 @pytest.mark.parametrize("wrap_s", [60.0, 4294.967296, 86400.0])
 @pytest.mark.parametrize("which", ["none", "all", "syncs"])
-def test_a_counter_of_time_that_wraps_goes_on(tmp_path, wrap_s, which):
+def test_wrapping_time_counter_continues(tmp_path, wrap_s, which):
     """SYNC 100 comes before it wraps, its answers after."""
     frames = behind_its_answer(made_up(at_s=wrap_s - 0.2001), which)
     frames["time_ns"] %= round(wrap_s * 1e9)
@@ -115,7 +115,7 @@ def test_a_counter_of_time_that_wraps_goes_on(tmp_path, wrap_s, which):
     assert int(recording.samples["stamp_ns"][-1]) == round((wrap_s - 0.2001 + 0.598) * 1e9)
 
 
-def test_a_minute_is_no_wrap_where_times_go_beyond_it(tmp_path):
+def test_minute_step_beyond_range_is_no_wrap(tmp_path):
     frames = made_up(at_s=100.0)
     frames["time_ns"][450:] -= 60 * 10**9
     with pytest.raises(BadInputError, match="back by 60 s"):
@@ -126,7 +126,7 @@ def test_a_minute_is_no_wrap_where_times_go_beyond_it(tmp_path):
     ("back_ms", "which"),
     [(500, "none"), (500, "all"), (240, "syncs"), (5, "none"), (5, "all")],
 )
-def test_a_clock_that_was_set_back(tmp_path, back_ms, which):
+def test_clock_set_back(tmp_path, back_ms, which):
     """By the truth that SYNC 700 came 2 ms after SYNC 699."""
     frames = behind_its_answer(made_up(syncs=1000), which)
     frames["time_ns"][2100:] -= back_ms * 1_000_000
@@ -136,14 +136,14 @@ def test_a_clock_that_was_set_back(tmp_path, back_ms, which):
 
 
 @pytest.mark.parametrize("begins_s", [1000.0, 999.0, 1000.1])
-def test_two_sessions_in_a_file(tmp_path, begins_s):
+def test_two_sessions_in_file(tmp_path, begins_s):
     log = tmp_path / "a.log"
     with pytest.raises(BadInputError, match=r"step back by .* at 0.598 s, at frame 901: .*two"):
         imported(log, candump(made_up()) + candump(made_up(at_s=begins_s)))
     assert list(tmp_path.iterdir()) == [log]
 
 
-def test_a_clock_that_was_set_back_by_more_than_a_minute(tmp_path):
+def test_clock_set_back_over_a_minute(tmp_path):
     """Late in a long session: rather another one."""
     frames = made_up(at_s=1000.0)
     frames["time_ns"][300:] += 500 * 10**9
@@ -152,7 +152,7 @@ def test_a_clock_that_was_set_back_by_more_than_a_minute(tmp_path):
         imported(tmp_path / "a.log", candump(frames))
 
 
-def test_steps_of_other_frames_do_not_move_the_clock(tmp_path):
+def test_other_frames_do_not_shift_clock(tmp_path):
     """A heartbeat whose line is 100 ms late, and one whose stamp is wrong by a day."""
     frames = made_up()
     beats = frames[[300, 600]].copy()
@@ -162,7 +162,7 @@ def test_steps_of_other_frames_do_not_move_the_clock(tmp_path):
     assert true_rows(imported(tmp_path / "a.log", candump(frames))[0]) == 300
 
 
-def test_rows_left_out_at_an_end_are_told(tmp_path):
+def test_rows_dropped_at_ends_are_reported(tmp_path):
     frames = made_up()
     for first, end in ((0, 30), (280, 300)):
         some = frames[~((frames["can_id"] == 0x182) & (np.arange(900) // 3 >= first) &
@@ -179,7 +179,7 @@ def test_rows_left_out_at_an_end_are_told(tmp_path):
     (1.5, 0.0, "SYNC came every 3 ms.*correct robot.toml"),
     (0.6, 0.2, "SYNC came 0.8 to 1.6 ms after the one before.*even steps: is each recorded twice"),
 ])  # fmt: skip
-def test_only_an_even_period_is_a_fault_of_the_description(tmp_path, factor, uneven, text):
+def test_only_even_period_blames_robot_toml(tmp_path, factor, uneven, text):
     """Every other SYNC and its answers are late by `uneven` periods."""
     frames, groups = made_up(), np.arange(900) // 3
     frames["time_ns"] += np.rint(
@@ -190,7 +190,7 @@ def test_only_an_even_period_is_a_fault_of_the_description(tmp_path, factor, une
     assert ("correct robot.toml" in str(caught.value)) == (not uneven)
 
 
-def test_syncs_that_are_all_recorded_twice_count_once(tmp_path):
+def test_duplicate_syncs_count_once(tmp_path):
     frames = made_up()
     echo = frames[frames["can_id"] == SYNC].copy()
     echo["time_ns"] += 100_000
@@ -220,7 +220,7 @@ def one_by_one(a, b, head):
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc"])
-def test_channels_have_the_numbers_of_the_file(tmp_path, suffix):
+def test_channels_have_file_numbers(tmp_path, suffix):
     """The drives at CAN 2 are 100 SYNCs ahead."""
     path = tmp_path / f"a{suffix}"
     one, two = made_up(), made_up(syncs=400)[300:]
@@ -241,7 +241,7 @@ def test_channels_have_the_numbers_of_the_file(tmp_path, suffix):
     assert (one["can_id"] == made_up()["can_id"]).all()
 
 
-def test_relative_times_are_each_after_the_event_before(tmp_path):
+def test_relative_times_add_up(tmp_path):
     frames = made_up(at_s=0.5)
     text = asc(frames, relative=True)
     assert true_rows(imported(tmp_path / "a.asc", text)[0]) == 300
@@ -261,7 +261,7 @@ def test_relative_times_are_each_after_the_event_before(tmp_path):
     ("Rx", 40_000, "300 frames recorded as sent and again as received count once"),
     ("Rx", -90_000, "300 frames recorded as sent and again as received count once"),
 ])  # fmt: skip
-def test_what_was_asked_for_or_echoed_is_one_frame(tmp_path, word, off_ns, told):
+def test_requested_or_echoed_frame_counts_once(tmp_path, word, off_ns, told):
     frames = made_up()
     sent = frames[frames["can_id"] == SYNC].copy()
     sent["time_ns"] += off_ns
@@ -277,7 +277,7 @@ def test_what_was_asked_for_or_echoed_is_one_frame(tmp_path, word, off_ns, told)
     assert np.count_nonzero(recording.frames["log"]["can_id"] == SYNC) == 300
 
 
-def test_frames_that_only_resemble_those_sent_stay(tmp_path):
+def test_frames_similar_to_sent_are_kept(tmp_path):
     """Other bytes, another length, half a period away and received twice, and one sent twice."""
     frames = made_up(syncs=50)
     sent, other = frames[0].copy(), frames[[0, 0, 0, 0]]
@@ -307,7 +307,7 @@ def test_frames_that_only_resemble_those_sent_stay(tmp_path):
     ],
 )
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8"])
-def test_heads_in_any_encoding(tmp_path, name, text, encoding):
+def test_headers_in_any_encoding(tmp_path, name, text, encoding):
     assert true_rows(imported(tmp_path / name, text.encode(encoding))[0]) == 300
 
 
@@ -350,13 +350,13 @@ def test_heads_in_any_encoding(tmp_path, name, text, encoding):
         ("a.log", "(1.0) can0 FFFFFFFF#\n", "frame 1: .*identifier 0xFFFFFFFF, .*29 bits"),
     ],
 )
-def test_what_no_recording_holds_is_named(tmp_path, name, content, expected):
+def test_unreadable_logs_are_named(tmp_path, name, content, expected):
     with pytest.raises(BadInputError, match=expected) as caught:
         imported(tmp_path / name, content)
     assert caught.value.place.startswith(str(tmp_path / name))
 
 
-def test_an_identifier_over_11_bits_is_none_of_11_bits(tmp_path):
+def test_identifier_over_11_bits_is_extended(tmp_path):
     """Not marked by its x: 0x10080 is not the SYNC."""
     frames = made_up()
     other = frames[frames["can_id"] == SYNC].copy()
@@ -367,7 +367,7 @@ def test_an_identifier_over_11_bits_is_none_of_11_bits(tmp_path):
 
 @pytest.mark.parametrize("end", [1, 2, 3, 27, 42])
 @pytest.mark.parametrize("more", [b"", b"\0" * 4096])
-def test_a_candump_that_is_cut(tmp_path, end, more):
+def test_truncated_candump(tmp_path, end, more):
     """The last frame is the answer of drive 2 to SYNC 299."""
     content = candump(made_up()).encode()[:-end] + more
     recording, found = imported(tmp_path / "a.log", content)
@@ -378,7 +378,7 @@ def test_a_candump_that_is_cut(tmp_path, end, more):
 
 @pytest.mark.parametrize("name", ["a.asc", "a.trc"])
 @pytest.mark.parametrize("end", [1, 2, 9])
-def test_other_texts_that_are_cut(tmp_path, name, end):
+def test_other_truncated_texts(tmp_path, name, end):
     text = asc(made_up()).removesuffix("End TriggerBlock\n") if name == "a.asc" else trc(made_up())
     recording, found = imported(tmp_path / name, text[:-end])
     assert (true_rows(recording), len(recording.frames["log"])) == (299, 899)
@@ -388,7 +388,7 @@ def test_other_texts_that_are_cut(tmp_path, name, end):
 
 
 @pytest.mark.parametrize("which", ["none", "all"])
-def test_large_logs_go_through_files(tmp_path, monkeypatch, which):
+def test_large_logs_use_temporary_files(tmp_path, monkeypatch, which):
     text = candump(behind_its_answer(made_up(targets=False), which))
     whole, _ = imported(tmp_path / "a.log", text)
     monkeypatch.setattr("acquisition.files.on_disk.MAX_BYTES_IN_MEMORY", 100)

@@ -34,7 +34,7 @@ def check(samples, bus) -> None:
 
 @pytest.mark.parametrize("image", ["lrd_lwr", "lrw"])
 @pytest.mark.parametrize("cycles", [1, 4])
-def test_packets_are_put_in_the_order_of_their_times(tmp_path, monkeypatch, image, cycles):
+def test_packets_are_sorted_by_time(tmp_path, monkeypatch, image, cycles):
     """Of so many cycles each, what came back stands before what went out."""
     bus = made_up.Bus(image=image)
     start, packets = bus.start(), bus.packets(200, start=False)
@@ -51,7 +51,7 @@ def test_packets_are_put_in_the_order_of_their_times(tmp_path, monkeypatch, imag
 
 @pytest.mark.parametrize("back_ms", [6, 20, 400, 100_000])
 @pytest.mark.parametrize("at_once", [2**21, 800])
-def test_a_clock_that_was_set_back(tmp_path, monkeypatch, back_ms, at_once):
+def test_clock_set_back(tmp_path, monkeypatch, back_ms, at_once):
     """By the stamps alone it is unknown when the later rows came; distributed clocks tell it."""
     monkeypatch.setattr("acquisition.importing.captures._AT_ONCE", at_once)
     for clock in (0, 8):
@@ -71,7 +71,7 @@ def test_a_clock_that_was_set_back(tmp_path, monkeypatch, back_ms, at_once):
 
 
 @pytest.mark.parametrize("off_ms", [-300, 300])
-def test_one_wrong_stamp_is_no_clock_that_was_set(tmp_path, off_ms):
+def test_one_wrong_timestamp_is_no_clock_step(tmp_path, off_ms):
     bus = made_up.Bus()
     packets = bus.packets(200)
     time_ns, frame = packets[-151]

@@ -59,7 +59,7 @@ TRC = """;$FILEVERSION=1.1
 """
 
 
-def test_a_pcan_trace_by_hand(tmp_path):
+def test_pcan_trace_by_hand(tmp_path):
     """Days since 1899-12-30 and milliseconds: noon of 2019-01-09, 1547035200 s of Unix time.
 
     The status line is no frame.
@@ -78,7 +78,7 @@ def test_a_pcan_trace_by_hand(tmp_path):
     assert not frames
 
 
-def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
+def test_trace_import_needs_no_map(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(bus_text())
     command = ["--robot", tmp_path / "r.toml", "-o", tmp_path / "a.mcap", "--overwrite"]
     write_log(tmp_path / "a.trc", flat(session()))
@@ -94,7 +94,7 @@ def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
         assert words in told(capsys, "import", *(tmp_path / name for name in tables), *command)
 
 
-def test_csv_holds_every_digit(tmp_path):
+def test_csv_has_every_digit(tmp_path):
     log, mcap, out = tmp_path / "a.log", tmp_path / "a.mcap", tmp_path / "a.csv"
     write_log(log, flat(session(targets=True)))
     import_log(log, mcap, ROBOT, "robot.toml")
@@ -139,7 +139,7 @@ def test_csv_holds_every_digit(tmp_path):
         ),
     ],
 )
-def test_logs_that_are_none(tmp_path, name, content, expected):
+def test_invalid_logs(tmp_path, name, content, expected):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInputError, match=expected):
         import_log(tmp_path / name, tmp_path / "o.mcap", ROBOT, "robot.toml")
@@ -148,7 +148,7 @@ def test_logs_that_are_none(tmp_path, name, content, expected):
 
 @pytest.mark.parametrize("time", ["2147483648.0", "2147483649.0", "9999999999.5"])
 @pytest.mark.parametrize("name", ["a.log", "a.asc"])
-def test_a_time_that_no_recording_holds(tmp_path, name, time):
+def test_time_out_of_recording_range(tmp_path, name, time):
     log = tmp_path / name
     line = "({}) can0 080#\n" if name == "a.log" else " {} 1  80  Rx d 0\n"
     head = "" if name == "a.log" else "base hex timestamps absolute\nno internal events logged\n"
@@ -174,7 +174,7 @@ def test_a_time_that_no_recording_holds(tmp_path, name, time):
         ("test", "(1.098500) can0 20000080#0000000000000000\n", (), 151),
     ],
 )
-def test_frames_of_a_log_that_are_left_out(tmp_path, channel, more, left_out, count):
+def test_skipped_log_frames(tmp_path, channel, more, left_out, count):
     log, out = tmp_path / "a.log", tmp_path / "o.mcap"
     write_log(log, flat(session()))
     log.write_text(
@@ -188,7 +188,7 @@ def test_frames_of_a_log_that_are_left_out(tmp_path, channel, more, left_out, co
     assert recording.metadata.get("left_out", "") == "".join(left_out)
 
 
-def test_two_interfaces_are_not_taken_for_one(tmp_path):
+def test_two_interfaces_are_kept_apart(tmp_path):
     log = tmp_path / "a.log"
     write_log(log, flat(session()))
     log.write_text(log.read_text() + log.read_text().replace("can0", "can1"))
@@ -199,7 +199,7 @@ def test_two_interfaces_are_not_taken_for_one(tmp_path):
     assert caught.value.place == str(log)
 
 
-def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
+def test_missing_frames_or_samples_are_reported(tmp_path):
     with RecordingWriter(tmp_path / "a.mcap", header(ROBOT, 500.0)):
         pass
     with pytest.raises(BadInputError, match=r"holds no (CAN )?frames"):
@@ -220,7 +220,7 @@ def told(capsys, *arguments) -> str:
     return f"{status} {captured.out}{captured.err}"
 
 
-def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys):
+def test_all_commands_say_why_no_samples(tmp_path, capsys):
     log, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
     frames = flat(session(syncs=400, targets=True))
     recorder = recorder_of(
@@ -239,7 +239,7 @@ def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys)
     )
 
 
-def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys):
+def test_truncated_recording_keeps_samples(tmp_path, capsys):
     recorder = recorder_of(tmp_path / "a.mcap", flat(session()))
     recorder.tick(1, 0, now=True)
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
@@ -254,7 +254,7 @@ def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys
     )
 
 
-def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
+def test_own_late_sync_is_reported(tmp_path, capsys):
     frames = flat(session())
     late = frames.copy()
     late["time_ns"][75:] += 4_000_000
@@ -270,7 +270,7 @@ def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
     assert "warning: 2 samples are missing in 1 gaps" in exported
 
 
-def test_what_goes_block_by_block_is_the_same(tmp_path, monkeypatch, capsys):
+def test_block_size_changes_nothing(tmp_path, monkeypatch, capsys):
     with RecordingWriter(tmp_path / "a.mcap", header(ROBOT, 500.0)) as writer:
         writer.frames("can0", flat(session(targets=True)))
     made = []

@@ -75,7 +75,7 @@ NO_REFERENCE = "no reference: the targets are not mapped, or not in frames on th
     ("image", "wrap"),
     [*((image, "") for image in IMAGES), ("lrd_lwr", "vlan"), ("lrw", "udp"), ("frames", "udp")],
 )
-def test_rows_are_those_of_their_cycles(tmp_path, image, wrap):
+def test_rows_match_cycles(tmp_path, image, wrap):
     bus = made_up.Bus(image=image, wrap=wrap, drives=3)
     recording, found = imported(tmp_path, made_up.pcap(bus.packets(100)), robot_of(robot_text(3)))
     cycles = check(recording.samples, bus)
@@ -97,7 +97,7 @@ FILES += [
 
 
 @pytest.mark.parametrize(("kind", "options"), FILES)
-def test_kinds_of_files_give_the_same_samples(tmp_path, kind, options):
+def test_file_formats_give_same_samples(tmp_path, kind, options):
     bus = made_up.Bus()
     samples = imported(tmp_path, kind(bus.packets(100), **options))[0].samples
     np.testing.assert_array_equal(check(samples, bus), np.arange(1, 100))
@@ -106,7 +106,7 @@ def test_kinds_of_files_give_the_same_samples(tmp_path, kind, options):
 
 
 @pytest.mark.parametrize("size", [4, 8])
-def test_distributed_clocks_are_the_time_where_they_are_read(tmp_path, size):
+def test_distributed_clocks_give_time(tmp_path, size):
     """The capture's stamps come late by up to 0.4 periods here, and its clock is slow;
     32 bits wrap in 4.3 s.
     """
@@ -128,7 +128,7 @@ def test_distributed_clocks_are_the_time_where_they_are_read(tmp_path, size):
     assert found.times.startswith("distributed clocks: 1 ms")
 
 
-def test_stations_are_those_of_the_description_or_of_the_bus(tmp_path):
+def test_stations_from_robot_toml_or_bus(tmp_path):
     bus = made_up.Bus(couplers=1, stations=[7, 5, 6])
     content = made_up.pcap(bus.packets(50))
     plain = imported(tmp_path, content)[0].samples
@@ -151,7 +151,7 @@ STATED = {
 
 
 @pytest.mark.parametrize("image", STATED)
-def test_a_capture_that_begins_in_operation_needs_the_mapping(tmp_path, image):
+def test_capture_begun_in_operation_needs_mapping(tmp_path, image):
     bus = made_up.Bus(image=image)
     content = made_up.pcap(bus.packets(100, start=False))
     recording, _ = imported(tmp_path, content, mapping=STATED[image])
@@ -162,7 +162,7 @@ def test_a_capture_that_begins_in_operation_needs_the_mapping(tmp_path, image):
     assert "mapping has 160 bits; it has" in refusal(tmp_path, content, mapping=[WHOLE, WHOLE])
 
 
-def test_a_stated_mapping_where_only_the_objects_are_missing(tmp_path):
+def test_given_mapping_fills_missing_objects(tmp_path):
     """Sync managers and FMMUs are in the capture, and have the last word on the lengths."""
     bus = made_up.Bus(transfer=False, couplers=1)
     content = made_up.pcap(bus.packets(100))
@@ -171,7 +171,7 @@ def test_a_stated_mapping_where_only_the_objects_are_missing(tmp_path):
     assert "station 1002: 1C13 maps 128 bits, sync manager 3 has 80" in told
 
 
-def test_what_is_missing_is_said(tmp_path):
+def test_missing_parts_are_named(tmp_path):
     bus, over = made_up.Bus(), made_up.Bus(image="overlap")
     packets = bus.packets(100)
     out = made_up.pcap([packet for packet in packets if not packet[1][6] & 2])
@@ -196,7 +196,7 @@ def test_what_is_missing_is_said(tmp_path):
     assert "a cycle came every 1 ms; bus.sync_period_s = 0.002 in robot.toml" in told
 
 
-def test_short_working_counters_give_no_row(tmp_path):
+def test_low_working_counter_gives_no_row(tmp_path):
     bus = made_up.Bus(silent=range(30, 32))
     for mapping, start in (((), True), (STATED["lrd_lwr"], False)):
         recording, _ = imported(
@@ -207,7 +207,7 @@ def test_short_working_counters_give_no_row(tmp_path):
         assert len(cycles) > 95
 
 
-def test_a_file_that_is_cut_is_read_to_the_cut(tmp_path):
+def test_truncated_file_is_read_to_its_end(tmp_path):
     bus = made_up.Bus()
     for content in (made_up.pcap(bus.packets(100)), made_up.pcapng(bus.packets(100))):
         recording, found = imported(tmp_path, content[:-200])
@@ -215,7 +215,7 @@ def test_a_file_that_is_cut_is_read_to_the_cut(tmp_path):
         assert any("cut within a packet at byte" in text for text in found.warnings)
 
 
-def test_doubled_frames(tmp_path):
+def test_duplicate_frames(tmp_path):
     bus = made_up.Bus()
     doubled = [(time_ns + 3000 * k, frame) for time_ns, frame in bus.packets(100) for k in (0, 1)]
     recording, found = imported(tmp_path, made_up.pcap(sorted(doubled)))
@@ -233,13 +233,13 @@ def test_doubled_frames(tmp_path):
         ([0, 1000, 2000, 2100, 3000, 4000], [4, 5], [4, 5]),  # one too many
     ],
 )
-def test_late_rows_have_certain_cycles_but_where_one_is_lost_or_too_many(stamps, certain, cycles):
+def test_late_rows_have_known_cycles_without_loss(stamps, certain, cycles):
     numbers, found = cycle_numbers(np.array(stamps), 1000.0)
     assert np.flatnonzero(found).tolist() == [*certain]
     assert numbers[found].tolist() == [*cycles]
 
 
-def test_stations_that_came_back_in_another_order_are_refused(tmp_path):
+def test_changed_station_order_is_refused(tmp_path):
     packets = made_up.Bus().packets(50)
     time_ns, frame = packets[1]  # back, with the position 2
     at = frame.index(b"\x02\x00\x10\x00")
@@ -284,7 +284,7 @@ def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
     ), spoilt
 
 
-def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
+def test_damaged_capture_gives_true_rows_or_error(tmp_path):
     rows, refused, seeds = 0, list[str](), 90
     for seed in range(seeds):
         rng = random.Random(seed)
@@ -304,7 +304,7 @@ def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
     assert len(refused) < 0.4 * seeds  # most have a damaged start
 
 
-def test_frames_are_kept_and_decoded_again(tmp_path):
+def test_kept_frames_are_decoded_again(tmp_path):
     bus, log, out = made_up.Bus(wrap="vlan"), tmp_path / "a.mcap", tmp_path / "b.mcap"
     other = [(made_up.BEGIN_NS + 1, b"\xff" * 12 + b"\x08\x06" + bytes(46))]  # ARP is not kept
     first, _ = imported(tmp_path, made_up.pcap(bus.packets(100) + other))
@@ -324,9 +324,7 @@ def test_frames_are_kept_and_decoded_again(tmp_path):
 
 
 @pytest.mark.parametrize(("image", "clock"), [("lrd_lwr", 4), ("frames", 0)])
-def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(
-    tmp_path, monkeypatch, image, clock
-):
+def test_capture_in_parts_gives_same_rows(tmp_path, monkeypatch, image, clock):
     rng, packets = random.Random(1), []
     for time_ns, frame in made_up.Bus(image=image, clock=clock).packets(500):
         if time_ns < made_up.BEGIN_NS:  # without all of the start there is no mapping
@@ -352,7 +350,7 @@ def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(
     assert (again.times, again.warnings) == (about.times, about.warnings)
 
 
-def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
+def test_import_detects_capture_by_first_bytes(tmp_path, capsys):
     bus = made_up.Bus()
     (tmp_path / "robot.toml").write_text(robot_text())
     (tmp_path / "a.cap").write_bytes(made_up.pcapng(bus.packets(100)))
@@ -369,7 +367,7 @@ def real() -> Path:
     return needs_data("ethercat", "two_drives.pcap")
 
 
-def test_samples_of_the_real_capture_are_its_masters(tmp_path):
+def test_real_capture_samples_match_master(tmp_path):
     recording, found = imported(tmp_path, real().read_bytes())
     master = np.genfromtxt(needs_data("ethercat", "two_drives.csv"), delimiter=",")[:, :4]
     samples = recording.samples[-20_000:]
@@ -382,7 +380,7 @@ def test_samples_of_the_real_capture_are_its_masters(tmp_path):
     assert found.warnings == ()
 
 
-def test_fit_of_the_real_capture(tmp_path):
+def test_real_capture_fit(tmp_path):
     imported(tmp_path, real().read_bytes(), robot_of(robot_text(1, drive="station = 1002\n")))
     fit = identify_iv(load_signals(tmp_path / "a.mcap"), Overrides(), Iteration())
     values = dict(zip(fit.base.names, fit.beta, strict=True))

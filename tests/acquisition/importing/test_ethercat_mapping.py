@@ -76,14 +76,14 @@ SECOND = range(FIRST, FIRST + 7)
 
 
 @pytest.mark.parametrize("seconds", [1, 2])
-def test_writes_that_a_slave_refuses_do_not_count(tmp_path, seconds):
+def test_refused_writes_do_not_count(tmp_path, seconds):
     bus = Remapped(refused=range(FIRST, FIRST + 14), seconds=seconds)
     samples, warnings = imported(tmp_path, bus)
     check(samples, bus)
     assert warnings == ()
 
 
-def test_a_mapping_that_was_confirmed_later_counts(tmp_path):
+def test_later_confirmed_mapping_counts(tmp_path):
     class Other(Remapped):
         def inputs(self, k, i):
             return struct.pack("<hBxiH", self.effort(k, i), 8, self.position(k, i), 0x1237)
@@ -104,11 +104,11 @@ def test_a_mapping_that_was_confirmed_later_counts(tmp_path):
         ),
     ],
 )
-def test_a_mapping_that_is_not_confirmed_is_refused_with_its_sub_index(tmp_path, bus, expected):
+def test_unconfirmed_mapping_is_refused(tmp_path, bus, expected):
     assert f"station {expected}" in refusal(tmp_path, bus)
 
 
-def test_answers_of_another_slave_confirm_nothing(tmp_path):
+def test_answers_of_other_slave_do_not_confirm(tmp_path):
     class Other(made_up.Bus):
         def answer(self, station, sdo):
             return super().answer(station, sdo) if station == 1001 else None
@@ -116,7 +116,7 @@ def test_answers_of_another_slave_confirm_nothing(tmp_path):
     assert "station 1002: 1C13:0 was written, but no answer" in refusal(tmp_path, Other())
 
 
-def test_entries_that_nobody_wrote_are_refused_with_their_sub_index(tmp_path):
+def test_unwritten_entries_are_refused(tmp_path):
     class More(made_up.Bus):
         def sdos(self):
             for sdo in super().sdos():  # the number of entries is one too many
@@ -126,7 +126,7 @@ def test_entries_that_nobody_wrote_are_refused_with_their_sub_index(tmp_path):
     assert "station 1001: 1A00:6 is not known" in refusal(tmp_path, More())
 
 
-def test_in_a_capture_without_answers_writes_count_with_a_warning(tmp_path):
+def test_without_answers_writes_count_with_warning(tmp_path):
     bus = made_up.Bus(answers=False)
     samples, warnings = imported(tmp_path, bus)
     check(samples, bus)
@@ -149,7 +149,7 @@ IN_OPERATION = made_up.BEGIN_NS + 50_400_000
 
 
 @pytest.mark.parametrize(("service", "abort"), [(2, b"\x80"), (1, b"\x60"), (8, b"\x60")])
-def test_what_is_refused_or_is_no_sdo_in_operation_leaves_all_rows(tmp_path, service, abort):
+def test_refused_sdo_in_operation_keeps_rows(tmp_path, service, abort):
     bus = made_up.Bus()
     packets = bus.packets(100) + mail(bus, IN_OPERATION, WRITE, answer=False, service=service)
     packets += mail(
@@ -160,7 +160,7 @@ def test_what_is_refused_or_is_no_sdo_in_operation_leaves_all_rows(tmp_path, ser
     assert warnings == ()
 
 
-def test_one_answer_is_enough_to_miss_the_others(tmp_path, monkeypatch):
+def test_one_answer_makes_others_required(tmp_path, monkeypatch):
     """The capture is read in parts: without an answer so far, writes had counted."""
     monkeypatch.setattr("acquisition.importing.captures._AT_ONCE", 20_000)
     bus, read = made_up.Bus(answers=False), struct.pack("<BHBI", 0x43, 0x1600, 1, 0x60400010)

@@ -58,7 +58,7 @@ TIMES = {
 
 
 @pytest.mark.parametrize("times", TIMES)
-def test_a_table_is_imported_at_the_rate_of_its_source(tmp_path, capsys, times):
+def test_table_is_imported_at_source_rate(tmp_path, capsys, times):
     t_s, parts = logged(even(125), 500)
     np.savetxt(tmp_path / "log.csv", np.c_[parts["position"], parts["effort"], t_s], delimiter=",")
     (tmp_path / "map.toml").write_text(MAP.format(time=TIMES[times]))
@@ -76,7 +76,7 @@ RATES = [(125, 200), (125, 500), (100, 500), (167, 500), (250, 1000), (400, 500)
 
 
 @pytest.mark.parametrize(("source_hz", "log_hz"), RATES)
-def test_new_rows_are_kept_at_the_instants_of_their_source(source_hz, log_hz):
+def test_new_rows_keep_source_times(source_hz, log_hz):
     """Up to a period of the log late, which is the same for all rows."""
     found = grid_of_new_rows(*logged(even(source_hz), log_hz), Place("log"))
     assert found.rate_hz == source_hz
@@ -89,7 +89,7 @@ def test_new_rows_are_kept_at_the_instants_of_their_source(source_hz, log_hz):
     assert f"new at {source_hz} Hz" in told
 
 
-def test_a_source_that_jitters_is_even():
+def test_jittering_source_becomes_even():
     rng = np.random.default_rng(1)
     t_s, parts = logged(even(250) + rng.uniform(0, 1.5e-3, round(250 * SECONDS)), 1000)
     found = grid_of_new_rows(t_s, parts, Place("log"))
@@ -97,7 +97,7 @@ def test_a_source_that_jitters_is_even():
     assert found.report.gaps == 0
 
 
-def test_lost_rows_of_the_source_are_missing_in_the_grid():
+def test_lost_source_rows_are_gaps_in_grid():
     """Two rows, within whose time values are interpolated; ten, a gap."""
     there = np.delete(even(125), [400, 800, *range(1000, 1010)])
     found = grid_of_new_rows(*logged(there, 500), Place("log"))
@@ -109,7 +109,7 @@ def test_lost_rows_of_the_source_are_missing_in_the_grid():
 
 @pytest.mark.parametrize("share", [0.02, 0.2])
 @pytest.mark.parametrize(("source_hz", "log_hz"), RATES[:4])
-def test_many_lost_rows_of_the_source_do_not_bend_time(source_hz, log_hz, share):
+def test_many_lost_rows_do_not_distort_time(source_hz, log_hz, share):
     """Values next to missing rows are interpolated, others at their instants."""
     there = np.random.default_rng(2).random(round(SECONDS * source_hz)) > share
     found = grid_of_new_rows(*logged(even(source_hz)[there], log_hz), Place("log"))
@@ -123,7 +123,7 @@ def test_many_lost_rows_of_the_source_do_not_bend_time(source_hz, log_hz, share)
 
 
 @pytest.mark.parametrize(("source_hz", "log_hz"), RATES[:5])
-def test_pauses_do_not_bend_time(source_hz, log_hz):
+def test_pauses_do_not_distort_time(source_hz, log_hz):
     """A robot that stands for 4 s before its motion and for 3 s within it: no row is new then."""
     source_s, t_s = even(source_hz), even(log_hz)
     moved_s = np.clip(source_s - 4, 0, 3) + np.clip(source_s - 10, 0, None)
@@ -137,7 +137,7 @@ def test_pauses_do_not_bend_time(source_hz, log_hz):
     assert found.absent.sum() > 5 * source_hz
 
 
-def test_rows_that_repeat_at_random_keep_their_own_times():
+def test_randomly_repeated_rows_keep_times():
     t_s, parts = logged(even(500), 500)
     late = np.random.default_rng(3).random(len(t_s)) < 0.2
     last = np.maximum.accumulate(np.where(late, 0, np.arange(len(t_s))))
@@ -147,7 +147,7 @@ def test_rows_that_repeat_at_random_keep_their_own_times():
     assert np.abs(off).max() < 1e-6
 
 
-def test_efforts_that_are_new_in_each_row_are_those_of_the_instants():
+def test_efforts_new_in_each_row_keep_times():
     t_s, parts = logged(even(125), 500, new=("position",))
     found = grid_of_new_rows(t_s, parts, Place("log"))
     t_s = np.arange(len(found.parts["effort"])) / 125
@@ -155,7 +155,7 @@ def test_efforts_that_are_new_in_each_row_are_those_of_the_instants():
     np.testing.assert_allclose(found.parts["effort"], motion(t_s + 2 * late_s)["effort"], atol=2e-3)
 
 
-def test_a_rate_that_is_stated_counts_if_it_is_lower():
+def test_lower_given_rate_is_used():
     rows = logged(even(125), 500)
     rates = [grid_of_new_rows(*rows, Place("log"), hz).rate_hz for hz in (500.0, 50.0)]
     assert rates == [125, 50]
@@ -172,7 +172,7 @@ def test_a_rate_that_is_stated_counts_if_it_is_lower():
         lambda q: np.where(np.arange(len(q))[:, None] % 50 == 0, np.roll(q, 1, axis=0), q),
     ],
 )
-def test_other_rows_are_left_as_they_are(change):
+def test_other_rows_are_unchanged(change):
     """As they are, coarse, standing still for half of the time, never moving, a row in 50 late."""
     t_s = even(500)
     parts = motion(t_s)

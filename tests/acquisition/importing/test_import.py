@@ -69,7 +69,7 @@ def refusal(
     return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
 
 
-def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
+def test_motor_side_is_converted_to_joint_side(tmp_path, two, table):
     result = run(tmp_path, two, MAP, table)
     recording = read_recording(result.out)
     assert np.rad2deg(recording.samples["position"]) == pytest.approx(POSITION_DEG)
@@ -90,7 +90,7 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
     assert result.warnings == ("effort of joint second up to 20 N m: limit 16 N m",)
 
 
-def test_joint_side_stands_as_it_is(tmp_path, two, table):
+def test_joint_side_is_unchanged(tmp_path, two, table):
     table_map = (
         MAP.replace("motor", "joint").replace("mA", "mN m")
         + '[reference]\ncolumns = ["p2", "p1"]\n'
@@ -122,7 +122,7 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
     "header",
     ['"p1","p2","c1","c2"', "\ufeffp1,p2,c1,c2", "# x\n# y\np1,p2,c1,c2", "# x\n# p1,p2,c1,c2", ""],
 )
-def test_kinds_of_csv(tmp_path, two, separator, header):
+def test_csv_variants(tmp_path, two, separator, header):
     table = csv(tmp_path / "a.csv", header.replace(",", separator), Q, CURRENT, separator=separator)
     table.write_text(table.read_text().replace("\n", "\r\n") + "\r\n# end\r\n")
     table_map = (
@@ -143,7 +143,7 @@ def with_time(unit: str, rate: str = "") -> str:
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
+def test_timestamps_lie_on_fitted_grid(tmp_path, two, unit, scale):
     time_s = 2.0 + np.arange(1000) / 500 + np.random.default_rng(0).uniform(-5e-5, 5e-5, 1000)
     table = csv(
         tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((1000, 4)), np.round(time_s * scale, 9)
@@ -155,12 +155,12 @@ def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
 
 
 @pytest.mark.parametrize("rate_hz", [5000.0, 3.0, 44.1, 999.5])
-def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
+def test_rate_is_roundest_fitting(tmp_path, two, rate_hz):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((2000, 4)), np.arange(2000) / rate_hz)
     assert read_recording(run(tmp_path, two, with_time("s"), table).out).sample_rate_hz == rate_hz
 
 
-def test_a_short_record_with_jitter_keeps_its_own_rate_and_times_before_0_begin_at_0(tmp_path, two):
+def test_short_jittered_record_keeps_rate(tmp_path, two):
     time_s = np.array([0.0, 0.00221, 0.00416]) - 0.01  # 481 Hz; the scatter alone would allow 500
     result = run(
         tmp_path,
@@ -191,7 +191,7 @@ GRID = np.arange(100) / 500
         (GRID * 1e12, "", "a.csv", "", None, "68 years and 100 MHz at most"),
     ],
 )  # fmt: skip
-def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, expected):
+def test_times_without_grid(tmp_path, two, time_s, rate, place, key, value, expected):
     rows = [f"0,0,0,0,{t:.17g}" for t in time_s]
     (tmp_path / "a.csv").write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
     found = refusal(tmp_path, two, with_time("s", rate), tmp_path / "a.csv")
@@ -256,7 +256,7 @@ def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
     assert found == ("map.toml" if key else "a.csv", key, value, expected)
 
 
-def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table):
+def test_side_is_optional_without_gear(tmp_path, two, table):
     table_map = MAP.replace('side = "motor"\n', "")
     direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
     robot = robot_from_files({"robot.toml": direct.encode()}, "direct")
@@ -271,7 +271,7 @@ def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table
     assert refusal(tmp_path, in_amperes, joint_position, table)[1:3] == ("effort.side", None)
 
 
-def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
+def test_rotary_motor_of_prismatic_joint(tmp_path):
     """A spindle of 5 mm: 2π/0.005 rad at the motor for each metre of the joint, and N m at
     the motor for newtons.
     """
@@ -294,7 +294,7 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
     )
 
 
-def test_one_unit_for_a_joint_that_turns_and_one_that_slides(tmp_path, two, table):
+def test_units_of_revolute_and_prismatic_joint(tmp_path, two, table):
     """What is expected says how two units are written; as it says, the map is read."""
     described = ROBOT.replace('"revolute"', '"prismatic"', 1).replace("zero_deg = 90\n", "")
     robot = robot_from_files({"robot.toml": described.encode()}, "slide and turn")
@@ -344,7 +344,7 @@ SINGLE = (
         ("N", "um", "N", [-1500.0, 0.0], [-0.0015, 0.0]),
     ],
 )
-def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effort, value, si):
+def test_position_and_effort_units_by_hand(tmp_path, recorded, position, effort, value, si):
     kind = "prismatic" if recorded == "N" else "revolute"
     robot = robot_from_files(
         {"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x"
@@ -367,7 +367,7 @@ def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effo
     assert result.effort_units == (recorded,)
 
 
-def test_times_in_words_that_are_no_unit_and_columns_of_other_lengths_or_none(tmp_path, two):
+def test_invalid_time_unit_or_column_length(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
     short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
     found = refusal(tmp_path, two, with_time("min"), table)
@@ -389,7 +389,7 @@ def test_times_in_words_that_are_no_unit_and_columns_of_other_lengths_or_none(tm
 
 
 @pytest.mark.parametrize("timing", ["unknown", "command", "mean", "measured"])
-def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path, two, timing, table):
+def test_effort_timing_is_from_map(tmp_path, two, timing, table):
     stated = "" if timing == "unknown" else f'effort_timing = "{timing}"\n'
     assert load_signals(run(tmp_path, two, stated + MAP, table).out).effort_timing == timing
 

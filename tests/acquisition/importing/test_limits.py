@@ -70,7 +70,7 @@ NOISE = 5e-4 * np.random.default_rng(1).standard_normal((len(T), 6))
         (0.01 * np.radians(moving()), ()),  # it stands
     ],
 )
-def test_what_a_robot_does_passes_and_small_overshoots_are_told(q, told):
+def test_possible_motion_passes(q, told):
     found = check_recorded_positions(TX40, T, q, "log")
     assert tuple(text.split(" at ")[0] if " at " in text else text for text in found) == told
 
@@ -87,13 +87,13 @@ def test_what_a_robot_does_passes_and_small_overshoots_are_told(q, told):
         (np.degrees(SLOW), ["speed", "degrees read as radians"], ""),
     ],
 )  # fmt: skip
-def test_what_no_robot_does_is_refused(q, words, without):
+def test_impossible_motion_is_refused(q, words, without):
     told = refusal(q)
     assert all(word in told for word in words)
     assert not without or without not in told.split("expected")[1]
 
 
-def test_a_jump_of_72_degrees_in_one_sample_is_refused():
+def test_jump_of_72_degrees_is_refused():
     joints = tuple(msgspec.structs.replace(joint, speed_deg_s=None) for joint in TX40.joints)
     q = moving()
     q[2000:, 2] += math.radians(72)
@@ -102,7 +102,7 @@ def test_a_jump_of_72_degrees_in_one_sample_is_refused():
     assert "2.000 s" in told
 
 
-def test_an_axis_without_a_stated_speed_moves_at_30_m_s_at_most():
+def test_default_axis_speed_limit_is_30_m_s():
     emps = robot_named("emps")
     axis = msgspec.structs.replace(emps.joints[0], speed_m_s=None, position_m=(-10.0, 10.0))
     emps, w = dataclasses.replace(emps, joints=(axis,)), 2 * np.pi * 4
@@ -112,7 +112,7 @@ def test_an_axis_without_a_stated_speed_moves_at_30_m_s_at_most():
 
 
 @pytest.mark.parametrize(("ratio", "jump"), [(2.5, False), (4.0, True)])
-def test_one_step_over_three_times_its_neighbours_is_called_a_jump(ratio, jump):
+def test_step_over_three_times_neighbours_is_jump(ratio, jump):
     q = moving()
     for k, factor in enumerate((1, 1, ratio, 1, 1)):
         q[2000 + k :, 2] += 0.05 * factor  # 50 rad/s
@@ -120,7 +120,7 @@ def test_one_step_over_three_times_its_neighbours_is_called_a_jump(ratio, jump):
     assert ("jumps" in refusal(q)) == jump
 
 
-def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots(session):
+def test_fit_refuses_impossible_motion(session):
     q, (_, high) = np.array(session.q), session.robot.joints[0].si("position")
     q[6000:, 0] += math.radians(72)
     with pytest.raises(BadInputError, match=r"session.mcap: joint shoulder jumps by 71.98 deg"):
@@ -131,7 +131,7 @@ def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots(session):
     assert any("joint shoulder at" in text for text in make_settings(shifted, Overrides()).warnings)
 
 
-def test_real_records_pass_and_a_wrong_ratio_is_refused_at_import(tmp_path, emps, tx40):
+def test_real_records_pass_wrong_ratio_is_refused(tmp_path, emps, tx40):
     for path in (emps, tx40):
         signals = load_signals(path)
         check_recorded_positions(signals.robot, signals.t_s, signals.q, path.name)
@@ -171,7 +171,7 @@ def urdf_arm(effort="80", elbow="", rail="", **instead):
         ({"elbow": "effort_nm = -3"}, "joint[0].effort_nm", -3),
     ],
 )
-def test_an_effort_that_is_no_limit_is_refused(keys, key, value):
+def test_invalid_effort_limit_is_refused(keys, key, value):
     with pytest.raises(BadInputError) as caught:
         urdf_arm(**keys)
     assert (caught.value.key, caught.value.value) == (key, value)
@@ -185,16 +185,14 @@ def test_an_effort_that_is_no_limit_is_refused(keys, key, value):
         ({"elbow": "effort_nm = 7", "rail": "effort_n = 8"}, [7.0, 8.0], [7.0, 8.0]),
     ],
 )
-def test_the_limit_is_that_of_the_description_else_of_the_urdf_or_the_smaller_one_of_its_drive(
-    keys, stated, limits
-):
+def test_effort_limit_of_robot_toml_urdf_or_drive(keys, stated, limits):
     robot = urdf_arm(**keys)
     assert [joint.si("effort") for joint in robot.joints] == stated
     assert effort_limits(robot).names == ("joint elbow", "joint rail")
     assert effort_limits(robot).limits == pytest.approx(limits)
 
 
-def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_own():
+def test_object_range_is_no_effort_limit():
     assert effort_limits(TX40).names == ()
     motors = tuple(msgspec.structs.replace(motor, saturation=2.0) for motor in TX40.motors)
     limits = effort_limits(dataclasses.replace(TX40, motors=motors))
@@ -207,7 +205,7 @@ def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_o
     assert limits.units[-1] == "N m"
 
 
-def test_efforts_in_newton_metres_do_not_limit_amperes():
+def test_limit_in_nm_does_not_limit_amperes():
     gain, force = 'drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 'effort_unit = "N"'
     limits = effort_limits(
         urdf_arm(elbow_in=(gain, 'effort_unit = "A"'), rail_in=(force, 'effort_unit = "A"'))
@@ -223,7 +221,7 @@ def limited(signals: Signals, effort_nm: float) -> Signals:
     return dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
 
 
-def test_a_fit_to_efforts_beyond_a_limit_is_not_trusted(session):
+def test_fit_beyond_effort_limit_is_not_trusted(session):
     fit = identify(limited(session, 0.01), Overrides(), method="iv")
     (line,) = (line for line in fit.trust.lines if line.test == "effort")
     assert line.text.startswith("effort of joint shoulder up to ")
@@ -233,7 +231,7 @@ def test_a_fit_to_efforts_beyond_a_limit_is_not_trusted(session):
     assert (fit.trust.verdict, fit.trust.finding) == ("caution", "effort beyond its limit")
 
 
-def test_an_effort_a_fifth_beyond_its_limit_is_told_but_where_gains_are_looked_for(session):
+def test_effort_over_limit_warns_with_known_gains(session):
     assert check_recorded_efforts(urdf_arm(), np.array([[10.0, 40.0], [-35.9, -47.9]])) == ()
     told = (
         "effort of joint elbow up to 36.1 N m: limit 30 N m",

@@ -167,7 +167,7 @@ CSV = {
 
 
 @pytest.mark.parametrize("kind", CSV)
-def test_tables_without_names_and_with_names_in_cells(tmp_path, monkeypatch, kind):
+def test_tables_without_names_or_names_in_cells(tmp_path, monkeypatch, kind):
     """All rows are there, also the first, which is no header."""
     content, values = CSV[kind]
     describe(tmp_path)
@@ -178,7 +178,7 @@ def test_tables_without_names_and_with_names_in_cells(tmp_path, monkeypatch, kin
     assert np.allclose(np.diff(samples["stamp_ns"]), 4e6)
 
 
-def test_columns_without_names_are_listed_with_their_ranges_or_texts(tmp_path, monkeypatch):
+def test_unnamed_columns_are_listed_with_range(tmp_path, monkeypatch):
     describe(tmp_path)
     monkeypatch.chdir(tmp_path)
     Path("x.csv").write_bytes(csv(T, *DRIVER, np.where(K < 1100, 0.0, -7.5), Q))
@@ -199,7 +199,7 @@ MILLE = {
 
 
 @pytest.mark.parametrize("kind", MILLE)
-def test_per_mille_of_the_rating_is_a_tenth_of_a_percent(tmp_path, monkeypatch, kind):
+def test_per_mille_is_tenth_of_percent(tmp_path, monkeypatch, kind):
     pattern, code = MILLE[kind]
     describe(tmp_path, "%")
     header = ",".join(
@@ -227,7 +227,7 @@ def wrapped(x, low: float, scale: float = 1.0):
 @pytest.mark.parametrize(
     ("low", "scale"), [(-np.pi, 1.0), (0.0, 1.0), (-np.pi, 180 / np.pi), (0.0, 180 / np.pi)]
 )
-def test_angles_that_jump_by_a_turn(tmp_path, monkeypatch, low, scale):
+def test_wrapped_angles_are_unwrapped(tmp_path, monkeypatch, low, scale):
     """The joint moves through the jump, the reference in its turn; no jump is in the first rows."""
     describe(tmp_path)
     q, ref = (np.where(K[:, None] < 1001, x[1001], x) for x in (AWAY, REFERENCE))
@@ -244,7 +244,7 @@ def test_angles_that_jump_by_a_turn(tmp_path, monkeypatch, low, scale):
     assert np.abs(np.median(samples["position"], axis=0)).max() <= np.pi
 
 
-def test_speeds_of_angles_that_jump_in_the_first_rows(tmp_path, monkeypatch):
+def test_speeds_of_angles_wrapped_in_first_rows(tmp_path, monkeypatch):
     describe(tmp_path)
     names = [f"{x}{j}" for x in ("q", "qd", "tau") for j in "123"]
     q = Q + np.array([3.0, 0.0, -3.0])
@@ -271,7 +271,7 @@ BURSTS = {
 
 
 @pytest.mark.parametrize("kind", BURSTS)
-def test_stamps_in_bursts_are_judged_by_the_stated_rate(tmp_path, monkeypatch, capsys, kind):
+def test_bursts_are_resolved_by_given_rate(tmp_path, monkeypatch, capsys, kind):
     describe(tmp_path)
     noisy = Q + 1e-4 * NOISE.normal(size=Q.shape)
     (tmp_path / "x.csv").write_bytes(csv(BURSTS[kind], noisy, U, header=NAMED))
@@ -283,7 +283,7 @@ def test_stamps_in_bursts_are_judged_by_the_stated_rate(tmp_path, monkeypatch, c
     assert np.abs(samples["effort"] - U).max() < 1e-8
 
 
-def test_rows_that_are_there_twice_are_no_bursts(tmp_path, monkeypatch):
+def test_duplicate_rows_are_no_bursts(tmp_path, monkeypatch):
     describe(tmp_path)
     twice = K // 2 * 2
     (tmp_path / "x.csv").write_bytes(csv(T[twice], Q[twice], U[twice], header=NAMED))
@@ -337,14 +337,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_what_is_not_known_is_refused(tmp_path, monkeypatch, capsys, kind):
+def test_invalid_or_undecided_map_is_refused(tmp_path, monkeypatch, capsys, kind):
     q, t, table_map, ratio, named = REFUSED[kind]
     describe(tmp_path, ratio=ratio)
     line = refused(tmp_path, monkeypatch, capsys, csv(t, q, U[: len(t)], header=NAMED), table_map)
     assert named in line
 
 
-def test_rows_of_one_joint_each_and_names_that_change_are_refused(tmp_path, monkeypatch, capsys):
+def test_one_joint_per_row_is_refused(tmp_path, monkeypatch, capsys):
     describe(tmp_path)
     long = "t,joint,position,effort\n" + "".join(
         f"{t:.3f},{J[j]},{Q[k, j]:.6f},{U[k, j]:.6f}\n" for k, t in enumerate(T) for j in range(3)
@@ -356,7 +356,7 @@ def test_rows_of_one_joint_each_and_names_that_change_are_refused(tmp_path, monk
 
 
 @pytest.mark.parametrize("names", [("a", "b", "c"), ("wrist", "elbow", "tool"), (*J, "wrist")])
-def test_names_that_are_not_those_of_the_joints_leave_the_order_open(tmp_path, monkeypatch, names):
+def test_other_joint_names_leave_order_open(tmp_path, monkeypatch, names):
     describe(tmp_path)
     monkeypatch.chdir(tmp_path)
     k = np.arange(len(names)) % 3

@@ -188,7 +188,7 @@ def robot_of(header: Header) -> Robot:
 
 @pytest.mark.parametrize("described", [True, False])
 @pytest.mark.parametrize("header", HEADERS, ids=lambda header: header.tool)
-def test_no_column_is_in_a_wrong_table_and_no_unit_is_wrong(tmp_path, header, described):
+def test_proposed_columns_and_units_are_right(tmp_path, header, described):
     """With a description all tables are found but where the names do not tell: units, and the
     side of efforts, are left.
     """
@@ -217,7 +217,7 @@ def test_no_column_is_in_a_wrong_table_and_no_unit_is_wrong(tmp_path, header, de
     assert "effort_timing" not in proposed
 
 
-def test_a_reference_that_does_not_move_as_the_position_and_a_speed_that_is_none_are_not_taken(
+def test_false_reference_and_speed_are_not_proposed(
     tmp_path,
 ):
     write(
@@ -239,7 +239,7 @@ Endtime of export{0}133238090049920000{0}Monday, March 20, 2023{0}19:03:24.992
 
 
 @pytest.mark.parametrize(("separator", "each"), [("\t", True), (";", False)])
-def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, each):
+def test_twincat_scope_export(tmp_path, monkeypatch, capsys, separator, each):
     header = Header(tool="", columns="", step=2.0, unit="ms", joints=2, angle="deg")
     given, names, columns = values(header), [], []
     for j in range(2):
@@ -294,7 +294,7 @@ def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, ea
         np.testing.assert_allclose(samples[name] * scale, given[x], rtol=1e-7, atol=1e-6)
 
 
-def test_uneven_times_are_interpolated_and_a_time_that_fits_two_units_is_open(tmp_path):
+def test_uneven_times_are_interpolated(tmp_path):
     t = np.arange(300) * 0.01 + 0.003 * (np.arange(300) % 3 == 0)
     (tmp_path / "x.csv").write_text(
         "t,q,tau\n" + "".join(f"{x:.4f},{np.sin(x):.6f},1\n" for x in t)
@@ -306,7 +306,7 @@ def test_uneven_times_are_interpolated_and_a_time_that_fits_two_units_is_open(tm
     assert tomllib.loads(propose_map(tmp_path / "x.csv", None))["time"]["unit"] == FILL_IN
 
 
-def test_lines_of_units_below_the_names_are_skipped_and_without_names_all_but_time_is_open(
+def test_unit_lines_are_skipped(
     tmp_path,
 ):
     rows = "".join(f"{0.01 * k:.2f};{np.sin(k):.6f};1\n" for k in range(300))

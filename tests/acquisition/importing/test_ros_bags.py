@@ -77,7 +77,7 @@ BARE = ("mcap", "mcap, zstd", "db3")
 @pytest.mark.parametrize(
     ("kind", "whole_folder"), [*((k, True) for k in STORAGES), *((k, False) for k in BARE)]
 )
-def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder):
+def test_bags_are_read_sample_by_sample(tmp_path, kind, whole_folder):
     storage, compression = STORAGES[kind]
     path = bag(tmp_path / "a_bag", map(message, range(N)), storage=storage, compression=compression)
     if not whole_folder:
@@ -98,7 +98,7 @@ def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder)
     )
 
 
-def test_joints_go_by_name_and_times_by_header(tmp_path):
+def test_joints_by_name_and_times_by_header(tmp_path):
     received = FIRST_NS + np.cumsum(np.random.default_rng(0).integers(5_000_000, 15_000_000, N))
     with Writer(tmp_path / "a", version=9) as w:
         states = w.add_connection("/joint_states", STATE, typestore=STORE)
@@ -116,7 +116,7 @@ def test_joints_go_by_name_and_times_by_header(tmp_path):
     ]
 
 
-def test_states_that_are_published_three_times_are_taken_once(tmp_path, capsys):
+def test_repeated_states_count_once(tmp_path, capsys):
     stamps = (FIRST_NS + 10_000_000 * k for k in range(N))
     states = (message(k // 3 * 3, stamp_ns=ns) for k, ns in enumerate(stamps))
     recording = imported(bag(tmp_path / "a", states), tmp_path / "out.mcap")
@@ -126,7 +126,7 @@ def test_states_that_are_published_three_times_are_taken_once(tmp_path, capsys):
     assert "each row stands 3 times" in capsys.readouterr().out
 
 
-def test_times_are_header_stamps_from_0_on_or_receptions_where_there_are_none(tmp_path, capsys):
+def test_times_are_header_or_reception_timestamps(tmp_path, capsys):
     path = bag(tmp_path / "a", (message(k, stamp_ns=0) for k in range(N)))
     assert imported(path, tmp_path / "a.mcap").samples["stamp_ns"][0] == FIRST_NS + 3_000_000
     assert (
@@ -165,9 +165,7 @@ def with_motors(*keys):
         ("N m", "N m", RATIOS, (1, 1)),
     ],
 )
-def test_without_drive_gains_amperes_are_of_the_motors_and_newton_metres_of_the_joints(
-    tmp_path, whole, capsys, recorded, given, ratios, factor
-):
+def test_effort_side_without_drive_gains(tmp_path, whole, capsys, recorded, given, ratios, factor):
     """The unit alone would fit both sides; the ratios say what is of the motors."""
     toml, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
     toml.write_text(with_motors(*(f'{x}effort_unit = "{recorded}"\n' for x in ratios)))
@@ -177,9 +175,7 @@ def test_without_drive_gains_amperes_are_of_the_motors_and_newton_metres_of_the_
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_the_only_topic_of_joint_states_is_taken_and_named_and_one_of_several_is_asked_for(
-    tmp_path, capsys, storage
-):
+def test_joint_state_topic_choice(tmp_path, capsys, storage):
     path, out = bag(tmp_path / "a", map(message, range(N)), storage=storage), tmp_path / "out.mcap"
     (file,) = (x for x in path.iterdir() if x.suffix in (".mcap", ".db3"))
     options = ["--robot", str(TOML), "-o", str(out), "--effort-unit", "N m", "--overwrite"]
@@ -212,7 +208,7 @@ def test_the_only_topic_of_joint_states_is_taken_and_named_and_one_of_several_is
     assert "topic: " not in capsys.readouterr().out
 
 
-def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
+def test_motor_currents_become_joint_effort(tmp_path, whole):
     """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an
     ampere; N m is of the joints.
     """
@@ -281,7 +277,7 @@ ONE_PUBLISHER = "one publisher: record the topic of the arm's own driver"
          "one row for each time"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, value, expected):
+def test_bag_errors(tmp_path, robot, change, place, key, value, expected):
     folder, out = bag(tmp_path / "bag", edited(**change)), tmp_path / "out.mcap"
     with pytest.raises(BadInputError) as caught:
         import_bag(folder, robot, out, OPTIONS)
@@ -296,7 +292,7 @@ def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, v
 
 
 @pytest.mark.parametrize("names", [NAMES[::-1], ("finger", *NAMES), ("elbow", "f", "shoulder")])
-def test_a_controller_that_starts_again_may_change_the_order_of_its_names(tmp_path, names):
+def test_restarted_controller_may_reorder_names(tmp_path, names):
     states = edited(N, names=lambda k: NAMES if k < 90 else names)
     recording = imported(bag(tmp_path / "a", states), tmp_path / "out.mcap")
     for name, true in (("position", Q), ("velocity", DQ), ("effort", EFFORT)):
@@ -315,7 +311,7 @@ def test_a_controller_that_starts_again_may_change_the_order_of_its_names(tmp_pa
              "velocity": unread(DQ, range(6))}),
     ],
 )  # fmt: skip
-def test_states_that_are_not_read_yet_are_left_out_and_counted(tmp_path, rows, change):
+def test_states_not_yet_read_are_skipped(tmp_path, rows, change):
     recording = imported(bag(tmp_path / "a", edited(N, **change)), tmp_path / "out.mcap")
     for name, true in (("position", Q), ("velocity", DQ), ("effort", EFFORT)):
         assert recording.samples[name] == pytest.approx(true[rows:], abs=1e-12)
@@ -342,7 +338,7 @@ def in_turns(every=1, **other):
         ("effort", {"effort": 0.9 * EFFORT}),
     ],
 )
-def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
+def test_two_publishers_of_same_names_are_refused(tmp_path, key, other):
     path = bag(tmp_path / "two", in_turns(**other))
     with pytest.raises(BadInputError) as refused:
         import_bag(path, robot_named("scara"), tmp_path / "out.mcap", OPTIONS)
@@ -351,7 +347,7 @@ def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_true_states_are_of_one_publisher(tmp_path):
+def test_true_states_count_as_one_publisher(tmp_path):
     """In coarse numbers; with drives that are off at first and at the end; with a
     current that passes zero.
     """
@@ -368,7 +364,7 @@ def test_true_states_are_of_one_publisher(tmp_path):
         imported(bag(tmp_path / str(k), states), tmp_path / f"{k}.mcap")
 
 
-def test_several_publishers_are_told(tmp_path):
+def test_several_publishers_are_reported(tmp_path):
     none, kinds = QosTime(0, 0), (QosHistory, int, QosReliability, QosDurability)
     qos = Qos(*(kind(1) for kind in kinds), none, none, QosLiveliness(1), none, False)
     with Writer(tmp_path / "a", version=9) as w:
@@ -381,7 +377,7 @@ def test_several_publishers_are_told(tmp_path):
     assert any(text.startswith("/joint_states has 2 publishers") for text in found.warnings)
 
 
-def test_doubts_about_a_bag_are_told_and_kept(tmp_path):
+def test_doubts_about_bag_are_reported_and_kept(tmp_path):
     late_ns = np.random.default_rng(4).integers(0, 4_000_000, N).tolist()
     unknown = DQ * np.where(np.arange(N) == 7, np.nan, 1)[:, None]
     messages = [
@@ -418,9 +414,7 @@ def with_controllers(path, topics, version=HUMBLE, storage=StoragePlugin.MCAP):
 
 @pytest.mark.parametrize("storage", ["mcap", "db3 without definitions"])
 @pytest.mark.parametrize("version", STORES)
-def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_states(
-    tmp_path, version, storage, capsys
-):
+def test_controller_reference_at_joint_state_times(tmp_path, version, storage, capsys):
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     path = with_controllers(
         tmp_path / "a", {CONTROLLER: states_of(reversed_reference)}, version, plugin
@@ -440,7 +434,7 @@ def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_state
     assert told in capsys.readouterr().out
 
 
-def test_a_reference_that_is_not_set_yet_is_left_out(tmp_path, robot):
+def test_unset_reference_is_skipped(tmp_path, robot):
     """Up to 1 s; the samples begin with the reference, at 1.003 s."""
 
     def reference(t):
@@ -454,7 +448,7 @@ def test_a_reference_that_is_not_set_yet_is_left_out(tmp_path, robot):
     np.testing.assert_allclose(samples["reference"], reversed_reference(at_s).T[:, ::-1], atol=2e-6)
 
 
-def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_path, robot):
+def test_controller_choice_ignores_other_joints(tmp_path, robot):
     gripper = {"/gripper/controller_state": states_of(reversed_reference, names=("finger",))}
     two = {
         CONTROLLER: states_of(reversed_reference),
@@ -472,7 +466,7 @@ def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_pat
     assert found.metadata["reference"].startswith(CONTROLLER)
 
 
-def test_rows_in_a_gap_of_the_reference_are_left_out(tmp_path, robot):
+def test_rows_in_reference_gap_are_skipped(tmp_path, robot):
     states = states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60)))
     path = with_controllers(tmp_path / "a", {CONTROLLER: states})
     samples = read_recording(import_bag(path, robot, tmp_path / "out.mcap", OPTIONS).out).samples
@@ -496,9 +490,7 @@ def test_rows_in_a_gap_of_the_reference_are_left_out(tmp_path, robot):
         (states_of(reversed_reference, np.full(9, -FIRST_NS)), "time: only one has them"),
     ],
 )  # fmt: skip
-def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal(
-    tmp_path, robot, states, problem
-):
+def test_unusable_reference_warns_or_is_refused(tmp_path, robot, states, problem):
     path = with_controllers(tmp_path / "a", {CONTROLLER: states}, OLD)
     found = import_bag(path, robot, tmp_path / "out.mcap", OPTIONS)
     assert "reference" not in read_recording(found.out).samples.dtype.names
@@ -512,7 +504,7 @@ def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal
     assert not (tmp_path / "asked.mcap").exists()
 
 
-def test_a_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
+def test_wrong_or_missing_topic_is_reported(tmp_path, robot, whole):
     for part, topic, problem in (
         ("reference_topic", "/rosout", f"has type {TEXT}"),
         ("reference_topic", "/away", "does not exist"),
@@ -526,7 +518,7 @@ def test_a_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
             import_bag(whole, robot, tmp_path / "out.mcap", replace(OPTIONS, **{part: topic}))
 
 
-def test_options_that_do_not_go_together(tmp_path, whole, capsys):
+def test_incompatible_options(tmp_path, whole, capsys):
     topic, unit = ("--topic", "/joint_states"), "--effort-unit"
     for options, told in (
         ((), "--effort-unit is missing: a bag does not contain it: expected the unit"),
@@ -590,13 +582,13 @@ def test_files_that_are_no_bags(tmp_path, robot, capsys):
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_of_a_folder_without_metadata_its_only_file_is_read(tmp_path, storage):
+def test_only_file_without_metadata_is_read(tmp_path, storage):
     path = bag(tmp_path / "a", map(message, range(N)), storage=storage)
     (path / "metadata.yaml").unlink()
     assert imported(path, tmp_path / "out.mcap").samples["position"] == pytest.approx(Q, abs=1e-12)
 
 
-def test_a_folder_that_is_not_whole_is_refused_with_the_way_out(tmp_path, capsys):
+def test_incomplete_folder_is_refused_with_remedy(tmp_path, capsys):
     """Of several files, cut in the only one, at its end, in its head and of nothing, without
     one, and with other metadata.
     """
@@ -624,7 +616,7 @@ def test_a_folder_that_is_not_whole_is_refused_with_the_way_out(tmp_path, capsys
 
 @pytest.mark.parametrize("compression", [*CompressionType])
 @pytest.mark.parametrize("chunked", [True, False])
-def test_bags_that_another_program_wrote_again_are_read(tmp_path, whole, compression, chunked):
+def test_rewritten_bags_are_read(tmp_path, whole, compression, chunked):
     (file,) = whole.glob("*.mcap")
     path = written_again(
         file, tmp_path / "a.mcap", compression=compression, use_chunking=chunked, chunk_size=3000
@@ -632,7 +624,7 @@ def test_bags_that_another_program_wrote_again_are_read(tmp_path, whole, compres
     assert imported(path, tmp_path / "out.mcap").samples["position"] == pytest.approx(Q, abs=1e-12)
 
 
-def test_a_long_bag_is_read_block_by_block(tmp_path, monkeypatch, whole):
+def test_long_bag_is_read_in_blocks(tmp_path, monkeypatch, whole):
     """Its states lie on disk, and those beside a block count as in one."""
     monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", 100)
     monkeypatch.setattr(on_disk, "BLOCK_ROWS", 61)

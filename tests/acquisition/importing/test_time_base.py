@@ -57,7 +57,7 @@ def test_values_are_interpolated_at_their_times():
 
 @pytest.mark.parametrize("rate_hz", [1.0, 93.0, 1000.0])
 @pytest.mark.parametrize("block", [61, 100, 399, 1000])
-def test_splines_of_blocks_are_that_of_all_rows(monkeypatch, rate_hz, block):
+def test_block_splines_match_full_spline(monkeypatch, rate_hz, block):
     """Of scipy, and of noise, on which a row acts furthest; before and after the rows too."""
     monkeypatch.setattr("acquisition.importing.time_base.BLOCK_ROWS", block)
     noise, at_s = RNG.normal(size=(400, 2)), np.arange(-0.01, UNEVEN[-1] + 0.01, 1 / rate_hz)
@@ -65,7 +65,7 @@ def test_splines_of_blocks_are_that_of_all_rows(monkeypatch, rate_hz, block):
     np.testing.assert_allclose(interpolate(UNEVEN, noise, at_s), whole, atol=1e-13)
 
 
-def test_the_report_by_hand():
+def test_timing_report_by_hand():
     """Steps of 10, 10, 8, 12, 10, 30 and 10 ms: two rows missing in one gap, a deviation of
     1.15 ms of the others.
     """
@@ -84,7 +84,7 @@ def test_the_report_by_hand():
     assert time_report(t[:5]).text.endswith("no gaps, no doubled rows")
 
 
-def test_rows_that_contradict_each_other_are_refused():
+def test_contradicting_rows_are_refused():
     twice = np.insert(UNEVEN, 7, UNEVEN[7])
     q = motion(twice)
     q[8, 1] += 1e-6
@@ -105,7 +105,7 @@ def test_rows_that_contradict_each_other_are_refused():
             on_grid(t, **parts)
 
 
-def test_gaps_beyond_what_is_stated_are_refused():
+def test_gaps_over_given_limit_are_refused():
     """Of steps of 10 ms, two rows missing are a gap of three periods."""
     two, three = (np.delete(np.arange(400) * 0.01, range(50, 50 + missing)) for missing in (2, 3))
     assert on_grid(two).report.missing == 2
@@ -118,7 +118,7 @@ def test_gaps_beyond_what_is_stated_are_refused():
     assert on_grid(three, None, 4).rate_hz == 100.0
 
 
-def test_stamps_of_a_clock_read_late_are_told_from_uneven_rows():
+def test_late_timestamps_are_detected():
     even = np.arange(600) / 100
     stamps = even + 0.0015 * RNG.standard_normal(600)
     noise = 1e-6 * RNG.standard_normal((600, 2))
@@ -140,7 +140,7 @@ def test_stamps_of_a_clock_read_late_are_told_from_uneven_rows():
         assert (stamps_warning(t, q, "go") is not None) == is_told
 
 
-def test_stamps_off_by_a_tick_are_found_and_no_others():
+def test_timestamps_off_by_tick_are_found():
     """Of rows at their stamps, one in fifteen is off by 1 ms; those of a joint
     that stands tell nothing.
     """
@@ -172,7 +172,7 @@ def settling(t: np.ndarray) -> np.ndarray:
     return np.round(q + 3e-5 * np.random.default_rng(2).standard_normal(q.shape), 4)
 
 
-def test_true_rows_of_an_arm_that_settles_are_kept():
+def test_rows_of_settling_arm_are_kept():
     """Among even stamps all of them, also stamps in microseconds; among
     uneven stamps all but 0.5 %.
     """
@@ -183,7 +183,7 @@ def test_true_rows_of_an_arm_that_settles_are_kept():
     assert (~rows_in_time(uneven, settling(uneven))).mean() < 0.005
 
 
-def test_grids_coarser_or_much_finer_than_the_rows_and_many_rows_left_out_are_told():
+def test_unsuited_grid_warns():
     def doubts(rate_hz: float, **found: int) -> list[str]:
         return rate_warnings(replace(on_grid(UNEVEN, rate_hz).report, **found))
 
@@ -229,7 +229,7 @@ def run(folder: Path, path: Path, text: str):
     return import_tables([path], ROBOT, folder / "map.toml", folder / "out.mcap")
 
 
-def test_a_counter_is_the_time(tmp_path):
+def test_counter_gives_time(tmp_path):
     """Ticks of a millisecond, counted from 5000, four rows missing; stamps of a PC beside
     them are off by 1.2 ms.
     """
@@ -257,7 +257,7 @@ def test_a_counter_is_the_time(tmp_path):
     assert [event.text for event in read_recording(by_stamps.out).events] == [warning]
 
 
-def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
+def test_ticks_are_counted_by_speed(tmp_path):
     """Ticks of 1 ms, 2 % of them missing and 2 % twice; stamps are up to 8 ms late, and the
     arm stands for a second.
     """
@@ -301,7 +301,7 @@ def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
         ("tick_s", "tick_s", (65_300 + 10 * K) % 65_536, "log.csv: k", "row 25", None),
     ],
 )  # fmt: skip
-def test_times_that_cannot_be_read_that_way(tmp_path, old, new, column, place, key, value):
+def test_invalid_tick_times(tmp_path, old, new, column, place, key, value):
     with pytest.raises(BadInputError) as caught:
         run(tmp_path, table(tmp_path, columns(UNEVEN, k=column)), TICKS_MAP.replace(old, new))
     error = caught.value

@@ -42,7 +42,7 @@ def test_sdo_answers_read(text, kind, key, value):
     assert (found.kind, (found.index, found.sub), found.number) == (kind, key, value)
 
 
-def test_answers_that_are_not_the_one_wanted():
+def test_other_sdo_answers():
     assert (
         protocol.check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
     )
@@ -65,7 +65,7 @@ def test_answers_that_are_not_the_one_wanted():
     ("direction", "expected"),
     [("tpdo", [0x185, 0x285, 0x385, 0x485, None]), ("rpdo", [0x205, 0x305, 0x405, 0x505, None])],
 )
-def test_identifiers_of_the_predefined_connection_set(direction, expected):
+def test_predefined_connection_set_identifiers(direction, expected):
     assert [protocol.usual_can_id(direction, number, 5) for number in (1, 2, 3, 4, 5)] == expected
 
 
@@ -103,7 +103,7 @@ RPDO = protocol.Pdo(
           "23 02 16 02 08 02 C2 60", "2F 02 16 00 02 00 00 00", "23 02 14 01 05 04 00 00"]),
     ],
 )  # fmt: skip
-def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
+def test_pdo_configuration_bytes(direction, pdo, frames):
     """Off, at every SYNC, no objects, the objects, their number, on: CiA 301, 7.5.2.38."""
     assert [
         write_request(*write).hex(" ").upper() for write in protocol.configuration(direction, pdo)
@@ -126,7 +126,7 @@ def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
         ("4B 01 20 01 01 02 00 00", "01 02"),
     ],
 )
-def test_a_value_without_a_size_has_that_of_its_type(answer, data):
+def test_value_without_size_has_type_size(answer, data):
     """Unless the drive has stated a size below four bytes for another object."""
     frame, sized = bytes.fromhex(answer), bytes.fromhex("4B 41 60 00 40 02 00 00")
     link = Answering(
@@ -148,7 +148,7 @@ TPDO_VALUES = {
 KINDS = {(0x6041, 0): "U16", (0x60C2, 2): "I8", (0x6064, 0): "I32", (0x6077, 0): "I16"}
 
 
-def test_pdos_out_of_a_drives_parameters():
+def test_pdos_from_drive_parameters():
     expected = protocol.Pdo(number=2, can_id=0x285, entries=(STATUS, INTERPOLATION, POSITION))
     assert pdos_of("tpdo", TPDO_VALUES, KINDS, "x") == (expected,)
     assert pdos_of("rpdo", TPDO_VALUES, KINDS, "x") == ()
@@ -162,12 +162,12 @@ def test_pdos_out_of_a_drives_parameters():
 @pytest.mark.parametrize(
     "change", [{(0x1801, 1): 0x80000285}, {(0x1801, 1): 0}, {(0x1A01, 0): 0}, {(0x1801, 1): None}]
 )
-def test_pdos_that_are_switched_off(change):
+def test_disabled_pdos(change):
     values = {key: value for key, value in (TPDO_VALUES | change).items() if value is not None}
     assert pdos_of("tpdo", values | {(0x1801, 2): 1}, KINDS, "x") == ()
 
 
-def test_objects_in_pdos_by_their_bits():
+def test_objects_in_pdos_by_bits():
     unknown = {(0x1800, 1): 0x185, (0x1A00, 0): 2, (0x1A00, 1): 0x20000120, (0x1A00, 2): 0}
     (pdo,) = pdos_of("tpdo", unknown, {}, "x")
     # the second place is empty
@@ -178,7 +178,7 @@ def test_objects_in_pdos_by_their_bits():
         assert caught.value.expected == "whole bytes of its own type"
 
 
-def test_values_in_a_frame():
+def test_values_in_frame():
     values = {(0x6041, 0): 0x9237, (0x6064, 0): -5, (0x6074, 0): -300}
     assert TPDO.pack(values) == data("37 92 FB FF FF FF D4 FE")
     # what is beyond belongs to nobody
@@ -189,7 +189,7 @@ def test_values_in_a_frame():
     assert (TPDO.bits, TPDO.length) == (64, 8)
 
 
-def test_bits_on_the_wire():
+def test_bits_on_wire():
     """47 of frame and gap, 8 for each byte, and a stuffing bit for four of the 34 + 8
     n - 1 that are stuffed.
     """
@@ -202,12 +202,12 @@ def test_bits_on_the_wire():
      (0.0125, (125, -4)), (0.00025, (25, -5)),
      (0.000125, (125, -6))],
 )  # fmt: skip
-def test_the_interpolation_period_of_60c2(period_s, expected):
+def test_interpolation_period_60c2(period_s, expected):
     assert protocol.interpolation_period(period_s) == expected
 
 
 @pytest.mark.parametrize("period_s", [0.256, 0.0003333, 1e-7])
-def test_periods_that_60c2_cannot_say(period_s):
+def test_periods_not_representable_in_60c2(period_s):
     with pytest.raises(BadInputError, match=r"bus.sync_period_s = .*60C2"):
         protocol.interpolation_period(period_s)
 
@@ -265,7 +265,7 @@ def test_boot_up_and_heartbeats(node):
     assert node.heartbeat() == [(0x705, data("7F"))]
 
 
-def test_a_reset_forgets_values_mapping_and_state(node):
+def test_reset_clears_values_mapping_and_state(node):
     written(node, *MAPPED, "2F 60 60 00 08 00 00 00")
     node.receive(0x000, data("01 05"))
     commanded(node, "06 00")
@@ -292,7 +292,7 @@ def test_a_reset_forgets_values_mapping_and_state(node):
         ("21 10 10 01 40 00 00 00", "80 00 00 00 01 00 04 05"),
     ],
 )
-def test_sdo_answers_of_a_node(node, asked, answer):
+def test_sdo_answers_of_node(node, asked, answer):
     written(node, "2F 60 60 00 FF 00 00 00")
     assert node.values[0x6061, 0] == -1
     assert node.receive(0x605, data(asked)) == [(0x585, data(answer))]
@@ -301,7 +301,7 @@ def test_sdo_answers_of_a_node(node, asked, answer):
     assert node.receive(0x605, data(asked)) == []
 
 
-def test_mapping_is_refused_where_cia_301_refuses_it(node):
+def test_mapping_is_refused_as_in_cia_301(node):
     written(node, *MAPPED[:5], "2F 00 14 02 01 00 00 00")
     objects_are_counted = node.receive(0x605, data("23 00 16 01 10 00 40 60"))
     assert objects_are_counted == [(0x585, data("80 00 16 01 22 00 00 08"))]
@@ -321,7 +321,7 @@ def test_mapping_is_refused_where_cia_301_refuses_it(node):
     ]
 
 
-def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
+def test_controlword_bits_move_node_state(node):
     """Beside the state's own bits: voltage present (4), remote (9), and, enabled in CSP,
     following the command (12).
     """
@@ -351,7 +351,7 @@ def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
     ] * 3 + ["50 02"]
 
 
-def test_what_leaves_operational_leaves_no_torque(node):
+def test_leaving_operational_removes_torque(node):
     written(node, *MAPPED)
     node.receive(0x000, data("01 05"))
     for word in ("06 00", "07 00", "0f 00"):
@@ -362,7 +362,7 @@ def test_what_leaves_operational_leaves_no_torque(node):
     assert node.answers() == []
 
 
-def test_an_rpdo_acts_at_sync_or_at_once_as_its_transmission_type_says(node):
+def test_rpdo_acts_by_transmission_type(node):
     written(node, *MAPPED)
     node.receive(0x000, data("01 05"))
     node.receive(0x205, data("06 00 FE FF FF FF"))
@@ -384,7 +384,7 @@ def test_an_rpdo_acts_at_sync_or_at_once_as_its_transmission_type_says(node):
     assert node.values[0x607A, 0] == 0x010203
 
 
-def test_a_master_reads_and_writes():
+def test_master_reads_and_writes():
     answers = {
         data("40 41 60 00 00 00 00 00"): [
             (0x586, data("4B 41 60 00 11 11 00 00")),  # of another node
@@ -412,7 +412,7 @@ def test_a_master_reads_and_writes():
     assert link.sent == [(0, b"\x81\x05"), (0x80, b"")]
 
 
-def test_emergencies_and_pdos_as_a_master_takes_them():
+def test_master_takes_emergencies_and_pdos():
     master = Master(Answering(), BUS)
     watch = master.nodes[0]
     master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))

@@ -68,7 +68,7 @@ def state_or_none(statusword: int) -> State | None:
         return None
 
 
-def test_every_statusword_tells_the_state_of_the_table():
+def test_every_statusword_gives_state():
     expected = {
         word: State[name] for name, pattern in STATUSWORDS.items() for word in words(pattern, 12)
     }
@@ -84,7 +84,7 @@ def test_every_statusword_tells_the_state_of_the_table():
         state_of(0x1211)
 
 
-def test_every_controlword_gives_the_command_of_the_table():
+def test_every_controlword_gives_command():
     expected = {
         word: Command[name] for name, pattern in CONTROLWORDS.items() for word in words(pattern, 12)
     }
@@ -94,7 +94,7 @@ def test_every_controlword_gives_the_command_of_the_table():
         assert command_of(word | 0xF000) is command, hex(word)
 
 
-def test_the_word_written_for_each_command():
+def test_controlword_of_each_command():
     words = [6, 7, 15, 0, 2, 128]  # in the order of `CONTROLWORDS`
     assert {command.name: command.controlword for command in Command} == dict(
         zip(CONTROLWORDS, words, strict=True)
@@ -108,14 +108,14 @@ def test_each_command_in_each_state():
 @pytest.mark.parametrize(
     ("goal", "column"), [(State.OPERATION_ENABLED, 2), (State.SWITCH_ON_DISABLED, 3)]
 )
-def test_what_is_commanded_on_the_way_up_and_down(goal, column):
+def test_commands_to_enable_and_disable(goal, column):
     commands = {row[0]: toward(State[row[0]], goal) for row in ROWS}
     assert {state: command.name if command else "-" for state, command in commands.items()} == {
         row[0]: row[column] for row in ROWS
     }
 
 
-def test_no_command_leads_into_a_fault():
+def test_no_command_leads_to_fault():
     for goal in (State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON):
         with pytest.raises(
             BusFaultError, match=f"no command leads from switched on to {goal.words}"
@@ -124,7 +124,7 @@ def test_no_command_leads_into_a_fault():
     assert toward(State.FAULT_REACTION_ACTIVE, State.FAULT) is None
 
 
-def test_states_in_which_a_drive_gives_torque_and_modes_of_operation():
+def test_states_with_torque_and_operation_modes():
     """Those with the drive function enabled (CiA 402-2, table of the states' functions)."""
     enabled = {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
     assert set(State) - protocol.DISABLED == enabled

@@ -77,7 +77,7 @@ def test_efforts_by_hand(name, signs, expected):
         (direct(0x30D0, "I32"), "A", {}),
     ],
 )  # fmt: skip
-def test_rated_values_as_the_drive_states_them(keys, unit, expected):
+def test_rated_values_of_drive(keys, unit, expected):
     """6075h in mA, 6076h in mN m; in an EPOS4 6076h is µN m, a thousand times as many."""
     assert drive_of(keys, unit).rated == expected
 
@@ -91,7 +91,7 @@ def test_rated_values_as_the_drive_states_them(keys, unit, expected):
         ("effort_sign = -1", 16384, 0.25),  # of efforts alone
     ],
 )
-def test_positions_of_a_motor_that_turns(signs, raw, turns):
+def test_rotary_motor_positions(signs, raw, turns):
     codec = drive_of(f'reference = "6074"\nrated_torque_nm = 0.42\n{signs}').position_codec
     assert codec.si(np.array([raw])) == pytest.approx([turns * TURN], rel=1e-12)
     assert codec.exact(np.array([turns * TURN])) == pytest.approx([raw], rel=1e-12)
@@ -104,7 +104,7 @@ def test_positions_of_a_motor_that_turns(signs, raw, turns):
      ("U16", 0, 65535),
      ("U32", 0, 4294967295)],
 )  # fmt: skip
-def test_integers_are_held_at_both_ends_of_their_type(kind, low, high):
+def test_integers_saturate_at_type_limits(kind, low, high):
     values = [
         low - 1e12,
         low - 1,
@@ -122,7 +122,7 @@ def test_integers_are_held_at_both_ends_of_their_type(kind, low, high):
     assert saturated(np.array([1.4, 1.6, 0.5, 2.5]), kind).tolist() == [1, 2, 0, 2]
 
 
-def test_codecs_hold_values_at_the_ends_of_their_objects():
+def test_codecs_saturate_at_object_limits():
     effort = EffortCodec(
         entry=ObjectEntry(index=0x2031, sub=0, type="I16"), scale=-1e-3, provenance=""
     )

@@ -34,7 +34,7 @@ KINDS = {(0x6041, 0): "U16", (0x60C2, 2): "I8", (0x6064, 0): "I32"}
         ({(0x1A01, 2): 0x60C20207}, "tpdo 2: 1A01:2 maps 60C2:2 of 7 bits"),
     ],
 )
-def test_entries_that_are_not_known_move_no_object(change, expected):
+def test_unknown_entries_shift_no_object(change, expected):
     values = {key: value for key, value in (MAPPED | change).items() if value is not None}
     with pytest.raises(BadInputError, match=expected):
         pdos_of("tpdo", values, KINDS, "x")
@@ -70,7 +70,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize(("text", "number"), NUMBERS.items(), ids=[t[:24] for t in NUMBERS])
-def test_numbers_of_a_dictionary(text, number):
+def test_dictionary_numbers(text, number):
     entries = found(EDS + entry_eds("1005", "sync", "0x0007", "rw", f"DefaultValue={text}")).entries
     assert entries[0x1005, 0].value == number
     line = EDS.count("\n") + 6
@@ -84,7 +84,7 @@ def test_numbers_of_a_dictionary(text, number):
     ("remark", "encoding"),
     [("Größe", "cp1252"), ("Größe", "utf-8-sig"), ("Größe", "utf-16"), ("速度", "shift-jis")],
 )
-def test_a_dictionary_in_another_encoding(remark, encoding):
+def test_dictionary_in_other_encoding(remark, encoding):
     text = EDS.replace("ParameterName=position", f"ParameterName={remark}").replace("\n", "\r\n")
     assert load_dictionary(text.encode(encoding), "a.eds", 5).entries == found(EDS).entries
 
@@ -103,11 +103,11 @@ SAME = {
 
 
 @pytest.mark.parametrize("text", SAME.values(), ids=SAME)
-def test_a_dictionary_may_be_written_otherwise(text):
+def test_dictionary_in_other_notation(text):
     assert found(text).entries == found(EDS).entries
 
 
-def test_an_unknown_type_is_no_noise_between_our_own_output(capsys, monkeypatch):
+def test_unknown_type_prints_nothing(capsys, monkeypatch):
     monkeypatch.setattr(logging.getLogger(), "handlers", [])  # as in a program, unlike in a test
     assert (
         found(EDS + entry_eds("2001", "x", "0x40", "rw", "DefaultValue=5"))
@@ -130,7 +130,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("old", "new"), BROKEN)
-def test_what_no_pdo_needs_may_be_unreadable(old, new):
+def test_entries_outside_pdos_may_be_unreadable(old, new):
     """A drive with the usual PDOs by its dictionary, of which other lines are damaged."""
     text, files = dictionary_and_text({})
     whole = files["dictionary:a.dcf"].decode().replace("AccessType=r", "PDOMapping=1\nAccessType=r")
@@ -163,7 +163,7 @@ def line_of(eds: str, section: str, key: str) -> int:
         ("=0x3\n", "=O3\n", "no PDO from the drive carries 6064:0: 1A00:0 a.dcf: line"),
     ],
 )
-def test_what_a_pdo_needs_is_refused_with_key_and_line(old, new, expected):
+def test_unreadable_pdo_entry_is_refused(old, new, expected):
     text, files = dictionary_and_text({})
     eds = files["dictionary:a.dcf"].decode()
     assert old in eds
@@ -216,18 +216,18 @@ def test_compact_storage(lines):
         (COMPACTS["values"].replace("Obj=3", "Obj=0"), "no PDO from the drive carries 6064:0"),
     ],
 )
-def test_compact_storage_that_is_not_whole(lines, expected):
+def test_incomplete_compact_storage(lines, expected):
     refused(*compact(lines)[:1], expected, compact(lines)[1])
 
 
-def test_a_range_that_an_editor_described_has_the_type_of_its_values():
+def test_described_range_has_type_of_values():
     """CANFestival: a type beyond those of CiA 301 is described in [A0]."""
     text = EDS + entry_eds("2001", "x", "0xA0", "rw", "DefaultValue=5")
     text += "[A0]\nParameterName=r\n[A0sub1]\nParameterName=t\nDefaultValue=0x6\n"
     assert found(text).entries[0x2001, 0].type == "U16"
 
 
-def test_a_dictionary_says_why_an_object_has_no_type():
+def test_reason_for_object_without_type():
     text = bus_text(1, drive='dictionary = "a.eds"').replace(
         'reference = "6074"', 'reference = "2074"'
     )
@@ -236,7 +236,7 @@ def test_a_dictionary_says_why_an_object_has_no_type():
     refused(text, told, {"dictionary:a.eds": eds.encode()})
 
 
-def test_only_parameters_of_pdos_say_why_an_object_is_in_none():
+def test_reason_for_object_outside_pdos():
     text, files = dictionary_and_text({0x1800: [1, 0]})
     name = entry_eds("1008", "device name", "0x0007", "const", "DefaultValue=Gold").encode()
     told = "no PDO from the drive carries 6064:0: expected one (dictionary)"

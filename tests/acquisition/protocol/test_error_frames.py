@@ -44,7 +44,7 @@ PLACES = {
 }  # fmt: skip
 
 
-def test_every_place_in_a_frame_has_its_code():
+def test_every_frame_location_has_code():
     found = {code: error_frame_words(0x008, bytes([0, 0, 0, code])) for code in range(256)}
     assert found == {
         code: f"protocol: in {PLACES[code]}" if code in PLACES else "protocol" for code in found
@@ -64,12 +64,12 @@ def test_every_place_in_a_frame_has_its_code():
           "while sending")),
     ],
 )  # fmt: skip
-def test_every_bit_of_a_detail_has_its_words(can_id, at, name, words):
+def test_every_detail_bit_has_words(can_id, at, name, words):
     found = [error_frame_words(can_id, bytes(at) + bytes([1 << k])) for k in range(len(words))]
     assert found == [f"{name}: {word}" for word in words]
 
 
-def test_states_of_the_wires():
+def test_wire_states():
     states = {4: "no wire", 5: "short to battery", 6: "short to supply", 7: "short to ground"}
     for code, words in states.items():
         assert error_frame_words(0x010, bytes([0, 0, 0, 0, code])) == f"transceiver: CAN_H {words}"

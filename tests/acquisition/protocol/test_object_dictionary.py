@@ -52,7 +52,7 @@ def test_identities(text, expected):
     assert found(text).identity == expected
 
 
-def test_a_dictionary_of_four_mebibytes_and_no_more():
+def test_dictionary_size_limit():
     remark = ";" + "x" * (4 * 2**20 - len(EDS) - 1)
     assert len(found(EDS + remark).entries) == 14
     with pytest.raises(
@@ -73,7 +73,7 @@ def test_a_dictionary_of_four_mebibytes_and_no_more():
         ("23 76 60 00 01 00 00 00", "60 76 60 00 00 00 00 00"),
     ],
 )
-def test_a_simulated_drive_serves_its_dictionary(asked, answer):
+def test_simulated_drive_serves_dictionary(asked, answer):
     keys = 'dictionary = "a.eds"\nobjects = { "6040" = "U16", "607A" = "I32" }\nreference = "6074"'
     text = (
         bus_text(1)
@@ -86,7 +86,7 @@ def test_a_simulated_drive_serves_its_dictionary(asked, answer):
     assert drive.receive(0x605, bytes.fromhex(asked)) == [(0x585, bytes.fromhex(answer))]
 
 
-def test_an_empty_number_is_read_as_0_with_a_warning():
+def test_empty_number_is_0_with_warning():
     """Makers leave them empty; what says nothing of the identity is not compared with the drive.
     Other numbers of [DeviceInfo] are not needed.
     """
@@ -109,7 +109,7 @@ def test_an_empty_number_is_read_as_0_with_a_warning():
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
+def test_real_dictionaries_load_or_give_one_line(name):
     data = (needs_data("eds") / name).read_bytes()
     if name.startswith("infranor"):
         with pytest.raises(
@@ -123,7 +123,7 @@ def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
     assert found.vendor in (0xFB, 0x9A, 0x26C, 0x1A3)
 
 
-def test_an_object_the_dictionary_does_not_hold():
+def test_object_missing_in_dictionary():
     data = (needs_data("eds") / "maxon_EPOS4.eds").read_bytes()
     text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
     refused(text, "reference = '6074': a.eds does not contain it", {"dictionary:a.eds": data})
@@ -153,7 +153,7 @@ def test_an_object_the_dictionary_does_not_hold():
         ({0x1800: [1, 0]}, "no PDO from the drive carries 6064:0"),
     ],
 )
-def test_pdos_of_a_dictionary_are_looked_at_as_those_of_the_file(records, expected):
+def test_dictionary_pdos_are_checked(records, expected):
     text, files = dictionary_and_text(records)
     refused(text, expected, files)
 
@@ -173,7 +173,7 @@ def test_damaged_dictionaries(data, expected):
         load_dictionary(data, "x.eds", 1)
 
 
-def test_a_dictionary_that_is_not_there(tmp_path):
+def test_missing_dictionary(tmp_path):
     (tmp_path / "robot.toml").write_text(
         bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "none.eds"\n')
     )
@@ -182,7 +182,7 @@ def test_a_dictionary_that_is_not_there(tmp_path):
     assert (caught.value.key, caught.value.value) == ("bus.drive[0].dictionary", "none.eds")
 
 
-def test_pdos_of_traffic_are_looked_at_too():
+def test_traffic_pdos_are_checked():
     values = {(0x1800, 1): 0x701, (0x1A00, 0): 3} | {
         (0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)
     }

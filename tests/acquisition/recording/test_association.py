@@ -149,12 +149,12 @@ def answered(syncs: Iterable[int]) -> str:
         ("S#8 1:1 2:1 S#9 1:2 2:2 S+1#1 1:4 2:4 1:5 2:5 S#3 1:6 2:6", (1, 2, 4, 5, 6), 1),
     ],
 )  # fmt: skip
-def test_whole_recordings_with_known_answers(text, samples, lost):
+def test_recordings_with_known_answers(text, samples, lost):
     assert told(text) == ([*samples], lost)
 
 
 @pytest.mark.parametrize(("early", "first"), [("", (1, 1)), ("t1:7 t2:8", (7, 8))])
-def test_a_target_is_in_force_from_the_next_sync_on(early, first):
+def test_target_acts_from_next_sync(early, first):
     between = (
         "t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4 t1:14 S 1:5 2:5"
     )
@@ -164,7 +164,7 @@ def test_a_target_is_in_force_from_the_next_sync_on(early, first):
     np.testing.assert_allclose(found.samples["reference"].T, joint, rtol=1e-12)
 
 
-def test_with_over_five_percent_missing_there_are_no_samples():
+def test_no_samples_over_5_percent_missing():
     frames = flat(session(syncs=1440))
     of_first = np.flatnonzero(frames["can_id"] == 0x181)
     kept = {count: np.delete(frames, of_first[100 : 100 + 10 * count : 10]) for count in (70, 80)}
@@ -178,7 +178,7 @@ def test_with_over_five_percent_missing_there_are_no_samples():
 
 
 @pytest.mark.parametrize("sent", [0, SENT])
-def test_a_pause_in_which_a_sync_and_answers_were_lost_gives_no_row(sent):
+def test_pause_with_lost_sync_gives_no_row(sent):
     """One burst: answers of two drives to one SYNC, the next SYNC, and the
     answers of the third to it.
     """
@@ -191,13 +191,13 @@ def test_a_pause_in_which_a_sync_and_answers_were_lost_gives_no_row(sent):
     assert np.delete(sync_ns, [700, 701]).tolist() == found.samples["stamp_ns"].tolist()
 
 
-def test_a_last_sync_that_is_not_recorded_stands_a_period_after_the_one_before():
+def test_unrecorded_last_sync_is_one_period_later():
     found = decoded(f"{BEFORE} S 1:5 2:5 + 1:6 2:6")
     assert np.diff(found.samples["stamp_ns"]).tolist() == [PERIOD_NS] * 5
     assert found.syncs_lost == 1
 
 
-def test_an_answer_behind_the_next_sync_is_late_unless_syncs_came_in_a_burst():
+def test_late_answers_differ_from_sync_bursts():
     late = decoded(f"{BEFORE} S 1:5 S 1:6 2:5 2:6 {AFTER}")
     assert [pdo.losses["late"] for pdo in late.pdos] == [0, 1]
     burst = decoded(f"{BEFORE} S+1.8 S+0.2 1:5 2:5 1:6 2:6 {AFTER}")
@@ -205,7 +205,7 @@ def test_an_answer_behind_the_next_sync_is_late_unless_syncs_came_in_a_burst():
     assert len(burst.stamps) == 9
 
 
-def test_a_repeat_after_which_a_sync_was_not_recorded_is_none():
+def test_repeat_before_lost_sync_is_not_duplicate():
     """There are two sets of answers, but in two periods."""
     found = decoded(
         f"{answered(range(12))} S S+0.2 1:12 2:12 + 1:13 2:13 S+1.8 1:14 2:14 "
@@ -215,14 +215,14 @@ def test_a_repeat_after_which_a_sync_was_not_recorded_is_none():
     assert found.syncs_lost == 1
 
 
-def test_a_sync_that_we_sent_twice_is_two():
+def test_sync_sent_twice_counts_twice():
     frames = sequence(f"{answered(range(12))} S S+0.2 1:12 2:12 S+0.8 {answered(range(13, 30))}")
     frames["flags"] = SENT * (frames["can_id"] == 0x80)
     assert decode(frames, ROBOT, BUS, "log").syncs == 32
 
 
 @pytest.mark.parametrize("again", ["S+0.2", "S+0.1 S+0.1", "S+0.001"])
-def test_repeats_of_a_sync_leave_the_times(again):
+def test_repeated_sync_keeps_times(again):
     rest = 1 - sum(float(word[1:]) for word in again.split())
     found = decoded(f"{BEFORE} S {again} 1:5 2:5 S+{rest} 1:6 2:6 {AFTER}")
     assert found.syncs == 9

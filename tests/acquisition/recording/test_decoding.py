@@ -39,7 +39,7 @@ def right(found: Decoded, *, first: int = 0, lost: tuple[int, ...] = (), syncs: 
     assert found.samples["stamp_ns"].tolist() == (1_000_000_000 + k * 2_000_000).tolist()
 
 
-def test_a_clean_session():
+def test_clean_session():
     found = decoded(session())
     right(found)
     assert found.warnings == ()
@@ -70,7 +70,7 @@ def test_missing_duplicate_and_short_pdos():
     assert "1 SYNC were answered but not recorded" in found.warnings
 
 
-def test_frames_of_others_do_not_matter():
+def test_other_frames_are_ignored():
     noise = []
     for t in range(1_000_000_000, 1_100_000_000, 2_000_000):
         noise += [
@@ -88,7 +88,7 @@ def test_frames_of_others_do_not_matter():
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_a_period_that_is_not_the_described_one_is_refused(way):
+def test_wrong_period_is_refused(way):
     """By more than 5 %, and warned of by more than 1 %."""
     warned = decoded(session(period_ns=2_000_000 + way * 98_000))
     assert warned.warnings[0].endswith("ms: expected 2 ms as robot.toml says")
@@ -100,7 +100,7 @@ def test_a_period_that_is_not_the_described_one_is_refused(way):
     assert caught.value.expected.startswith(f"{2e-3 + way * 102e-6:.3g};")
 
 
-def test_a_pause_of_sync_is_no_other_period():
+def test_sync_pause_keeps_period():
     frames = flat(session())
     frames["time_ns"][75:] += 100_000_000
     found = decode(frames, ROBOT, BUS, "log")
@@ -115,7 +115,7 @@ def test_a_pause_of_sync_is_no_other_period():
 
 @pytest.mark.parametrize("at_once", [7, 1000])
 @pytest.mark.parametrize("way", [1, -1])
-def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
+def test_wrapping_counter_continues(way, at_once, monkeypatch):
     """Drive 1 comes to the end of 32 bits at SYNC 20, and its targets one SYNC
     earlier; back again at 40.
     """
@@ -145,12 +145,12 @@ def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
         (session(2, 1), "log: 1 SYNC"),
     ],
 )
-def test_what_cannot_be_decoded(intervals, expected):
+def test_undecodable_frames(intervals, expected):
     with pytest.raises(BadInputError, match=expected):
         decoded(intervals)
 
 
-def test_traffic_of_a_third_party_is_decoded_exactly():
+def test_third_party_traffic_is_decoded_exactly():
     """Mapping out of the master's SDO writes; three PDOs came after the next
     SYNC; the motion is known.
     """

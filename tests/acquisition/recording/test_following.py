@@ -65,7 +65,7 @@ def shown(path: Path, frames: Block, robot: Robot = ROBOT) -> Block:
 
 @settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.02, 0.3]), st.booleans())
-def test_rows_are_those_of_the_whole_recording(tmp_path_factory, seed, share, targets):
+def test_rows_match_whole_recording(tmp_path_factory, seed, share, targets):
     rng = np.random.default_rng(seed)
     by = rng.integers(1, 4, 800) * (rng.random(800) < share)
     frames = late_by(session(syncs=800, targets=targets), by, 2)
@@ -75,7 +75,7 @@ def test_rows_are_those_of_the_whole_recording(tmp_path_factory, seed, share, ta
     assert rows.tobytes() == whole.tobytes()
 
 
-def test_a_row_is_given_with_the_block_that_completes_it(tmp_path):
+def test_row_is_given_with_completing_block(tmp_path):
     frames = flat(session(syncs=400))
     edges = tenths(frames)
     for k, follower in enumerate(written(tmp_path / "log.mcap", frames, edges)):
@@ -86,7 +86,7 @@ def test_a_row_is_given_with_the_block_that_completes_it(tmp_path):
         assert 0 <= last_ns - follower.rows["stamp_ns"][-1] < 2_000_000
 
 
-def test_a_counter_that_wraps_in_dropped_frames_counts_on(tmp_path):
+def test_counter_wrap_in_dropped_frames_continues(tmp_path):
     frames = flat(session(syncs=1500))
     pdo = (frames["can_id"] > 0x180) & (frames["can_id"] < 0x200)
     payload = frames["data"].view([("status", "<u2"), ("position", "<i4"), ("effort", "<i2")])[:, 0]
@@ -114,7 +114,7 @@ def test_a_counter_that_wraps_in_dropped_frames_counts_on(tmp_path):
         ),
     ],
 )
-def test_a_file_that_cannot_be_followed_any_more(tmp_path, harm, text):
+def test_file_cannot_be_followed(tmp_path, harm, text):
     path = tmp_path / "log.mcap"
     with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
         writer.frames("can0", flat(session(syncs=100)))
@@ -127,7 +127,7 @@ def test_a_file_that_cannot_be_followed_any_more(tmp_path, harm, text):
     assert str(raised.value).startswith(f"{path}: ")
 
 
-def test_half_a_record_is_awaited(tmp_path):
+def test_partial_record_is_awaited(tmp_path):
     whole, path = tmp_path / "whole.mcap", tmp_path / "log.mcap"
     with RecordingWriter(whole, header(ROBOT, 500.0)) as writer:
         described = whole.stat().st_size
@@ -145,7 +145,7 @@ def test_half_a_record_is_awaited(tmp_path):
     assert rows == 100
 
 
-def test_a_recorder_hands_over_each_block_at_once_in_few_bytes(tmp_path, monkeypatch):
+def test_recorder_passes_small_blocks_at_once(tmp_path, monkeypatch):
     """The disk is waited for every half second only; of two slow drives a frame
     takes 12 bytes at most.
     """
@@ -165,7 +165,7 @@ def test_a_recorder_hands_over_each_block_at_once_in_few_bytes(tmp_path, monkeyp
     recorder.close()
 
 
-def test_a_drive_late_for_long_is_shown_as_it_is_decoded(tmp_path):
+def test_live_rows_of_late_drive_match_decoding(tmp_path):
     by = np.zeros(400, int)
     by[110:260] = 1
     frames = late_by(session(syncs=400), by, 1)
@@ -177,9 +177,7 @@ def test_a_drive_late_for_long_is_shown_as_it_is_decoded(tmp_path):
 
 @pytest.mark.parametrize(("doubled", "lost"), [(0.0, 0.0), (0.01, 0.0), (0.0, 0.005)])
 @pytest.mark.parametrize("sd", [0.05, 0.2])
-def test_a_foreign_sync_that_is_received_late_is_shown_as_it_is_decoded(
-    tmp_path, sd, doubled, lost
-):
+def test_live_rows_of_late_foreign_sync_match(tmp_path, sd, doubled, lost):
     """Only times differ, by less than half a period: later SYNCs show what a delay was."""
     for seed in range(3):
         recording = jittery(seed, sd, syncs=1200, doubled=doubled, lost=lost)

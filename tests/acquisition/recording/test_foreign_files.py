@@ -47,9 +47,7 @@ def without_size(content: bytes) -> bytes:
 @pytest.mark.parametrize("compression", [*CompressionType])
 @pytest.mark.parametrize("chunked", [True, False])
 @pytest.mark.parametrize("chunk_bytes", [2**20, 500])
-def test_what_another_program_wrote_again_is_read(
-    tmp_path, whole, compression, chunked, chunk_bytes
-):
+def test_rewritten_file_is_read(tmp_path, whole, compression, chunked, chunk_bytes):
     how = {"compression": compression, "use_chunking": chunked, "chunk_size": chunk_bytes}
     path = written_again(whole, tmp_path / "a.mcap", **how)
     assert same(read_recording(path), read_recording(whole))
@@ -65,7 +63,7 @@ def test_what_another_program_wrote_again_is_read(
         ("lz4", lambda content: lz4.frame.compress(content, store_size=False)),
     ],
 )
-def test_chunks_need_not_state_their_size(tmp_path, whole, compression, compress):
+def test_chunk_size_is_optional(tmp_path, whole, compression, compress):
     (tmp_path / "a.mcap").write_bytes(with_chunks(whole.read_bytes(), compression, compress))
     assert same(read_recording(tmp_path / "a.mcap"), read_recording(whole))
 
@@ -83,7 +81,7 @@ def test_chunks_need_not_state_their_size(tmp_path, whole, compression, compress
         ("br", bytes, r"a\.mcap: has chunks compressed by 'br': expected 'zstd', 'lz4' or none"),
     ],
 )
-def test_chunks_that_are_not_what_they_say(tmp_path, whole, compression, compress, problem):
+def test_inconsistent_chunks(tmp_path, whole, compression, compress, problem):
     (tmp_path / "a.mcap").write_bytes(with_chunks(whole.read_bytes(), compression, compress))
     with pytest.raises(BadInputError, match=problem):
         read_recording(tmp_path / "a.mcap")
@@ -97,7 +95,7 @@ def message(topic: str, data: bytes, schema: bytes) -> Callable[[Writer], None]:
     return add
 
 
-def test_topics_of_others_stand_beside_ours(tmp_path, whole):
+def test_foreign_topics_are_accepted(tmp_path, whole):
     """A schema of protobuf is no text."""
     path = written_again(whole, tmp_path / "a.mcap", message("/camera", b"\xff" * 9, b"\n\xff\xfe"))
     assert same(read_recording(path), read_recording(whole))
@@ -112,7 +110,7 @@ def test_topics_of_others_stand_beside_ours(tmp_path, whole):
         (lambda w: w.add_attachment(0, 0, "robot.toml", "", b""), "a second attachment 'robot"),
     ],
 )
-def test_recordings_merged_with_others_are_not_called_damaged(tmp_path, whole, more, problem):
+def test_merged_recordings_are_not_damaged(tmp_path, whole, more, problem):
     told = attempt(written_again(whole, tmp_path / "a.mcap", more))
     assert isinstance(told, str)
     assert problem in told
@@ -120,7 +118,7 @@ def test_recordings_merged_with_others_are_not_called_damaged(tmp_path, whole, m
 
 
 @pytest.mark.parametrize("share", [0.4, 0.7])
-def test_what_stands_outside_of_chunks_is_read_up_to_a_cut(tmp_path, whole, share):
+def test_records_outside_chunks_are_read(tmp_path, whole, share):
     data = written_again(whole, tmp_path / "a.mcap", use_chunking=False).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(share * len(data))])
     cut, full = read_recording(tmp_path / "cut.mcap"), read_recording(whole)
@@ -129,7 +127,7 @@ def test_what_stands_outside_of_chunks_is_read_up_to_a_cut(tmp_path, whole, shar
     assert full.samples.tobytes().startswith(cut.samples.tobytes())
 
 
-def test_a_file_without_chunks_is_followed(tmp_path):
+def test_file_without_chunks_is_followed(tmp_path):
     robot, frames = robot_of(bus_text(2)), flat(session(syncs=60))
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.frames("can0", frames)
@@ -146,7 +144,7 @@ def test_a_file_without_chunks_is_followed(tmp_path):
 
 
 @pytest.mark.parametrize("of_blocks", [0, 1, 2])
-def test_a_repair_that_recovers_nothing_fails(tmp_path, robot, of_blocks, capsys):
+def test_recovery_of_nothing_fails(tmp_path, robot, of_blocks, capsys):
     """Of a description alone, with events too, and of a first block that is not whole."""
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     write(cut, robot, blocks=1)
@@ -163,7 +161,7 @@ def test_a_repair_that_recovers_nothing_fails(tmp_path, robot, of_blocks, capsys
     assert not out.exists()
 
 
-def test_a_repair_of_frames_alone_is_one(tmp_path, robot):
+def test_recovery_of_frames_alone_succeeds(tmp_path, robot):
     """Also of frames that do not decode: they are what the recording is for."""
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     write(cut, robot, blocks=1)

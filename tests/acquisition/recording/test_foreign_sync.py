@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 
 @pytest.mark.parametrize("sd", [0.0, 0.05, 0.1, 0.15, 0.2])
-def test_times_of_a_sync_that_is_received_late_are_right_and_no_row_is_lost(sd):
+def test_late_sync_gives_true_times_and_all_rows(sd):
     for seed in range(40):
         found, which, off, raw = jittery(seed, sd).decoded()
         assert which.tolist() == [*range(300)]
@@ -33,7 +33,7 @@ def test_times_of_a_sync_that_is_received_late_are_right_and_no_row_is_lost(sd):
     ids=str,
 )
 @pytest.mark.parametrize("sd", [0.0, 0.05, 0.1, 0.2])
-def test_so_are_those_of_doubled_lost_and_paused_ones(sd, harm, least):
+def test_duplicate_lost_and_paused_syncs_keep_times(sd, harm, least):
     rows, errors = 0, np.zeros(0)
     for seed in range(20):
         _, which, off, raw = jittery(seed, sd, syncs=600, **harm).decoded()
@@ -44,7 +44,7 @@ def test_so_are_those_of_doubled_lost_and_paused_ones(sd, harm, least):
 
 
 @pytest.mark.parametrize("sd", [0.0, 0.05, 0.1])
-def test_a_timer_that_starts_again_earlier_leaves_the_times_before_as_they_are(sd):
+def test_timer_restart_keeps_earlier_times(sd):
     for seed in range(20):
         _, which, off, raw = jittery(seed, sd, syncs=600, restart=0.7).decoded()
         assert which.tolist() == [*range(600)]
@@ -52,7 +52,7 @@ def test_a_timer_that_starts_again_earlier_leaves_the_times_before_as_they_are(s
 
 
 @pytest.mark.parametrize("sd", [0.0, 0.1])
-def test_syncs_that_were_lost_before_the_clock_was_set_back_are_counted(sd):
+def test_syncs_lost_before_clock_step_are_counted(sd):
     recording = jittery(1, sd, syncs=1000, lost=0.01)
     half = len(recording.frames) // 2
     recording.frames["time_ns"][half:] -= 500_000_000
@@ -67,7 +67,7 @@ def test_syncs_that_were_lost_before_the_clock_was_set_back_are_counted(sd):
 @pytest.mark.parametrize("at_once", [False, True])
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32), most=st.sampled_from([2, 3, 5, 12]), apart=st.floats(0.001, 0.6))
-def test_syncs_in_bursts_that_are_all_answered_give_all_rows(sent, at_once, seed, most, apart):
+def test_answered_sync_bursts_give_all_rows(sent, at_once, seed, most, apart):
     """Bursts of `most` or up to as many, the last SYNC of each on time; drives answer each SYNC at
     once, or all of them are received behind the last one.
     """

@@ -18,7 +18,7 @@ LEAST |= {Kind(sync="doubled"): 0.95, Kind(sync="lost"): 1.0}
 
 
 @pytest.mark.parametrize("kind", [*KINDS, *BURSTS], ids=str)
-def test_no_row_mixes_syncs_or_is_off_in_time(kind):
+def test_rows_mix_no_syncs_and_have_true_times(kind):
     found = sum(
         (outcome(made(np.random.default_rng([7, k]), kind)) for k in range(8)), Outcome(files=0)
     )
@@ -27,14 +27,14 @@ def test_no_row_mixes_syncs_or_is_off_in_time(kind):
     assert found.refused <= (4 if kind.late or kind.lost else 0)
 
 
-def test_answers_pending_at_the_end_make_no_late_one_doubtful():
+def test_pending_last_answers_keep_late_rows():
     """Late from begin to end: no edge is proven but the first and the last."""
     found = outcome(made(np.random.default_rng([1, 1, 25]), KINDS[1]))
     assert found.rows >= 0.99 * SYNCS
 
 
 @pytest.mark.parametrize("ours", [True, False])
-def test_syncs_that_changed_places_are_in_order_of_time_and_a_clock_that_is_set_back_stays(ours):
+def test_swapped_syncs_are_sorted_clock_step_kept(ours):
     even = 10**9 + 2_000_000 * np.arange(20)
     swapped, back = even[[*range(8), 9, 8, *range(10, 20)]], even - 5_000_000 * (np.arange(20) >= 8)
     rows, period = np.arange(20, dtype=np.int32), 2e6

@@ -137,7 +137,7 @@ CONFIRMED = {
 
 
 @pytest.mark.parametrize("before", CONFIRMED.values(), ids=CONFIRMED)
-def test_what_drives_confirmed_is_what_they_have_mapped(before):
+def test_confirmed_mapping_is_used(before):
     found = of(before)
     all_true(found)
     assert found.warnings == ()
@@ -153,7 +153,7 @@ SAME = {
 
 
 @pytest.mark.parametrize(("before", "behind"), SAME.values(), ids=SAME)
-def test_what_changes_nothing_leaves_all_rows(before, behind):
+def test_ineffective_writes_keep_all_rows(before, behind):
     found = of(before, behind=behind)
     all_true(found)
     assert found.warnings == ()
@@ -181,7 +181,7 @@ NOT_KNOWN = {
 
 
 @pytest.mark.parametrize(("steps", "expected"), NOT_KNOWN.values(), ids=NOT_KNOWN)
-def test_what_is_not_confirmed_is_refused_with_its_sub_index(steps, expected):
+def test_unconfirmed_mapping_is_refused(steps, expected):
     with pytest.raises(BadInputError) as caught:
         of(talk(100, 1, *steps) + SECOND)
     assert expected in str(caught.value)
@@ -200,24 +200,24 @@ STARTED = {
 
 
 @pytest.mark.parametrize("behind", STARTED.values(), ids=STARTED)
-def test_a_start_ends_what_is_not_stored(behind):
+def test_restart_clears_unstored_mapping(behind):
     with pytest.raises(BadInputError, match="6064:0: 1800:1 was lost at a start of the drive"):
         of(USUAL + behind)
 
 
-def test_answers_of_another_node_confirm_nothing():
+def test_answers_of_other_node_do_not_confirm():
     with pytest.raises(BadInputError, match="1800:1 was written, but no answer was seen"):
         of(talk(100, 1, *words(1, *WHOLE), server=3) + SECOND)
 
 
-def test_an_answer_again_after_a_lost_write_is_not_the_one_before():
+def test_answer_after_lost_write_is_no_duplicate():
     """The second write of 1A00:3 is lost; an answer 0.7 ms later is no doubled frame."""
     rows = talk(100, 1, *words(1, *WHOLE), (0x1A00, 3, DEMAND, OK), (0x1A00, 3, ACTUAL, UNSEEN))
     with pytest.raises(BadInputError, match="1A00:3 was written, but the write was not seen"):
         of(rows + SECOND)
 
 
-def test_in_a_log_without_answers_writes_count_with_a_warning():
+def test_without_answers_writes_count_with_warning():
     silent = [row for row in USUAL if row[1] > 0x600]
     for found in (of(silent), of(silent, behind=boot(1101, 2))):
         all_true(found)
@@ -239,7 +239,7 @@ def moved(intervals, t_ns: int) -> list:
     ]
 
 
-def test_pdos_of_another_mapping_are_left_out_with_a_warning():
+def test_pdos_of_other_mapping_are_skipped():
     """Drives that run since before the log, and are mapped anew; that start again behind it."""
     early = moved(session(syncs=20), -1_000_000_000)
     behind = reset(1101, 2) + moved(session(syncs=10), 110_000_000) + boot(1200, 2)
@@ -251,7 +251,7 @@ def test_pdos_of_another_mapping_are_left_out_with_a_warning():
         )
 
 
-def test_a_mapping_that_the_drive_confirmed_otherwise_is_a_warning():
+def test_differently_confirmed_mapping_warns():
     others = {1: DEMAND, 3: STATUS}
     wrong = talk(100, 1, *words(1, DEMAND, POSITION, STATUS)) + SECOND
     told = [

@@ -96,7 +96,7 @@ LOSSES = {
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("loss", LOSSES)
-def test_every_row_of_a_loss_is_found_and_no_other(loss, seed):
+def test_exactly_lost_rows_are_found(loss, seed):
     change, lost = LOSSES[loss]
     q, u = change(*recorded(seed))
     measured, text = judged(STAMPS, q, u)
@@ -104,7 +104,7 @@ def test_every_row_of_a_loss_is_found_and_no_other(loss, seed):
     assert f"{lost.sum()} {'are interpolated' if 'filled' in loss else 'have lost efforts'}" in text
 
 
-def test_rows_that_were_held_over_a_gap_are_found_but_for_the_last_beside_the_jump():
+def test_rows_held_over_gap_are_found():
     q, u = (frozen(x, GAPS) for x in recorded(1))
     measured, _ = judged(STAMPS, q, u)
     assert not (measured & rows_from((1500, 1799), (4000, 4099))).any()
@@ -123,7 +123,7 @@ def test_rows_that_were_held_over_a_gap_are_found_but_for_the_last_beside_the_ju
         ("coarse and slow", 0.05, 0.0, 1e-4, 0.5),
     ],
 )
-def test_nothing_is_found_where_nothing_is_lost(what, speed, noise, q_step, u_step, seed):
+def test_no_lost_rows_in_complete_recording(what, speed, noise, q_step, u_step, seed):
     q, u = recorded(seed, speed=speed, noise=noise)
     q, u = (np.round(x / by) * by if by else x for x, by in ((q, q_step), (u, u_step)))
     assert judged(STAMPS, q, u)[1] == ""
@@ -141,7 +141,7 @@ def trapezoid(rate_hz, speed, acceleration, period_s):
 @pytest.mark.parametrize("rate_hz", [100, 1000])
 @pytest.mark.parametrize("noise", [0.0, 1e-6])
 @pytest.mark.parametrize(("name", "n"), [("emps", 1), ("scara", 2)])
-def test_efforts_without_noise_are_constant_where_speeds_are(name, n, noise, rate_hz):
+def test_noiseless_constant_efforts_are_measured(name, n, noise, rate_hz):
     """As of a first simulation, of one axis and of two without gravity."""
     moves = [trapezoid(rate_hz, *x) for x in ((0.3, 1.2, 2.0), (0.4, 1.0, 2.5))[:n]]
     q, dq, ddq = np.stack(moves, axis=-1)
@@ -156,7 +156,7 @@ def test_efforts_without_noise_are_constant_where_speeds_are(name, n, noise, rat
 
 @pytest.mark.parametrize("rate_hz", [100, 125, 250])
 @pytest.mark.parametrize("speed", [0.1, 0.3])
-def test_slow_moves_without_noise_were_not_filled(rate_hz, speed):
+def test_noiseless_slow_moves_are_measured(rate_hz, speed):
     """At constant speed torques of gravity are cubic for long, to rounding."""
     moves = [trapezoid(rate_hz, speed, 1.5, period_s) for period_s in (5.0, 6.1)]
     q, dq, ddq = np.stack(moves, axis=-1)
@@ -166,14 +166,14 @@ def test_slow_moves_without_noise_were_not_filled(rate_hz, speed):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_zeros_are_found_without_noise_too(seed):
+def test_noiseless_zeros_are_found(seed):
     q, u = recorded(seed, noise=0.0)
     measured, _ = judged(STAMPS, q, np.where(BURSTS[:, None], 0.0, u))
     np.testing.assert_array_equal(measured, ~BURSTS)
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 10, 40])
-def test_few_rows_are_judged_too(count):
+def test_few_rows_are_judged(count):
     q, u = recorded(1)
     assert judged(STAMPS[:count], q[:count], u[:count])[1] == ""
     assert judged(STAMPS[:count], 0 * q[:count], 0 * u[:count])[1] == ""
@@ -193,25 +193,25 @@ PAUSED = np.minimum(np.arange(N), np.maximum(2000, np.arange(N) - 300))  # stand
         lambda q, u: (q, np.where(JOINTS == 2, 0.0, u)),  # never recorded, which is said elsewhere
     ],
 )
-def test_what_is_held_or_at_a_limit_or_stands_was_measured(change):
+def test_held_saturated_or_resting_is_measured(change):
     assert judged(STAMPS, *change(*recorded(4)))[1] == ""
 
 
 @pytest.mark.parametrize("name", ["emps", "scara", "tx40"])
-def test_nothing_is_found_in_shipped_sessions(name):
+def test_no_lost_rows_in_shipped_sessions(name):
     found = read_recording(REPLAY / name / "session.mcap")
     measured, text = measured_rows(found.samples, found.robot)
     assert measured.all()
     assert text == ""
 
 
-def test_nothing_is_found_in_the_real_records(emps, tx40):
+def test_no_lost_rows_in_real_records(emps, tx40):
     for path in (emps, tx40):
         found = read_recording(path)
         assert measured_rows(found.samples, found.robot)[1] == ""
 
 
-def test_gaps_and_steps_of_the_clock_are_told_apart():
+def test_gaps_and_clock_steps_differ():
     """Of two steps of 0.5 s, rows are missing in one; over the other only the clock goes on."""
     q, u = recorded(6)
     there = ~rows_from((1500, 1750))

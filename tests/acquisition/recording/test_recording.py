@@ -32,7 +32,7 @@ def messages_of(path, *topics: str) -> list:
         return list(mcap.reader.make_reader(file).iter_messages(topics=topics or None))
 
 
-def test_reads_what_was_written(whole, robot):
+def test_reads_written_data(whole, robot):
     recording = read_recording(whole)
     assert recording.samples.tobytes() == some_samples(240).tobytes()
     assert recording.samples.dtype == sample_dtype(2, reference=True)
@@ -53,7 +53,7 @@ def test_reads_what_was_written(whole, robot):
     )
 
 
-def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
+def test_large_block_is_stored_in_small_blocks(tmp_path, robot):
     samples, path = some_samples(9001, reference=False), tmp_path / "a.mcap"
     with RecordingWriter(path, header(robot)) as writer:
         writer.samples(samples)
@@ -76,7 +76,7 @@ def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
     ]
 
 
-def test_blocks_byte_for_byte(tmp_path, robot):
+def test_block_bytes(tmp_path, robot):
     """What a reader without numpy finds: layouts in words, rows packed
     little-endian, text in JSON.
     """
@@ -126,7 +126,7 @@ def test_blocks_byte_for_byte(tmp_path, robot):
     assert found["/events"][:3:2] == ("jsonschema", "json")
 
 
-def test_what_a_recording_says_of_itself(tmp_path, robot):
+def test_recording_metadata(tmp_path, robot):
     notes = {"bitrate": "500000", "robot": "not mine to say", "schema_version": "9"}
     path = tmp_path / "a.mcap"
     with RecordingWriter(path, replace(header(robot, 250.0), source="a test", notes=notes)):
@@ -161,9 +161,7 @@ GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite numb
         ("effort", [[0, 0], [0, np.inf], [0, 0]], 2, np.inf, FINITE),
     ],
 )
-def test_values_that_a_recording_does_not_take(
-    tmp_path, robot, field, values, row, value, expected
-):
+def test_refused_values(tmp_path, robot, field, values, row, value, expected):
     samples = some_samples(3)
     samples[field] = values
     with (
@@ -176,9 +174,7 @@ def test_values_that_a_recording_does_not_take(
     assert (str(error.value), error.expected) == (str(value), expected)
 
 
-def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks_and_a_late_stamp_is_taken(
-    tmp_path, robot, monkeypatch
-):
+def test_refused_row_number_counts_all_blocks(tmp_path, robot, monkeypatch):
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
     samples = some_samples(2000)
     samples["stamp_ns"][-1] = 2**31 * 10**9 - 1
@@ -195,7 +191,7 @@ def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks_and_a_lat
         samples["stamp_ns"][1400] = samples["stamp_ns"][1399]  # the first of a block
 
 
-def test_gaps_of_one_and_a_half_periods_and_more():
+def test_gaps_from_one_and_a_half_periods():
     samples = np.zeros(5, sample_dtype(1, reference=False))
     samples["stamp_ns"] = np.cumsum([0, 2_000_000, 2_999_990, 3_000_010, 8_000_000])
     found = [(g.row, g.stamp_ns, g.missing) for g in gaps(samples, 500.0)]
@@ -203,7 +199,7 @@ def test_gaps_of_one_and_a_half_periods_and_more():
     assert gaps(samples[:1], 500.0) == ()
 
 
-def test_readers_of_others_find_metadata_and_attachments(whole):
+def test_other_readers_find_metadata_and_files(whole):
     with whole.open("rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)
         assert [m.name for m in reader.iter_metadata()] == ["recording"]
@@ -217,7 +213,7 @@ def test_readers_of_others_find_metadata_and_attachments(whole):
 
 
 @pytest.mark.parametrize(("rate_hz", "step"), [(100.0, 1), (250.0, 3), (1024.0, 11)])
-def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path, robot, rate_hz, step):
+def test_joint_states_are_cdr_at_most_100_hz(tmp_path, robot, rate_hz, step):
     samples = some_samples(200, rate_hz=rate_hz)
     with RecordingWriter(tmp_path / "a.mcap", header(robot, rate_hz)) as writer:
         for k in range(0, 200, 7):  # decimation goes on across blocks
@@ -254,7 +250,7 @@ def test_amperes_are_no_joint_state_effort(tmp_path, robot):
     assert json.loads(read_recording(tmp_path / "a.mcap").metadata["effort_unit"]) == ["A", "A"]
 
 
-def test_writer_refuses_what_the_reader_would(tmp_path, robot):
+def test_writer_refuses_what_reader_refuses(tmp_path, robot):
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(some_samples(10))
         for bad, message in (
@@ -281,7 +277,7 @@ def test_writer_refuses_what_the_reader_would(tmp_path, robot):
     assert len(read_recording(tmp_path / "a.mcap").samples) == 20
 
 
-def test_the_file_ends_properly_when_a_session_fails_and_an_unknown_counter_is_nan(tmp_path, robot):
+def test_file_is_complete_after_failed_session(tmp_path, robot):
     path = tmp_path / "a.mcap"
     with suppress(RuntimeError), RecordingWriter(path, header(robot)) as writer:
         writer.samples(some_samples(10))

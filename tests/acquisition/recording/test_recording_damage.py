@@ -24,7 +24,7 @@ from acquisition.recording import content as mcap_content
 from acquisition.session import Recorder, process
 
 
-def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
+def test_truncation_leaves_prefix_or_one_line(whole, tmp_path):
     data, full = whole.read_bytes(), read_recording(whole)
     rng = np.random.default_rng(2)
     cuts = sorted(
@@ -53,7 +53,7 @@ def spoilt(path: Path, data: bytearray, place: int, bit: int) -> Path:
     return path
 
 
-def test_a_flipped_bit_is_an_error_or_changes_nothing(whole, tmp_path):
+def test_flipped_bit_is_error_or_harmless(whole, tmp_path):
     data, full = bytearray(whole.read_bytes()), read_recording(whole)
     rng, refused = np.random.default_rng(3), 0
     places = [
@@ -68,7 +68,7 @@ def test_a_flipped_bit_is_an_error_or_changes_nothing(whole, tmp_path):
     assert refused > len(places) / 2
 
 
-def test_a_flipped_bit_in_a_cut_file_is_found_in_all_it_tells(whole, tmp_path):
+def test_flipped_bit_in_truncated_file_is_found(whole, tmp_path):
     data = bytearray(whole.read_bytes()[: -whole.stat().st_size // 3])
     full = read_recording(whole)
     start = data.index(b"robot.toml")
@@ -81,7 +81,7 @@ def test_a_flipped_bit_in_a_cut_file_is_found_in_all_it_tells(whole, tmp_path):
 
 
 @pytest.mark.parametrize("with_frames", [True, False])
-def test_recovers_a_cut_file(robot, tmp_path, with_frames):
+def test_recovers_truncated_file(robot, tmp_path, with_frames):
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     write(cut, robot, with_frames=with_frames)
     data = cut.read_bytes()
@@ -100,7 +100,7 @@ def test_recovers_a_cut_file(robot, tmp_path, with_frames):
     assert same(replace(recovered, metadata={**kept, "crc32": before.metadata["crc32"]}), before)
 
 
-def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch):
+def test_decompressed_size_is_limited(tmp_path, robot, whole, monkeypatch):
     with (tmp_path / "bomb.mcap").open("wb") as file:
         writer = described(file, GOOD, robot.files)
         channel = writer.register_channel(
@@ -202,9 +202,7 @@ ROW = struct.pack("<q4d", 0, 0.0, 0.0, 0.0, 0.0)
         (GOOD, [("/health", "", b'{"drops": "many"}')], r"/health: Expected `float \| null`"),
     ],
 )
-def test_files_that_are_no_recording_are_refused_in_one_line(
-    tmp_path, robot, metadata, messages, message
-):
+def test_other_files_are_refused_in_one_line(tmp_path, robot, metadata, messages, message):
     record(tmp_path / "odd.mcap", metadata, dict(robot.files), messages)
     with pytest.raises(BadInputError, match=message) as caught:
         read_recording(tmp_path / "odd.mcap")
@@ -222,7 +220,7 @@ def test_files_that_are_no_recording_are_refused_in_one_line(
          "a message on channel 7, which is not described"),
     ],
 )  # fmt: skip
-def test_what_stands_twice_or_belongs_to_nothing_is_refused(tmp_path, robot, change, message):
+def test_duplicate_or_orphan_records_are_refused(tmp_path, robot, change, message):
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = described(file, GOOD, robot.files)
         change(writer)
@@ -231,7 +229,7 @@ def test_what_stands_twice_or_belongs_to_nothing_is_refused(tmp_path, robot, cha
         read_recording(tmp_path / "a.mcap")
 
 
-def test_an_empty_channel_is_none(tmp_path, robot):
+def test_empty_channel_is_ignored(tmp_path, robot):
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = described(file, GOOD, robot.files)
         writer.register_channel(
@@ -246,13 +244,13 @@ def test_an_empty_channel_is_none(tmp_path, robot):
 @pytest.mark.parametrize(
     "content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50]
 )
-def test_what_is_not_mcap_is_refused(tmp_path, content):
+def test_invalid_mcap_is_refused(tmp_path, content):
     (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(BadInputError, match="is not an MCAP file"):
         read_recording(tmp_path / "a.mcap")
 
 
-def test_no_file_a_folder_or_no_description(tmp_path, robot):
+def test_missing_file_folder_or_robot_toml(tmp_path, robot):
     path = tmp_path / "a.mcap"
     for toml, where, message in (
         (None, tmp_path / "none.mcap", r"none\.mcap: cannot be read: No such file"),
@@ -287,7 +285,7 @@ def receiver_of(take: Callable[[], Block], sock: object = None) -> SimpleNamespa
     return SimpleNamespace(take=take, sock=sock, error=None, stopped=False, run=lambda: None)
 
 
-def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
+def test_rows_are_complete_after_clock_step(tmp_path, monkeypatch):
     """By half an hour before the first frame and an hour later; the recorder goes on
     with the session's clock.
     """
@@ -326,7 +324,7 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
         assert true["time_ns"][0] < event.stamp_ns <= true["time_ns"][-1]
 
 
-def test_drops_of_the_recorders_own_socket_stand_in_the_recording(tmp_path, monkeypatch):
+def test_recorder_socket_drops_are_recorded(tmp_path, monkeypatch):
     now, messages, dropping = [0], [], object()
 
     def take() -> Block:

@@ -24,7 +24,7 @@ def timed(times, *, ours: bool, index=None, nominal_ns: int = PERIOD_NS) -> Sync
     return sync_times(syncs, index, int(index[-1]) + 1, nominal_ns)
 
 
-def test_what_we_sent_is_as_uneven_as_it_left_and_a_lost_one_stands_between_its_neighbours():
+def test_own_sync_keeps_its_send_times():
     times = [1_000_000, 3_000_000, 5_700_000, 7_000_000, 11_200_000, 13_000_000]
     found = timed(times, ours=True, index=[0, 1, 2, 3, 5, 6])
     assert found.stamps.tolist() == [
@@ -54,7 +54,7 @@ def test_what_we_sent_is_as_uneven_as_it_left_and_a_lost_one_stands_between_its_
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32))
-def test_delays_of_reception_go_and_pauses_stay(seed):
+def test_reception_delays_go_and_pauses_stay(seed):
     """SYNC of a controller, read late by up to 8 periods in bursts; between two
     SYNCs it pauses for 2 s.
     """
@@ -78,7 +78,7 @@ def test_delays_of_reception_go_and_pauses_stay(seed):
     assert (own.stamps - read_ns).max() <= 20
 
 
-def test_a_clock_that_is_set_back_is_found_and_time_goes_on():
+def test_clock_set_back_is_found():
     times = START_NS + PERIOD_NS * np.arange(100)
     times[40:] -= 500_000_000
     found = timed(times, ours=True)
@@ -87,7 +87,7 @@ def test_a_clock_that_is_set_back_is_found_and_time_goes_on():
 
 
 @pytest.mark.parametrize("late", [[0.6], [0.9, 0.7], [0.6, 0.0, 0.8]])
-def test_a_first_sync_that_is_read_late_is_set_right(late):
+def test_late_first_sync_is_corrected(late):
     true_ns = START_NS + PERIOD_NS * np.arange(200)
     delay = np.zeros(200)
     delay[: len(late)] = late

@@ -11,7 +11,7 @@ from acquisition.protocol import ObjectEntry
 from acquisition.robot import parse_homed, refuse_load, refuse_out_of_range, resolve
 
 
-def test_a_rate_of_six_axes():
+def test_six_axes_bus_rate():
     bus = bus_of(robot_of(bus_text(6)))
     assert bus.load == pytest.approx(0.7775)
     refuse_load(bus, "robot.toml")
@@ -83,7 +83,7 @@ def test_refused_in_one_line(change, expected):
     refused(bus_text().replace(*change, 1), expected)
 
 
-def test_one_drive_for_each_motor_and_a_bus_for_them():
+def test_one_drive_per_motor():
     text = bus_text(2)
     refused(
         text[: text.rindex("[[bus.drive]]")], "bus.drive = '1 tables': expected one per motor: 2"
@@ -95,7 +95,7 @@ def test_one_drive_for_each_motor_and_a_bus_for_them():
 
 
 @pytest.mark.parametrize(("lines", "expected"), OF_DRIVE)
-def test_keys_of_a_drive_refused_in_one_line(lines, expected):
+def test_drive_keys_refused_in_one_line(lines, expected):
     refused(bus_text(drive=lines), expected)
 
 
@@ -113,14 +113,14 @@ def test_keys_of_a_drive_refused_in_one_line(lines, expected):
         ),
     ],
 )
-def test_ends_of_ranges(change):
+def test_range_limits(change):
     assert change[0] in bus_text(1)
     found = robot_of(bus_text(1).replace(*change)).bus
     key, _, value = change[1].rpartition("\n")[2].partition(" = ")
     assert key not in ("bitrate", "sync_can_id") or getattr(found, key) == int(value, 0)
 
 
-def test_targets_beyond_what_the_object_holds():
+def test_targets_beyond_object_range():
     robot = robot_of(bus_text(2).replace("node = 2\n", "node = 2\nsign = -1\n"))
     bus, most = bus_of(robot), (2**31 - 1) / 65536 / 50 * 2 * np.pi  # of joint 1, at a ratio of 50
     path = np.zeros((5, 2))
@@ -149,7 +149,7 @@ def test_targets_beyond_what_the_object_holds():
         ("prismatic", "N m", "counts_per_m", "gives a torque: expected counts_per_turn"),
     ],
 )
-def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
+def test_counts_per_turn_of_rotary_motors(kind, unit, counts, expected):
     text = bus_text(1, drive=f'reference_rule = "m{unit}"').replace('"N m"', f'"{unit}"')
     text = text.replace("counts_per_turn", counts).replace('"revolute"', f'"{kind}"')
     if kind == "prismatic":
@@ -160,7 +160,7 @@ def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
         refused(text, expected)
 
 
-def test_names_of_objects():
+def test_object_names():
     assert parse_homed("6064") == (0x6064, 0, None)
     assert parse_homed("60c2:2") == (0x60C2, 2, None)
     assert parse_homed("1018:10") == (0x1018, 10, None)
@@ -170,7 +170,7 @@ def entries(pdo) -> list[str]:
     return [str(entry) for entry in pdo.entries]
 
 
-def test_what_does_not_fit_one_pdo_goes_into_two():
+def test_too_many_objects_use_two_pdos():
     """Statusword, position and a reference of 32 bits are 10 bytes."""
     text = bus_text(1).replace(
         'reference = "6074"', 'reference = "30D0"\nobjects = { "30D0" = "I32" }'

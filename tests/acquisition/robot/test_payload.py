@@ -66,7 +66,7 @@ def arm(table: str = "", **parts: str) -> Robot:
         (f"{1 / 3!r}@{0.1 + 0.2!r},0,0", Payload(1 / 3, (0.1 + 0.2, 0.0, 0.0)), None),
     ],
 )
-def test_a_payload_is_read_and_written(text, payload, words):
+def test_payload_is_read_and_written(text, payload, words):
     found = parse_payload(text, robot_named("tx40"))
     assert found == payload
     assert parse_payload(found.text, robot_named("tx40")) == payload
@@ -99,7 +99,7 @@ def test_no_payload(text):
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
 
 
-def test_the_table_says_how_the_numbers_are_meant():
+def test_payload_table_sets_frame_and_half_widths():
     robot = arm(
         '[payload]\nframe = "tool"\nmass_half_width_kg = 0.01\ncenter_half_width_m = 0.002\n'
     )
@@ -123,14 +123,14 @@ def refusal(call, *arguments, **named) -> tuple[str, str, object]:
         ("mass = 2", "payload", None),
     ],
 )
-def test_a_table_that_means_nothing_is_refused(table, key, value):
+def test_invalid_payload_table_is_refused(table, key, value):
     files = {"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}
     assert refusal(robot_from_files, files, "robot.toml") == ("robot.toml", key, value)
     if value == "tool0":
         assert refusal(arm, f"[payload]\n{table}\n") == ("arm.toml", key, value)
 
 
-def test_payloads_that_have_no_parameters_or_no_unit_to_be_carried_in():
+def test_payloads_without_parameters_or_unit():
     assert refusal(payload_parameters, InverseModel(arm()), Payload(None))[1] == "payload"
     motors = tuple(msgspec.structs.replace(m, effort_unit="A") for m in arm().motors)
     in_amperes = replace(arm(), motors=motors, parameters={"M1": 1.0})
@@ -144,7 +144,7 @@ def test_payloads_that_have_no_parameters_or_no_unit_to_be_carried_in():
     )
 
 
-def test_parameters_of_a_ball_by_hand():
+def test_ball_parameters_by_hand():
     """2 kg at (0.1, 0, 0.3) m of the last joint: J = 2/5 m r² E + m (c·c E − c cᵀ) about
     the origin of its frame.
     """
@@ -155,7 +155,7 @@ def test_parameters_of_a_ball_by_hand():
         np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
-def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
+def test_fixed_link_frame_gives_its_parameters():
     """pinocchio merges a tool with this mass and inertia into the last link: the payload in
     its frame adds the same.
     """
@@ -174,7 +174,7 @@ def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
 
 
 @pytest.mark.parametrize("frame", ["sensor", "arm", "base", "mount", "nothing"])
-def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
+def test_frame_before_last_joint_is_refused(frame):
     told = refusal(payload_parameters, InverseModel(arm()), Payload(2.0, frame=frame))
     assert told == ("robot arm", "payload.frame", frame)
 
@@ -190,7 +190,7 @@ def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
     return path
 
 
-def test_later_versions_may_say_more_of_a_payload_and_a_recovered_recording_keeps_it(tmp_path):
+def test_payload_of_later_version_is_read(tmp_path):
     text = '{"mass_kg": 2, "inertia_kg_m2": [1, 2, 3], "center_of_mass_m": [0, 0, 1]}'
     path, cut = recorded(tmp_path / "a.mcap", None, payload=text), tmp_path / "cut.mcap"
     assert read_recording(path).payload == Payload(2.0, (0.0, 0.0, 1.0))
@@ -213,12 +213,12 @@ def test_later_versions_may_say_more_of_a_payload_and_a_recovered_recording_keep
         '{"mass_kg": 2, "x": ' + "[" * 9999,
     ],
 )
-def test_a_recording_with_a_payload_that_is_none_is_refused(tmp_path, text):
+def test_recording_with_invalid_payload_is_refused(tmp_path, text):
     path = recorded(tmp_path / "a.mcap", None, payload=text)
     assert refusal(read_recording, path) == (str(path), "payload", text)
 
 
-def test_what_is_decoded_again_keeps_the_payload(tmp_path):
+def test_decoding_again_keeps_payload(tmp_path):
     dry, again, options = (
         tmp_path / "dry.mcap",
         tmp_path / "again.mcap",
@@ -239,7 +239,7 @@ def test_what_is_decoded_again_keeps_the_payload(tmp_path):
     )
 
 
-def test_info_shows_the_payload(tmp_path, capsys):
+def test_info_shows_payload(tmp_path, capsys):
     words = "2.805 ± 0.01 kg at 0.03, 0.15, -0.16 ± 0.005 m in the frame of elbow"
     log = str(recorded(tmp_path / "a.mcap", HEAVY))
     assert main(["info", log]) == main(["info", log, "--json"]) == 0
@@ -248,7 +248,7 @@ def test_info_shows_the_payload(tmp_path, capsys):
     assert msgspec.convert(json.loads("{" + found)["payload"], Payload) == HEAVY
 
 
-def test_imports_take_a_payload(tmp_path):
+def test_imports_take_payload(tmp_path):
     carried, out, log = Payload(2.5, (0.0, 0.0, 0.1)), tmp_path / "out.mcap", tmp_path / "a.log"
     import_bag(
         bag(tmp_path / "bag", map(message, range(60))), robot_named("scara"), out, BAG, carried
@@ -286,9 +286,7 @@ def test_imports_take_a_payload(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["record", "check"])
-def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows_one(
-    tmp_path, command, capsys
-):
+def test_commands_refuse_invalid_payload_first(tmp_path, command, capsys):
     toml, out = tmp_path / "robot.toml", tmp_path / "a.mcap"
     toml.write_text(bus_text(2))
     options = ["-o", str(out), "--duration", "0.1"] if command == "record" else []
@@ -302,7 +300,7 @@ def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows
         assert "ok  payload" in capsys.readouterr().out
 
 
-def test_a_real_session_has_the_payload_too(tmp_path):
+def test_real_session_has_payload(tmp_path):
     robot = robot_of(bus_text(1, interface="udp_multicast", channel="239.74.163.9"))
     log = ProcessLog(
         tmp_path / "a.mcap", robot, "robot.toml", Role.FED, 0, Payload(2.0, (0.0, 0.0, 0.1))
@@ -330,7 +328,7 @@ def pendulum(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("payload", "torque_nm"), [(None, 3.0), ("1.5@0.4,0.3,-0.2", 3.0 + 1.5 * 9.81 * 0.4)]
 )
-def test_record_says_the_payload_and_a_dry_run_carries_it(tmp_path, capsys, payload, torque_nm):
+def test_dry_run_carries_payload(tmp_path, capsys, payload, torque_nm):
     out = tmp_path / "a.mcap"
     command = [
         "record",
@@ -355,7 +353,7 @@ def test_record_says_the_payload_and_a_dry_run_carries_it(tmp_path, capsys, payl
     np.testing.assert_allclose(still["effort"].mean(), torque_nm, atol=0.1)
 
 
-def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
+def test_dry_run_gains_are_of_unloaded_robot(tmp_path):
     """Real drives are not tuned again for a payload; its inertia, about its centre of mass
     too, is that of a ball.
     """
@@ -375,7 +373,7 @@ def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
     )
 
 
-def test_a_brake_holds_its_joint_while_others_move():
+def test_brake_holds_joint_while_others_move():
     """The elbow of the SCARA pushes the shoulder."""
     plant, _ = described_robot(robot_named("scara"))
     before, _ = plant.state()

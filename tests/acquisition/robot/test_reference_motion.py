@@ -37,7 +37,7 @@ def check(values: np.ndarray, robot: Robot) -> None:
 
 
 @pytest.mark.parametrize(("sign", "limit_deg"), [(1, 60.0), (-1, 150.0)])
-def test_positions_at_and_beyond_each_end(sign, limit_deg):
+def test_positions_at_and_beyond_limits(sign, limit_deg):
     """A slow ramp to the end and back passes; a billionth of the larger limit, 150 degrees,
     beyond it is rounding.
     """
@@ -52,7 +52,7 @@ def test_positions_at_and_beyond_each_end(sign, limit_deg):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_speed_on_each_side(sign):
+def test_speed_limit_both_sides(sign):
     """A ramp of 200 deg/s between rows at rest; the steps at its ends need acceleration,
     which is not limited here.
     """
@@ -71,7 +71,7 @@ def test_speed_on_each_side(sign):
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("braking", [False, True])
-def test_acceleration_on_each_side(sign, braking):
+def test_acceleration_limit_both_sides(sign, braking):
     """Half a parabola of 4000 deg/s² up, at constant speed on, and one that is a thousandth
     steeper, from either end.
     """
@@ -89,7 +89,7 @@ def test_acceleration_on_each_side(sign, braking):
     check(path / 1.002, robot)
 
 
-def test_a_reference_that_does_not_begin_or_end_at_rest():
+def test_reference_not_at_rest_at_ends():
     """The first and last step count from standstill: 0.1 rad at once are 25000 rad/s²."""
     robot = robot_with(speed=1e6, acceleration=1e6)
     for value in (np.nan, np.inf, -np.inf, 1e308):  # no number is within a limit
@@ -102,7 +102,7 @@ def test_a_reference_that_does_not_begin_or_end_at_rest():
 
 
 @pytest.mark.parametrize("quantity", ["position", "speed", "acceleration", "following error"])
-def test_nothing_moves_without_limits(quantity):
+def test_no_motion_without_limits(quantity):
     text = re.sub(
         f"^{quantity.replace(' ', '_')}_deg.*$", "", bus_text(2), count=1, flags=re.MULTILINE
     )
@@ -117,7 +117,7 @@ def test_nothing_moves_without_limits(quantity):
         (1e4, 40, np.sqrt(10 / np.sqrt(3) * 90 / 4)),  # and 10/sqrt(3) distance/T² of acceleration
     ],
 )
-def test_an_approach_takes_a_tenth_of_the_limits(speed, acceleration, seconds):
+def test_approach_uses_tenth_of_limits(speed, acceleration, seconds):
     start, end = np.array([0.1, -80 * DEG]), np.array([0.05, 10 * DEG])
     q = approach(start, end, robot_with(speed=speed, acceleration=acceleration), PERIOD_S)
     assert (len(q) - 1) * PERIOD_S == pytest.approx(seconds, abs=2 * PERIOD_S)
@@ -131,7 +131,7 @@ def test_an_approach_takes_a_tenth_of_the_limits(speed, acceleration, seconds):
 
 
 @pytest.mark.parametrize("period_s", [1.0, 5.0, 60.0])
-def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(period_s):
+def test_random_series_uses_80_percent_of_limit(period_s):
     reference = fourier_reference(
         robot_with(speed=100, acceleration=300), period_s=period_s, seed=1
     )
@@ -156,7 +156,7 @@ def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(period_s)
     assert q[-1] == pytest.approx(q[0])
 
 
-def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed():
+def test_random_series_without_speed_limit():
     robot = robot_of(
         bus_text(1).replace("speed_deg_s = 200", "").replace("acceleration_deg_s2 = 4000", "")
     )
@@ -169,7 +169,7 @@ def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed(
     assert other.sine.tolist() != reference.sine.tolist()
 
 
-def test_a_random_series_of_a_joint_without_a_range_or_of_no_length_is_refused():
+def test_random_series_without_range_is_refused():
     """It has no range of 1 rad to each side by itself."""
     with pytest.raises(BadInputError) as error:
         fourier_reference(
@@ -182,7 +182,7 @@ def test_a_random_series_of_a_joint_without_a_range_or_of_no_length_is_refused()
             fourier_reference(robot_of(bus_text(1)), period_s=period_s, seed=0)
 
 
-def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
+def test_table_is_spline_at_rest_at_ends(tmp_path):
     """Between two rows the clamped cubic is 3 x² - 2 x³; times count from the first
     row; columns go by name.
     """
@@ -207,14 +207,14 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
                                   "with SYNC every 0.0001"),
     ],
 )  # fmt: skip
-def test_tables_that_no_path_leads_through(tmp_path, rows, period_s, expected):
+def test_invalid_tables(tmp_path, rows, period_s, expected):
     path = tmp_path / "ref.csv"
     path.write_text(f"time_s,joint_1,joint_2\n{rows}\n")
     with pytest.raises(BadInputError, match=re.escape(f"{path}: {expected}")):
         table_reference(path, robot_of(bus_text(2)), period_s)
 
 
-def test_a_table_of_a_day_and_one_without_a_joint(tmp_path):
+def test_table_of_a_day_and_without_joint(tmp_path):
     path = tmp_path / "ref.csv"
     path.write_text("time_s,joint_1\n0,0\n86400,1\n")
     assert len(table_reference(path, robot_of(bus_text(1)), 1.0)) == 86401

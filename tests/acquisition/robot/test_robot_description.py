@@ -32,7 +32,7 @@ def refused(text: str) -> RobotIdimError:
     return caught.value
 
 
-def test_a_coupled_robot_by_hand():
+def test_coupled_robot_by_hand():
     """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3
     tau_m2, joint 2 the rest.
     """
@@ -89,7 +89,7 @@ def test_limits_in_si(quantity, per, value, si):
         ("revolute", 'effort_unit = "V"', None, "V", "V"),
     ],
 )
-def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
+def test_motor_gains_and_units(kind, motor, gain, recorded, unit):
     robot = described(ONE_JOINT.replace(GAIN, motor).replace("revolute", kind))
     assert (robot.motors[0].gain, robot.motors[0].recorded_unit) == (gain, recorded)
     assert (robot.effort_units, robot.gain_known) == ((unit,), gain is not None)
@@ -132,7 +132,7 @@ def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
          None, "a drive gain for all"),
     ],
 )  # fmt: skip
-def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, value, expected):
+def test_mistake_has_key_value_and_expectation(old, new, key, value, expected):
     text = next(one for one in (ONE_JOINT, COUPLED) if one.count(old) == 1)
     error = refused(text.replace(old, new))
     assert (error.key, error.value) == (key, value)
@@ -153,12 +153,12 @@ def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, 
         ("[[joint]]", "#\n" * 262144, "bytes, a line of "),
     ],
 )  # fmt: skip
-def test_each_mistake_is_told_in_one_line(old, new, message):
+def test_mistake_is_one_line(old, new, message):
     assert ONE_JOINT.count(old) == 1
     assert message in str(refused(ONE_JOINT.replace(old, new)))
 
 
-def test_no_description_and_bytes_that_are_no_text():
+def test_missing_or_binary_robot_toml():
     for files, told in (
         ({"robot.toml": b"name = '\xff'"}, "not valid TOML: 'utf-8'"),
         ({}, r"holds no robot\.toml"),
@@ -167,7 +167,7 @@ def test_no_description_and_bytes_that_are_no_text():
             robot_from_files(files, "here")
 
 
-def test_the_urdf_comes_along_or_is_missed(tmp_path):
+def test_urdf_is_included_or_missing(tmp_path):
     path = tmp_path / "r.toml"
     path.write_text(
         text := ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
@@ -187,7 +187,7 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path):
         load_robot(path)
 
 
-def test_errors_carry_their_data_and_make_one_printable_line_of_it():
+def test_errors_have_data_and_one_printable_line():
     error = RobotIdimError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
     assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
     assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
@@ -202,9 +202,7 @@ def test_errors_carry_their_data_and_make_one_printable_line_of_it():
     assert one_line("  two  words ") == "two words"
 
 
-def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(
-    tmp_path, monkeypatch
-):
+def test_only_complete_file_replaces_old_one(tmp_path, monkeypatch):
     synced: list[str] = []
     monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").read_text()))
     path = tmp_path / "out"
@@ -220,7 +218,7 @@ def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(
     assert (path.read_text(), synced) == ("new", ["old"])
 
 
-def test_places_where_no_file_can_stand(tmp_path):
+def test_invalid_file_locations(tmp_path):
     (tmp_path / "file").write_text("")
     os.mkfifo(tmp_path / "pipe")  # stands for any device, which a mistake here would replace
     for path, message in (
@@ -236,7 +234,7 @@ def test_places_where_no_file_can_stand(tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
-def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
+def test_input_is_not_replaced_under_any_name(tmp_path):
     (tmp_path / "in").write_text("")
     (tmp_path / "link").symlink_to(tmp_path / "in")
     (tmp_path / "hard link").hardlink_to(tmp_path / "in")
@@ -257,7 +255,7 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
         ('structure = "pd"\nintegral_gain = [1.0, 1.0]', "integral_gain", [1.0, 1.0]),
     ],
 )
-def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, lines, key, value):
+def test_unused_controller_keys_are_refused(tmp_path, lines, key, value):
     before, after = (REPLAY / "scara" / "robot.toml").read_text().split("[controller]")
     path = tmp_path / "robot.toml"
     path.write_text(

@@ -36,7 +36,7 @@ from acquisition.session import (
 from acquisition.session.running import _before_motion as before_motion
 
 
-def test_joint_positions_in_words_by_hand():
+def test_joint_positions_in_words():
     """65536 counts a turn and a ratio of 50: 409600 counts of node 1 are 6.25 turns of
     the motor, 45 degrees.
     """
@@ -52,7 +52,7 @@ def test_joint_positions_in_words_by_hand():
     assert position_words(robot_named("emps"), np.array([0.25]))[0].endswith(" = 0.25000 m")
 
 
-def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
+def test_fault_reset_is_asked_with_joint_angles():
     robot, (run, master), shown = (
         robot_of(bus_text(2)),
         connected(robot_of(bus_text(2))),
@@ -83,7 +83,7 @@ def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
         (["--yes", "--reset-faults"], [], True),
     ],
 )
-def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, faults, moves):
+def test_yes_confirms_joint_angles_only(tmp_path, monkeypatch, options, faults, moves):
     (tmp_path / "robot.toml").write_text(bus_text(2))
     asked: list[tuple[RecordOptions, bool]] = []
 
@@ -115,7 +115,7 @@ def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, 
         ({(0x6065, 0): 0}, (), ""),
     ],
 )
-def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, missing, refused):
+def test_unmonitored_drives_are_no_go_for_motion(values, missing, refused):
     robot, (run, master) = robot_of(bus_text(2)), connected(robot_of(bus_text(2)))
     node = run.drives.nodes[1]
     node.values = {
@@ -140,7 +140,7 @@ def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, mi
 
 
 @pytest.mark.parametrize("name", ["6041.8", "2000:1", "6041.15", "2000.3"])
-def test_a_drive_that_is_not_homed_moves_nothing(name):
+def test_drive_without_homing_blocks_motion(name):
     text = bus_text(2, drive=f'homed = "{name}"')
     run, master = connected(robot_of(text))
     robot = robot_of(text)
@@ -159,7 +159,7 @@ def test_a_drive_that_is_not_homed_moves_nothing(name):
     )
 
 
-def test_nothing_is_written_before_somebody_agrees(tmp_path):
+def test_nothing_is_written_before_confirmation(tmp_path):
     def refuse(master):
         raise RobotIdimError("joint angles not confirmed")
 
@@ -173,7 +173,7 @@ def test_nothing_is_written_before_somebody_agrees(tmp_path):
     assert "confirmed: all" in agreed.events("mark")
 
 
-def test_without_a_terminal_and_without_yes_nothing_begins(tmp_path, capsys, monkeypatch):
+def test_no_session_without_terminal_or_yes(tmp_path, capsys, monkeypatch):
     (tmp_path / "robot.toml").write_text(bus_text(2, interface="socketcan", channel="none0"))
     (tmp_path / "ref.csv").write_text("time_s,joint_1,joint_2\n0,0,0\n0.1,0,0\n")
     monkeypatch.chdir(tmp_path)
@@ -200,17 +200,13 @@ def test_without_a_terminal_and_without_yes_nothing_begins(tmp_path, capsys, mon
         ("old.mcap/a.mcap", "old.mcap/a.mcap: cannot be written: expected a new name in a folder"),
     ],
 )
-def test_a_name_that_cannot_be_had_is_refused_before_a_bus_is_opened(
-    tmp_path, capsys, monkeypatch, way, out, told
-):
+def test_invalid_output_is_refused_before_bus_opens(tmp_path, capsys, monkeypatch, way, out, told):
     check_that_nothing_begins(tmp_path, monkeypatch, ["-o", out, *way.split()])
     assert capsys.readouterr().err.startswith(f"robot-acquire: {told}")
 
 
 @pytest.mark.parametrize("way", ["--yes", "--dry-run", "--yes --payload 2", "--speed 0.5 --yes"])
-def test_a_duration_of_a_reference_is_refused_before_a_bus_is_opened(
-    tmp_path, capsys, monkeypatch, way
-):
+def test_duration_with_reference_is_refused(tmp_path, capsys, monkeypatch, way):
     """A session of a reference lasts as long as it, on drives and in a dry run."""
     options = ["-o", "a.mcap", "--track", "ref.csv", "--duration", "3", *way.split()]
     check_that_nothing_begins(tmp_path, monkeypatch, options)
@@ -235,7 +231,7 @@ def check_that_nothing_begins(folder, monkeypatch, options):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_of_two_sessions_that_begin_at_once_one_has_the_name(tmp_path):
+def test_one_of_two_sessions_gets_file_name(tmp_path):
     robot, out = robot_of(bus_text(1)), tmp_path / "a.mcap"
     first = Recorder(out, robot, source="first", place="robot.toml")
     size = out.stat().st_size
@@ -245,7 +241,7 @@ def test_of_two_sessions_that_begin_at_once_one_has_the_name(tmp_path):
     first.close()
 
 
-def test_the_same_path_slowly(tmp_path):
+def test_slowed_path(tmp_path):
     """q = 0.3 (1 - cos w t) at 0.2 of its speed takes five times as long."""
     path, t = tmp_path / "ref.csv", np.linspace(0, 2, 401)
     q = 0.3 * (1 - np.cos(np.pi * t))
@@ -273,7 +269,7 @@ REF = Path("ref.csv")
         ({"track": REF, "duration_s": 1.0}, "--track", "no --duration"),
     ],
 )
-def test_options_that_contradict_each_other(tmp_path, options, place, expected):
+def test_contradicting_options(tmp_path, options, place, expected):
     out, robot = tmp_path / "a.mcap", robot_of(bus_text(1))
     with pytest.raises(BadInputError) as caught:
         record(robot, "robot.toml", out, RecordOptions(dry_run=True, **options), UserInterface())
@@ -281,7 +277,7 @@ def test_options_that_contradict_each_other(tmp_path, options, place, expected):
     assert not out.exists()
 
 
-def test_what_is_granted_is_given_back(monkeypatch):
+def test_real_time_settings_are_restored(monkeypatch):
     calls, before = [], os.sched_getscheduler(0)
     monkeypatch.setattr(os, "sched_setscheduler", lambda *arguments: calls.append(arguments))
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65536, resource.RLIM_INFINITY))
@@ -301,7 +297,7 @@ def test_what_is_granted_is_given_back(monkeypatch):
         assert "SCHED_FIFO is not permitted" in scheduling_words(granted)
 
 
-def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch):
+def test_excessive_jitter_is_refused(monkeypatch):
     """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and
     three of them are 12 ms.
     """
@@ -320,7 +316,7 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch):
         refuse_jitter(master)
 
 
-def test_jitter_of_another_producer_that_sends_no_sync():
+def test_jitter_without_foreign_sync():
     run, master = connected(robot_of(bus_text(1, extra='sync_producer = "other"')))
     before_ns = run.now_ns()
     with pytest.raises(BusFaultError) as caught:
@@ -329,7 +325,7 @@ def test_jitter_of_another_producer_that_sends_no_sync():
     assert run.now_ns() - before_ns == 50 * 2_000_000
 
 
-def test_a_sync_may_be_late_by_three_periods_but_not_by_less_than_20_ms():
+def test_late_sync_limit_is_3_periods_and_20_ms():
     bus = bus_of(robot_of(bus_text(1, period_s=0.01)))
     assert largest_delay_s(bus.file) == pytest.approx(0.03)
     assert largest_delay_s(bus_of(robot_of(bus_text(1))).file) == 0.02

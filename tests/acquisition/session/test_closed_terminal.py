@@ -34,7 +34,7 @@ def session_on_a_terminal(folder: Path, out: Path, ignored: bool) -> tuple[int, 
 
 @tried_again
 @pytest.mark.parametrize("ignored", [False, True])
-def test_a_terminal_that_is_closed_in_motion(folder, ignored):
+def test_terminal_closed_in_motion(folder, ignored):
     out = folder / "log.mcap"
     with drives(folder):
         process, terminal = session_on_a_terminal(folder, out, ignored)

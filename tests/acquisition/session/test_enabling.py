@@ -33,7 +33,7 @@ def phase_of(session: DrySession, name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 1.2])
-def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
+def test_arm_under_half_load_is_held(tmp_path, late_s):
     late = [Fault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=loaded(0.5), faults=late)
     assert session.outcome.reason == "finished"
@@ -57,7 +57,7 @@ def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     assert len(phase_of(session, "approach")) == pytest.approx(100, abs=3)
 
 
-def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
+def test_target_follows_before_enabling(tmp_path):
     """Someone turns a joint by hand (brake open) before its drive is enabled: the target goes
     along, within the limit.
     """
@@ -80,7 +80,7 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
     assert held == pytest.approx(enabling[-2], abs=2e-4)
 
 
-def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
+def test_motion_beyond_enabling_limit_is_fault(tmp_path):
     """The sag under 50 % load until the loop has built up its effort, and
     limits on both sides of it.
     """
@@ -115,9 +115,7 @@ class Runaway(JointwisePlant):
     ("ways", "share", "late"),
     [([-1, -1], 0.1, []), ([-1, -1], 0.3, []), ([-1, -1], 0.5, []), ([-1, 1], 0.3, [NEVER])],
 )
-def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_far(
-    tmp_path, ways, share, late
-):
+def test_runaway_while_enabling_is_stopped(tmp_path, ways, share, late):
     plant = loaded(share)
     plant.__class__, plant.ways, plant.farthest = Runaway, np.array(ways), 0.0
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late)
@@ -132,7 +130,7 @@ def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_f
 
 
 @pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.1", 0.1)])
-def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra, watch_s):
+def test_last_enabled_drive_is_watched(tmp_path, extra, watch_s):
     robot = robot_of(bus_text(2, extra=extra))
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
     session = dry_session(
@@ -143,7 +141,7 @@ def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra
     assert (session.phases["approach"] - last) * 1e-9 == pytest.approx(watch_s, abs=0.005)
 
 
-def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(tmp_path):
+def test_drive_lost_while_enabling_is_fault(tmp_path):
     made = []
 
     class Falling(FaultyDrives):
@@ -163,7 +161,7 @@ def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(t
     assert session.events("phase")[-1] == "enable"
 
 
-def test_a_fault_is_reset_by_a_rising_edge(tmp_path, monkeypatch):
+def test_fault_is_reset_by_rising_edge(tmp_path, monkeypatch):
     """The controlword that another program has left has bit 7 set already."""
 
     def in_fault(node):
@@ -177,7 +175,7 @@ def test_a_fault_is_reset_by_a_rising_edge(tmp_path, monkeypatch):
     assert session.events("mark") == ["node 1: found in fault", "node 2: found in fault"]
 
 
-def test_a_fault_that_nobody_was_asked_about_is_not_reset(tmp_path, monkeypatch):
+def test_unconfirmed_fault_is_not_reset(tmp_path, monkeypatch):
     """It comes while the operator is asked, and sends no emergency."""
     nodes = []
     at_boot(monkeypatch, nodes.append)

@@ -25,7 +25,7 @@ EXTRA = (
 )
 
 
-def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
+def test_simulated_drives_send_velocity(tmp_path):
     robot = robot_of(bus_text(2, drive='extra = ["606C"]'))
     dry_session(
         tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot
@@ -53,7 +53,7 @@ def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
 TABLE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'
 
 
-def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path, monkeypatch):
+def test_earlier_recordings_still_open(tmp_path, monkeypatch):
     text = bus_text(2, drive=EXTRA.replace('"2081:1",', f"{TABLE},"))
     (drive, _), robot = bus_of(robot_of(text)).drives, robot_of(text)
     assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos[1:]] == [

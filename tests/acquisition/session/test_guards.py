@@ -73,9 +73,7 @@ def one_after_the_other(first, then, at_s: float) -> Callable[[float], float]:
           (there_and_back(-1.15 * OFF, 1.0), OFF, 0.02)]),
     ],
 )  # fmt: skip
-def test_a_joint_beyond_a_limit_stops_and_one_just_inside_does_not(
-    tmp_path, limits, inside, key, expected, beyond
-):
+def test_joint_beyond_limit_stops(tmp_path, limits, inside, key, expected, beyond):
     robot = robot_of(with_limits(**limits))
     session = dry_session(tmp_path / "inside.mcap", REST, robot=robot, plant=Scripted(inside))
     assert session.outcome.reason == "finished"
@@ -99,7 +97,7 @@ class Obedient(Moved):
             )
 
 
-def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_period_for(tmp_path):
+def test_following_error_is_of_previous_target(tmp_path):
     plant = Obedient()
 
     class Here(FaultyDrives):
@@ -114,7 +112,7 @@ def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_perio
     assert session.outcome.reason == "finished"
 
 
-def test_an_approach_out_of_the_limits_is_refused_before_anything_moves(tmp_path, monkeypatch):
+def test_approach_beyond_limits_is_refused(tmp_path, monkeypatch):
     there = np.linspace([0.0, 0.0], [3.0, 0.0], 2000)  # 172° of 150
     monkeypatch.setattr(session_module, "approach", lambda *_: there)
     session = dry_session(tmp_path / "a.mcap", REST)
@@ -124,19 +122,19 @@ def test_an_approach_out_of_the_limits_is_refused_before_anything_moves(tmp_path
     assert np.abs(session.recording.samples["position"]).max() < 0.01
 
 
-def test_a_drive_that_never_sets_a_bit_does_not_know_it(tmp_path):
+def test_never_set_status_bit_is_ignored(tmp_path):
     never = Fault(kind="clear", node=2, sync=1, count=10_000, bits=0x1200)
     assert dry_session(tmp_path / "a.mcap", REST, faults=[never]).outcome.reason == "finished"
 
 
-def test_what_a_drive_warns_of_is_written_down_once(tmp_path, monkeypatch):
+def test_drive_warning_is_recorded_once(tmp_path, monkeypatch):
     say(monkeypatch, lambda node, word: word | (node == 2) << 11)
     session = dry_session(tmp_path / "a.mcap", REST)
     assert session.outcome.reason == "finished"
     assert session.events("mark") == ["node 2 (motor_2): internal limit active"]
 
 
-def test_the_bits_of_a_statusword_in_words():
+def test_statusword_bits_in_words():
     words = {
         0x0237 | 1 << 7: "operation enabled, warning",
         0x0237 | 1 << 13: "operation enabled, following error",
@@ -170,7 +168,7 @@ class Counting(Through):
 
 
 @pytest.mark.parametrize(("for_s", "fault"), [(0.018, False), (2.0, True)])
-def test_a_late_sync_in_motion(tmp_path, for_s, fault):
+def test_late_sync_in_motion(tmp_path, for_s, fault):
     session = dry_session(
         tmp_path / "a.mcap", REST, through=partial(Counting, at_sync=170, for_s=for_s)
     )
@@ -184,7 +182,7 @@ def test_a_late_sync_in_motion(tmp_path, for_s, fault):
         assert session.outcome.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
 
 
-def test_ctrl_c_again_is_a_quick_stop(tmp_path):
+def test_second_ctrl_c_is_quick_stop(tmp_path):
     stop = Stop()
 
     @dataclass(kw_only=True)
@@ -250,9 +248,7 @@ def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind
 
 
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
-def test_the_terminal_tells_first_what_may_still_be_enabled_then_the_reason(
-    tmp_path, monkeypatch, capsys, kind
-):
+def test_terminal_names_enabled_drives_first(tmp_path, monkeypatch, capsys, kind):
     faults = [Fault(kind=kind, node=1, sync=130)]
     monkeypatch.setattr(record_module, "SimulatedDrives", partial(FaultyDrives, faults=faults))
     robot, table = tmp_path / "robot.toml", tmp_path / "ref.csv"

@@ -75,7 +75,7 @@ def session_with(path: Path, hook: str, raising: Raising, **how: object):
 
 @pytest.mark.parametrize("hook", ["poll", "event", "ended"])
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-def test_a_hook_that_raises_from_any_sync_on_leaves_every_drive_disabled(tmp_path, hook, error):
+def test_raising_hook_leaves_drives_disabled(tmp_path, hook, error):
     whole = Raising(error=error, first=10**9)
     session = session_with(tmp_path / "a.mcap", hook, whole)
     assert list(session.phases) == [
@@ -97,7 +97,7 @@ def test_a_hook_that_raises_from_any_sync_on_leaves_every_drive_disabled(tmp_pat
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("confirms", [True, False])
-def test_an_announcement_that_raises_is_in_the_events(tmp_path, error, confirms):
+def test_raising_announcement_is_in_events(tmp_path, error, confirms):
     """Drive 2 does not confirm where it falls silent."""
     raising, announced = Raising(error=error, first=0), list[Outcome]()
 
@@ -134,7 +134,7 @@ def test_an_announcement_that_raises_is_in_the_events(tmp_path, error, confirms)
 
 @pytest.mark.parametrize("step", ["make_safe", "leave", "reports"])
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-def test_a_step_of_the_end_that_raises_leaves_the_others(tmp_path, monkeypatch, step, error):
+def test_raising_end_step_keeps_other_steps(tmp_path, monkeypatch, step, error):
     """Drives that nobody could stop are named: here they are disabled, and nobody has asked."""
     monkeypatch.setattr(f"acquisition.session.session._Session.{step}", Raising(error=error))
     fault = [Fault(kind="emergency", node=1, sync=40)] * (step == "reports")
@@ -147,7 +147,7 @@ def test_a_step_of_the_end_that_raises_leaves_the_others(tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("where", ["receive", "send", "_collect"])
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-def test_whatever_a_link_raises_the_stop_goes_on(monkeypatch, error, where):
+def test_raising_link_does_not_end_stop(monkeypatch, error, where):
     """A driver raises in every third call for 0.2 s; an interrupt is kept for afterwards."""
     run, master = connected()
     enable(master)
@@ -172,7 +172,7 @@ def test_whatever_a_link_raises_the_stop_goes_on(monkeypatch, error, where):
             held.raise_interrupt()
 
 
-def test_an_interrupt_of_the_stop_by_another_process_is_raised_after_it(monkeypatch):
+def test_interrupt_of_stop_is_raised_afterwards(monkeypatch):
     run, master = connected()
     enable(master)
     real, interrupts = run.receive, [KeyboardInterrupt()]
@@ -190,9 +190,7 @@ def test_an_interrupt_of_the_stop_by_another_process_is_raised_after_it(monkeypa
 
 
 @pytest.mark.parametrize(("error", "status"), [(ERRORS[0], 1), (KeyboardInterrupt(), 130)])
-def test_drives_that_could_not_be_disabled_are_named_first(
-    tmp_path, monkeypatch, capsys, error, status
-):
+def test_drives_not_disabled_are_named_first(tmp_path, monkeypatch, capsys, error, status):
     (tmp_path / "robot.toml").write_bytes(SLOW.files["robot.toml"])
     monkeypatch.setattr(stopping, "open_link", Raising(error=error))
     assert main(["disable", str(tmp_path / "robot.toml")]) == status
@@ -204,7 +202,7 @@ def closing_link(run):
     return run
 
 
-def test_what_is_held_back_first_is_kept():
+def test_first_held_back_error_is_kept():
     held = HeldBack()
     for error in (BusFaultError("expected"), OSError("first"), ValueError("second"), SystemExit(3)):
         with held:
@@ -217,7 +215,7 @@ def test_what_is_held_back_first_is_kept():
 
 
 @pytest.mark.parametrize(("reacts", "known"), [(False, True), (True, True), (False, False)])
-def test_a_node_in_nmt_stopped_is_woken_and_stopped(monkeypatch, reacts, known):
+def test_node_in_nmt_stopped_is_started_and_stopped(monkeypatch, reacts, known):
     """It takes neither PDO nor SDO there. By 6007h = 0 it goes on with what it was told last. That
     it is there may be `known` when the stop begins, or be heard after its requests were lost.
     """
@@ -250,7 +248,7 @@ def test_a_node_in_nmt_stopped_is_woken_and_stopped(monkeypatch, reacts, known):
 @pytest.mark.parametrize(
     ("at", "cut_short"), [("enable", True), ("track", True), ("stop", False), (None, False)]
 )
-def test_a_reference_that_was_not_followed_to_its_end_is_cut_short(tmp_path, at, cut_short):
+def test_unfinished_reference_is_cut_short(tmp_path, at, cut_short):
     stop = Stop()
 
     class Stopping(InlineLog):
@@ -263,7 +261,7 @@ def test_a_reference_that_was_not_followed_to_its_end_is_cut_short(tmp_path, at,
     assert (session.outcome.fault, session.outcome.cut_short) == (False, cut_short)
 
 
-def test_the_status_line_of_a_terminal_that_is_gone_does_nothing(monkeypatch):
+def test_status_line_without_terminal_does_nothing(monkeypatch):
     controller, terminal = os.openpty()
     with open(terminal, "w") as stderr:
         monkeypatch.setattr(sys, "stderr", stderr)
@@ -280,7 +278,7 @@ def test_the_status_line_of_a_terminal_that_is_gone_does_nothing(monkeypatch):
 
 
 @pytest.mark.parametrize("how", ["file", "folder", "renamed"])
-def test_a_recording_that_was_deleted_goes_on_under_a_new_name(tmp_path, how):
+def test_deleted_recording_gets_new_name(tmp_path, how):
     """Its last name is gone, but not its descriptor; the folder may be gone too. A file that was
     only renamed is the recording all the same.
     """
@@ -320,7 +318,7 @@ def test_a_recording_that_was_deleted_goes_on_under_a_new_name(tmp_path, how):
     assert len(session.frames) > before.sum()
 
 
-def test_a_recording_that_was_deleted_after_its_last_status_is_found_at_the_end(tmp_path):
+def test_late_deleted_recording_gets_new_name(tmp_path):
     recorder = Recorder(tmp_path / "a.mcap", SLOW, source="a test", place="robot.toml")
     recorder.add(block_of([Frame(1, 0x80, b"")]))
     (tmp_path / "a.mcap").unlink()
@@ -331,7 +329,7 @@ def test_a_recording_that_was_deleted_after_its_last_status_is_found_at_the_end(
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGTERM, 1), (signal.SIGHUP, 1), (signal.SIGINT, 0), (None, 0)]
 )
-def test_the_exit_status_of_a_reference_that_was_cut_short(
+def test_exit_status_of_unfinished_reference(
     tmp_path, monkeypatch, capsys, request, number, status
 ):
     """By signals that come with the first status of a dry run."""
@@ -358,7 +356,7 @@ def test_the_exit_status_of_a_reference_that_was_cut_short(
     ]
 
 
-def test_a_session_without_frames_leaves_no_file(tmp_path):
+def test_session_without_frames_leaves_no_file(tmp_path):
     path, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
     recorder = Recorder(path, SLOW, source="a test", place="robot.toml")
     recorder.event(1, "fault", "no bus")

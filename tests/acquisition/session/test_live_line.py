@@ -36,7 +36,7 @@ from acquisition.session import (
 )
 
 
-def test_everything_that_matters_is_on_the_line():
+def test_live_line_content():
     lost = {"late": 2, "missing": 0, "duplicate": 1, "short": 1}
     status = Status(
         frames=9000, rate_hz=6501.2, drops=3, losses=lost, lowest=(-0.5, 0.0), highest=(0.25, 1.0)
@@ -49,7 +49,7 @@ def test_everything_that_matters_is_on_the_line():
     assert [part for part, bad in line if bad] == [", 3 dropped", ", 2 late"]
 
 
-def test_the_line_is_written_without_waiting_and_without_a_thread(monkeypatch):
+def test_live_line_never_blocks(monkeypatch):
     """A terminal that nobody reads, or that was stopped by Ctrl-S, takes no text: the SYNC
     loop does not wait for it.
     """
@@ -75,7 +75,7 @@ def test_the_line_is_written_without_waiting_and_without_a_thread(monkeypatch):
     os.close(controller)
 
 
-def test_a_dry_run_writes_its_frames_while_it_goes_on(tmp_path):
+def test_dry_run_writes_frames_continuously(tmp_path):
     """Every 2 ms SYNC and the answers of two drives: 1500 frames/s, written by the tenth of a
     second.
     """
@@ -91,7 +91,7 @@ def test_a_dry_run_writes_its_frames_while_it_goes_on(tmp_path):
     assert after[0] - before[0] == pytest.approx(750, abs=200)
 
 
-def test_a_mapping_of_the_traffic_is_known_from_then_on(tmp_path):
+def test_traffic_mapping_is_known_once_seen(tmp_path):
     task = Task(reference=swing(2, seconds=0.2, amplitude=0.02))
     session, shown = dry_session(tmp_path / "active.mcap", task), []
     robot = robot_of(bus_text(2, drive='mapping = "traffic"'))
@@ -113,7 +113,7 @@ def test_a_mapping_of_the_traffic_is_known_from_then_on(tmp_path):
         (1.0, "bus: gone", 0.0, ("fault", "bus: gone")),
     ],
 )
-def test_a_passive_recording_ends_after_its_time_or_at_ctrl_c_and_holds_its_fault(
+def test_passive_recording_ends_by_time_or_ctrl_c(
     tmp_path, monkeypatch, duration_s, fault, until_s, event
 ):
     """Its recorder is in this process; time passes only where it sleeps; Ctrl-C comes at 2 s."""

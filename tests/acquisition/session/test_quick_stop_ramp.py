@@ -28,7 +28,7 @@ def with_objects(patch: pytest.MonkeyPatch, objects: dict[int, int]) -> None:
     )
 
 
-def test_a_quick_stop_takes_its_own_time_and_is_not_cut_at_speed(tmp_path, monkeypatch):
+def test_quick_stop_takes_its_full_time(tmp_path, monkeypatch):
     """Both joints go up to 2.2 rad/s; they stop by 2 rad/s² (605Ah = 5: 6084h)."""
     # time, state of a drive, speed of its joint since the stop
     stop, seen = Stop(), list[tuple[float, State, float]]()
@@ -58,7 +58,7 @@ def test_a_quick_stop_takes_its_own_time_and_is_not_cut_at_speed(tmp_path, monke
     assert 0.9 * SPEED / 2.0 < off_s - active[0] < SPEED / 2.0 + 0.1
 
 
-def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path, monkeypatch):
+def test_weak_quick_stop_is_refused(tmp_path, monkeypatch):
     for share, ok in ((1.0, True), (0.98, False)):
         with_objects(monkeypatch, {0x605A: 2, 0x6085: round(share * COUNTS)})
         run, master = connected(ROBOT)
@@ -76,7 +76,7 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path, mon
     assert not any(np.isin(session.frames["can_id"], [0x201, 0x202]))
 
 
-def test_an_unknown_ramp_is_noted(tmp_path, monkeypatch):
+def test_unknown_deceleration_is_noted(tmp_path, monkeypatch):
     with_objects(monkeypatch, {0x605A: 7})
     notes = [
         note.partition(": voltage")[0]
@@ -102,6 +102,6 @@ def test_an_unknown_ramp_is_noted(tmp_path, monkeypatch):
         ({0x605A: 2, 0x6085: 60, 0x60A9: 0x00B44800}, None),  # of another unit
     ],
 )
-def test_the_ramp_that_605a_names(values, ramp):
+def test_quick_stop_deceleration_by_605a(values, ramp):
     found = quick_stop_ramp(values, bus_of(ROBOT).drives[0].position_codec)
     assert found == (None if ramp is None else pytest.approx(ramp))

@@ -59,7 +59,7 @@ def recorder_of(pid: int) -> int:
 
 
 @tried_again
-def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(folder):
+def test_killed_recorder_stops_session(folder):
     out = folder / "log.mcap"
     with drives(folder), processes.tracking(folder, out) as session, stalls() as worst:
         time.sleep(1.0)  # it writes twice in that
@@ -76,7 +76,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
 
 
 @tried_again
-def test_a_file_that_cannot_grow_stops_the_session(folder):
+def test_file_size_limit_stops_session(folder):
     out = folder / "log.mcap"
     with drives(folder):
         command = (
@@ -100,7 +100,7 @@ def test_a_file_that_cannot_grow_stops_the_session(folder):
 
 
 @tried_again
-def test_passive_records_another_masters_session_and_sends_nothing(folder):
+def test_passive_recording_sends_nothing(folder):
     """What only a master sends by NMT and SDO is as much as in a dry run of the session."""
     text = (folder / "robot.toml").read_text().replace("node = 1", 'mapping = "traffic"\nnode = 1')
     (folder / "passive.toml").write_text(text.replace("node = 2", 'mapping = "traffic"\nnode = 2'))
@@ -160,7 +160,7 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
 
 
 @tried_again
-def test_a_follower_that_is_killed_in_motion_harms_nothing_and_a_signal_ends_the_session_in_order(
+def test_killed_follower_does_not_harm_session(
     folder,
 ):
     out, picture = folder / "log.mcap", folder / "live.rrd"

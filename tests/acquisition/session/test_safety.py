@@ -24,7 +24,7 @@ from acquisition.session import Stop, Task, stop_on_signals
 TRACK = Task(reference=swing(2, seconds=0.5, amplitude=0.1))
 
 
-def test_positions_from_before_start_command_nothing(tmp_path):
+def test_old_positions_command_nothing(tmp_path):
     """PDOs of an earlier session are still in the queue: enabled, and far from
     where the drives stand.
     """
@@ -39,13 +39,13 @@ def test_positions_from_before_start_command_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
-def test_a_stop_before_anything_began(tmp_path, task):
+def test_stop_before_start(tmp_path, task):
     session = dry_session(tmp_path / "a.mcap", task, stop=Stop(reason="stopped by SIGTERM"))
     assert session.raised is None
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGTERM", False)
 
 
-def test_check_shows_what_the_drive_holds_on_its_scale():
+def test_check_shows_drive_values_on_its_scale():
     eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
     text = bus_text(1, drive='dictionary = "drive.eds"').replace(
         'reference = "6074"', 'actual = "6077"'
@@ -58,7 +58,7 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     assert "robot.toml: 65536 counts per turn" in scale.found
 
 
-def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
+def test_second_axis_uses_its_own_objects(monkeypatch):
     """All its objects of CiA 402 are 800h higher: its period 60C2h, its
     mode 6060h and 6061h too.
     """
@@ -87,7 +87,7 @@ def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
     assert {index for index in read if index >= 0x6800} == {*asked, 0x68A9, 0x68AA}
 
 
-def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
+def test_starting_drive_misses_no_sync():
     master = Master(Answering(), bus_of(robot_of(bus_text(1, extra='sync_producer = "other"'))))
     master.start()
     for _ in range(10):
@@ -99,7 +99,7 @@ def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
     assert master.nodes[0].silent_syncs == 3
 
 
-def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
+def test_slow_stop_keeps_acceleration_limit(tmp_path):
     limit = np.radians(60)
     text = bus_text(1, period_s=0.004).replace(
         "acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60"
@@ -139,7 +139,7 @@ def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
         (signal.SIGHUP, signal.SIG_IGN, False),  # as `nohup` does
     ],
 )
-def test_signals_ask_for_a_stop(number, handler, asks):
+def test_signals_request_stop(number, handler, asks):
     before, stop = signal.signal(number, handler), Stop()
     try:
         with stop_on_signals(stop):
@@ -150,7 +150,7 @@ def test_signals_ask_for_a_stop(number, handler, asks):
     assert stop.reason == (f"stopped by {number.name}" if asks else "")
 
 
-def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
+def test_hanging_recorder_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_logs, "MAX_SILENT_S", 1.0)
     monkeypatch.setattr(recorder_logs, "MAX_HUNG_FINISH_S", 0.5)
     log = recorder_logs.ProcessLog(
@@ -177,7 +177,7 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
         log.close()
 
 
-def test_a_statusword_from_before_start_counts_for_nothing():
+def test_old_statusword_is_ignored():
     _, master = connected()
     master.dispatch(Frame(0, 0x181, bytes.fromhex("3702e8030000") + bytes(2)))
     assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)

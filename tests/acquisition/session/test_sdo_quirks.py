@@ -247,7 +247,7 @@ def objects(verdict: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", QUIRKS)
-def test_check_says_what_record_does(name, tmp_path, monkeypatch):
+def test_check_agrees_with_record(name, tmp_path, monkeypatch):
     serve, change, recording, motion = QUIRKS[name]
     said = agreed(tmp_path, quirky(monkeypatch, serve, change))
     assert [" ".join(objects(said[task])) for task in ("recording", "motion")] == [
@@ -289,7 +289,7 @@ DICTIONARIES = {
 
 
 @pytest.mark.parametrize("name", DICTIONARIES)
-def test_a_dictionary_says_what_is_fixed_and_what_cannot_be_read(name, tmp_path, monkeypatch):
+def test_dictionary_shows_fixed_and_unreadable(name, tmp_path, monkeypatch):
     serve, entries, recording, motion = DICTIONARIES[name]
     kind = quirky(monkeypatch, serve, nothing, as_described)
     said = agreed(tmp_path, kind, with_dictionary(entries))
@@ -299,7 +299,7 @@ def test_a_dictionary_says_what_is_fixed_and_what_cannot_be_read(name, tmp_path,
     ]
 
 
-def test_a_heartbeat_that_cannot_be_set_is_not_awaited_in_a_recording(tmp_path, monkeypatch):
+def test_unsettable_heartbeat_is_not_awaited(tmp_path, monkeypatch):
     """Heartbeats each 5 s, where 0.3 s without one are a fault, for a recording of 1 s."""
     kind = quirky(monkeypatch, read_only(0x1017), values({(0x1017, 0): 5000}))
     done = dry_session(tmp_path / "a.mcap", Task(duration_s=1.0), simulated=kind)
@@ -328,7 +328,7 @@ def test_a_heartbeat_that_cannot_be_set_is_not_awaited_in_a_recording(tmp_path, 
         ({(0x1400, 2): 255}, []),  # a recording sends no PDO
     ],
 )  # fmt: skip
-def test_only_what_differs_is_written(changed, written, tmp_path, monkeypatch):
+def test_only_differences_are_written(changed, written, tmp_path, monkeypatch):
     """In the order of CiA 301: off, the objects, their number, at every SYNC, on."""
     kind = quirky(monkeypatch, usual, values(changed, described=True), as_described)
     done = dry_session(tmp_path / "a.mcap", Task(duration_s=0.1), simulated=kind)
@@ -351,7 +351,7 @@ def test_only_what_differs_is_written(changed, written, tmp_path, monkeypatch):
         ({(0x6080, 0): 3250}, ["motor speed 6080"]),
     ],
 )
-def test_a_motor_of_two_joints_has_the_limits_of_both(stated, motion, monkeypatch):
+def test_coupled_motor_has_limits_of_both_joints(stated, motion, monkeypatch):
     text = bus_text(2).replace("ratio = 50.0\n", "")
     robot = robot_of("motor_matrix = [[50, 0], [50, 50]]\n" + text)
     run, _ = connected(robot, quirky(monkeypatch, usual, values(stated)))
@@ -359,7 +359,7 @@ def test_a_motor_of_two_joints_has_the_limits_of_both(stated, motion, monkeypatc
 
 
 @pytest.mark.parametrize(("kind", "homed"), [("U8", False), ("U16", True)])
-def test_objects_of_the_description_have_its_types(kind, homed, monkeypatch):
+def test_given_objects_have_given_types(kind, homed, monkeypatch):
     """2000:1 is 0 in its first byte, and the drive pads it to four bytes of FFh."""
     text = bus_text(2, drive=f'homed = "2000:1"\nobjects = {{ "2000:1" = "{kind}" }}')
     padded = quirky(monkeypatch, always(0x43, b"\xff\xff\xff"), nothing)
@@ -369,7 +369,7 @@ def test_objects_of_the_description_have_its_types(kind, homed, monkeypatch):
     assert is_homed(master, master.bus.drives[1], master.bus.file.drive[1]) is homed
 
 
-def test_a_scan_takes_answers_without_a_size(monkeypatch):
+def test_scan_accepts_answers_without_size(monkeypatch):
     quirky(monkeypatch, always(0x42, b"\xa5\xa5\xa5"), nothing)
     run, _ = connected(robot_of(bus_text(2)))
     nodes = scan_nodes(Uploads(run, bus_file()), OBJECTS, ARRAYS)

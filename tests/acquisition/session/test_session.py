@@ -45,7 +45,7 @@ def tracked(session) -> np.ndarray:
     return samples[(samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])]
 
 
-def test_a_reference_is_tracked_and_recorded(finished):
+def test_reference_is_tracked_and_recorded(finished):
     session = finished
     assert (session.outcome.reason, session.outcome.fault, session.outcome.alarm) == (
         "finished",
@@ -77,7 +77,7 @@ def test_a_reference_is_tracked_and_recorded(finished):
     assert float(plan.split()[1]) == pytest.approx((at["stop"] - at["track"]) * 1e-9, abs=0.01)
 
 
-def test_nothing_moves_without_a_reference(tmp_path):
+def test_no_motion_without_reference(tmp_path):
     session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.5))
     assert session.events("phase") == ["configure", "record"]
     assert not (session.frames["can_id"] == 0x77F).any()  # a master's heartbeat
@@ -99,7 +99,7 @@ def test_nothing_moves_without_a_reference(tmp_path):
         ({"missing": 2, "short": 1}, {"missing": 3, "short": 1}),  # a short one is missing too
     ],
 )
-def test_bad_pdos_are_counted_and_the_session_goes_on(tmp_path, kinds, counted):
+def test_bad_pdos_are_counted(tmp_path, kinds, counted):
     faults = [
         Fault(kind=kind, node=1, sync=200 + 60 * k, count=kinds[kind])
         for k, kind in enumerate(kinds)
@@ -128,7 +128,7 @@ class DeadBus(Through):
         super().send(can_id, data)
 
 
-def test_on_a_bus_that_takes_no_frames_any_more_nothing_confirms(tmp_path):
+def test_dead_bus_confirms_nothing(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(DeadBus, ends=10**9))
     assert "transmit buffer full" in session.outcome.reason
     assert session.outcome.unconfirmed == (1, 2)
@@ -198,7 +198,7 @@ ENDED = {"through": partial(SyncOfAnother, ends_ns=2_200_000_000)}
          "bus: frame cannot be sent: transmit buffer full"),
     ],
 )  # fmt: skip
-def test_what_ends_a_session_leaves_every_drive_disabled(tmp_path, what, reason):
+def test_every_end_leaves_drives_disabled(tmp_path, what, reason):
     session = dry_session(tmp_path / "a.mcap", TRACK, **what)
     assert (session.outcome.reason, session.outcome.fault) == (reason, True)
     assert session.events("fault") == [reason]
@@ -206,7 +206,7 @@ def test_what_ends_a_session_leaves_every_drive_disabled(tmp_path, what, reason)
     assert not session.recording.cut
 
 
-def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path):
+def test_one_lost_heartbeat_is_accepted(tmp_path):
     stale, lost = beats(2, range(1, 3), NOT_OPERATIONAL), beats(1, range(2, 3), None)
     session = dry_session(
         tmp_path / "a.mcap",
@@ -217,7 +217,7 @@ def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path)
 
 
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
-def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch, task):
+def test_nearly_full_disk_ends_session(tmp_path, monkeypatch, task):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1, 1, 0))
     session = dry_session(tmp_path / "a.mcap", task)
@@ -227,7 +227,7 @@ def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch, tas
 
 
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
-def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
+def test_requested_stop_is_slow(tmp_path, at):
     stop = Stop()
     interrupt = partial(
         At, at_ns=LISTENED_NS + at * 1e9, act=lambda: setattr(stop, "reason", "stopped by SIGINT")
@@ -245,7 +245,7 @@ def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     [("_enable", RuntimeError("boom")), ("_follow", KeyboardInterrupt()), ("_hold", SystemExit(3)),
      ("_disable", RuntimeError("boom")), ("_positions", KeyboardInterrupt())],
 )  # fmt: skip
-def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
+def test_exception_in_any_phase(tmp_path, monkeypatch, method, error):
     place = f"acquisition.session.session._Session.{method}"
     real = pkgutil.resolve_name(place)
 
@@ -285,9 +285,7 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
          "carries 6071:0: expected only 6040:0, 6060:0", []),
     ],
 )  # fmt: skip
-def test_a_description_that_disagrees_with_the_drive_or_the_task_is_refused_before_start(
-    tmp_path, change, task, expected, disabled
-):
+def test_wrong_robot_toml_is_refused_before_start(tmp_path, change, task, expected, disabled):
     drives, other = bus_of(robot_of(bus_text(2))), robot_of(bus_text(2).replace(*change))
     session = dry_session(tmp_path / "a.mcap", task, robot=other, drives=drives)
     assert expected in session.outcome.reason
@@ -303,9 +301,7 @@ def test_a_description_that_disagrees_with_the_drive_or_the_task_is_refused_befo
         (swing(2), 2147480000, "counts: expected -2147483648 to 2147483647"),
     ],
 )
-def test_a_reference_that_leaves_a_limit_is_refused_before_start(
-    tmp_path, reference, zero_counts, expected
-):
+def test_reference_beyond_limit_is_refused(tmp_path, reference, zero_counts, expected):
     robot = robot_of(bus_text(2, drive=f"zero_counts = {zero_counts}"))
     session = dry_session(
         tmp_path / "a.mcap", Task(reference=reference, place="ref.csv"), robot=robot
@@ -317,7 +313,7 @@ def test_a_reference_that_leaves_a_limit_is_refused_before_start(
     assert session.events("disabled") + session.events("not disabled") == []
 
 
-def test_sync_of_another_producer_is_followed_and_a_mode_in_the_pdo_stays_the_mode(tmp_path):
+def test_foreign_sync_is_followed(tmp_path):
     mapped = 'rpdo = [{ objects = ["6040", "6060", "607A"] }]'
     robot = robot_of(bus_text(2, extra='sync_producer = "other"', drive=mapped))
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother)
@@ -328,7 +324,7 @@ def test_sync_of_another_producer_is_followed_and_a_mode_in_the_pdo_stays_the_mo
 
 
 @pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
-def test_the_mode_is_awaited(tmp_path, reads, fault):
+def test_operation_mode_is_awaited(tmp_path, reads, fault):
     class Late(FaultyDrives):
         asked = 0
 

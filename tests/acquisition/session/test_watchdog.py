@@ -80,7 +80,7 @@ def disabled_by_the_recorder(recording: Recording) -> bool:
     ],
 )
 @tried_again
-def test_drives_without_supervision_of_their_own_are_stopped(folder, number, silent):
+def test_unmonitored_drives_are_stopped(folder, number, silent):
     out = folder / "log.mcap"
     with drives(folder, "--unsupervised"), stalls() as worst:
         with tracking(folder, out, "--unsupervised-drives") as session:
@@ -107,7 +107,7 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number, sil
     assert len(recording.samples) > 0
 
 
-def test_drives_left_enabled_are_disabled_by_command(folder, capsys):
+def test_disable_command_disables_drives(folder, capsys):
     with drives(folder, "--unsupervised"):
         robot = robot_of((folder / "robot.toml").read_text())
         with closing(open_link(bus_at(folder), passive=False)) as link:
@@ -130,7 +130,7 @@ def test_drives_left_enabled_are_disabled_by_command(folder, capsys):
             assert master.state(master.bus.drives[0]) is State.SWITCH_ON_DISABLED
 
 
-def test_disable_says_first_who_did_not_confirm(folder, capsys):
+def test_disable_names_unconfirmed_drives_first(folder, capsys):
     assert main(["disable", str(folder / "robot.toml")]) == 1
     assert capsys.readouterr() == ("", "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n")
     (folder / "away.toml").write_text(
@@ -142,7 +142,7 @@ def test_disable_says_first_who_did_not_confirm(folder, capsys):
     assert "cannot be opened" in second
 
 
-def test_a_watchdog_acts_only_when_armed_and_not_ended_and_says_so_before(monkeypatch):
+def test_watchdog_acts_only_when_armed(monkeypatch):
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
         here, there = multiprocessing.Pipe()
@@ -201,7 +201,7 @@ def beating_session(path, faults=()) -> DrySession:
     return dry_session(path, task, robot=robot, faults=faults, **how)
 
 
-def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
+def test_awaited_answer_keeps_heartbeats():
     (run, master), times = connected(), list[int]()
     run.drives.silent.add(0)
     began_ns = run.now_ns()
@@ -215,7 +215,7 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
 
 
 @pytest.mark.parametrize("kind", ["", "silent", "emergency"])
-def test_slow_drives_end_without_a_word_of_the_second_stop(tmp_path, kind):
+def test_slow_drives_do_not_trigger_watchdog(tmp_path, kind):
     """Where a drive does not confirm, the session shows that it runs while it awaits answers; the
     others raise no 8130h.
     """
@@ -248,7 +248,7 @@ def test_slow_drives_end_without_a_word_of_the_second_stop(tmp_path, kind):
         assert restored.sum() == 4
 
 
-def test_signs_never_wait_for_a_recorder_that_hangs():
+def test_heartbeats_do_not_wait_for_recorder():
     here, there = multiprocessing.Pipe()
     life = WatchdogPipe(there)
     began = time.monotonic()

@@ -62,11 +62,11 @@ QUARTER = -np.pi / 2  # where a load hangs straight down
          QUARTER + 0.01, 0.0, 2e-4),
     ],
 )  # fmt: skip
-def test_a_joint_moves_as_its_closed_form(parts, effort, seconds, q, dq, within):
+def test_joint_follows_closed_form(parts, effort, seconds, q, dq, within):
     assert after(joint(**parts), effort, seconds) == pytest.approx((q, dq), abs=within)
 
 
-def test_friction_stops_a_joint_and_does_not_turn_it_round():
+def test_friction_stops_joint_without_reversal():
     plant = joint(coulomb=2.0)
     assert after(plant, 1.9, 1.0, steps=100)[1] == 0.0
     assert after(plant, 3.0, 1.0, steps=100)[1] == pytest.approx(1.0)
@@ -74,13 +74,13 @@ def test_friction_stops_a_joint_and_does_not_turn_it_round():
     assert after(plant, 0.0, 0.05, steps=5)[1] == 0.0
 
 
-def test_a_brake_holds():
+def test_brake_holds():
     plant = joint(load=5.0)
     q, _ = after(plant, 20.0, 0.1)
     assert after(plant, 20.0, 0.1, HELD) == (q, 0.0)
 
 
-def test_a_typical_plant_by_hand():
+def test_typical_plant_by_hand():
     """0.42 N m at a ratio of 50 are 21 N m rated; 4000 deg/s² and 200 deg/s are the limits."""
     robot = robot_of(bus_text(2).replace("[-150, 150]", "[-150, 60]", 1))
     rated = np.array([0.42, 0.42])
@@ -101,7 +101,7 @@ def test_a_typical_plant_by_hand():
     assert loaded.state()[1][1] == pytest.approx(-(0.3 - 0.05) * 21e-3 / inertia[1])
 
 
-def test_a_table_goes_by_its_rate():
+def test_table_follows_its_rate():
     """Rows every 10 ms; time is rounded to the nearest row; the last row stays."""
     samples = np.zeros(4, sample_dtype(1, reference=False))
     samples["position"][:, 0], samples["effort"][:, 0] = (
@@ -120,7 +120,7 @@ def test_a_table_goes_by_its_rate():
     assert seen == [rows[k] for k in (0, 0, 1, 1, 2, 2, 2, 3, 3, 3)]
 
 
-def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch):
+def test_default_plant_has_weight(monkeypatch):
     robot = robot_of(bus_text(2))
     made = driven_plant(robot, bus_of(robot))
     assert made.warning.startswith("simulated as independent joints with a gravity-like load")
@@ -141,7 +141,7 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
     )
 
 
-def test_parameters_that_describe_no_robot_are_refused_in_one_line():
+def test_implausible_parameters_are_refused():
     robot = robot_of(
         (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ2 = -1000.0")
     )

@@ -43,7 +43,7 @@ def robot_with(name: str, *, n: int = 2):
 
 
 @pytest.mark.parametrize("name", VENDORS)
-def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name):
+def test_vendor_dictionaries_are_tracked(tmp_path, name):
     robot = robot_with(name)
     bus = bus_of(robot)
     task = Task(reference=swing(2, seconds=0.4, amplitude=0.1))
@@ -65,7 +65,7 @@ def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name
     assert f"{entry}" in session.recording.metadata["effort_provenance"]
 
 
-def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
+def test_dictionary_warnings_reach_recording(tmp_path):
     name = "maxon_EPOS4.eds"
     robot = robot_with(name)
     label = f"dictionary:{name}"
@@ -80,7 +80,7 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     assert found == [("dictionary", 1, True), ("dictionary", 2, True)]
 
 
-def test_another_drive_than_the_dictionary_says_is_told():
+def test_drive_identity_mismatch_is_reported():
     run, master = connected(robot_with("elmo_Gold.dcf", n=1))
     assert [need.refusal for need in read_needs(master, track=False)] == [""] * 5
     run.drives.nodes[0].values[0x1018, 1] = 0x123
@@ -89,7 +89,7 @@ def test_another_drive_than_the_dictionary_says_is_told():
         read_needs(master, track=False)
 
 
-def test_a_drive_states_its_units_limits_and_modes():
+def test_drive_reports_units_limits_and_modes():
     """Literal values: 65536 counts per turn, ratio 50, 200 deg/s and +-150 deg at the joint; the
     second counts backwards.
     """
@@ -114,7 +114,7 @@ def test_a_drive_states_its_units_limits_and_modes():
     assert stated(1, (0x608F, 1), (0x1018, 0)) == [65536, 4]
 
 
-def test_a_table_goes_by_a_row_at_each_sync_and_brakes_hold_what_is_not_enabled_or_stops():
+def test_table_moves_one_row_per_sync():
     """Each row is 0.01 rad further than the one before."""
     samples = np.zeros(9, sample_dtype(2, reference=False))
     samples["position"] = 0.01 * np.arange(9)[:, None]
@@ -142,7 +142,7 @@ def test_a_table_goes_by_a_row_at_each_sync_and_brakes_hold_what_is_not_enabled_
 @pytest.mark.parametrize(("matrix", "windows"), [("", [2**32 - 1, 91_022]),
                                                ("motor_matrix = [[50, 0], [50, 50]]\n",
                                                 [2**32 - 1, 2**32 - 1])])  # fmt: skip
-def test_joints_without_a_limit_of_the_following_error(tmp_path, matrix, windows):
+def test_joints_without_following_error_limit(tmp_path, matrix, windows):
     """A motor of such a joint supervises none; that of the other, at 5 degrees and a ratio of
     50: twice 5 * 50 / 360 * 65536 counts.
     """
@@ -154,7 +154,7 @@ def test_joints_without_a_limit_of_the_following_error(tmp_path, matrix, windows
     assert done.outcome.reason == "finished"
 
 
-def test_a_boot_up_counts_as_the_first_heartbeat():
+def test_boot_up_counts_as_first_heartbeat():
     """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat
     time after its boot-up.
     """
