@@ -24,7 +24,7 @@ def fit_file(fit: Fit) -> report.FitFile:
     robot, each = fit.problem.signals.robot, fit.recordings if len(fit.recordings) > 1 else ()
     return report.FitFile(
         **on_recording(fit.problem, fit.errors, fit.warnings),
-        recordings=[_recording(one, errors_on([one])[-1]) for one in each] or UNSET,
+        recordings=[_recording(one, one.errors[-1]) for one in each] or UNSET,
         method=fit.method,
         method_reason=fit.solution.method_reason,
         status=fit.status,
@@ -158,7 +158,7 @@ def validation_file(
     return report.ValidationFile(
         **on_recording(recordings[0].problem, errors, warnings),
         fit=fit,
-        recordings=[_recording(one, errors_on([one])[-1]) for one in each] or UNSET,
+        recordings=[_recording(one, one.errors[-1]) for one in each] or UNSET,
         ahead={
             f"{time_s:g}": report.Ahead(error=error.tolist(), way=way.tolist())
             for time_s, error, way in zip(HORIZONS_S, *ahead, strict=True)

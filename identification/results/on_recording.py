@@ -49,6 +49,11 @@ class FitOnRecording:
         return estimate.values_of(self.names) + self.carried
 
     @property
+    def errors(self) -> tuple[TorqueResidual, ...]:
+        """Its torque errors, one entry per joint and, last, all joints together."""
+        return errors_on([self])
+
+    @property
     def signals(self) -> Signals:
         """The recording."""
         return self.problem.signals

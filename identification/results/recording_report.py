@@ -24,7 +24,7 @@ from ..report import (
     columns,
 )
 from .horizon import HORIZONS_S
-from .on_recording import FitOnRecording, errors_on
+from .on_recording import FitOnRecording
 from .recorded import on_recording, with_settings
 
 
@@ -83,7 +83,7 @@ def validation_document(
     lines = [line for one in told for line in settings_lines(one, used="evaluated on")]
     lines += [line for one in told for line in recording_lines(one)]
     rows: list[Row] = [
-        (name, Number(errors_on([one])[-1].relative_error_percent, ".4f"))
+        (name, Number(one.errors[-1].relative_error_percent, ".4f"))
         for name, one in zip(names, recordings, strict=True)
     ]
     table = Table(columns=columns("recording", numbers=("torque error",)), rows=tuple(rows))

@@ -67,7 +67,7 @@ def test_two_recordings_are_fitted_with_what_they_have(
         else 1e-9
     )
     for one, path in zip(fit.recordings, paths, strict=True):
-        again = validate(identification.Fit(**vars(fit)), path)
+        again = validate(identification.Fit.of(fit), path)
         assert again.relative_error_percent == pytest.approx(
             one.errors[-1].relative_error_percent, rel=tolerance
         )
@@ -93,7 +93,7 @@ def test_long_recordings_are_fitted_the_same_by_two_workers(
     assert len(problem.row_blocks(fit.problem)) > 16 * (2 - count)  # more than are sent at once
     assert 2 in ran  # a single block, as of torque errors, stays in this process
     assert bits(fit) == bits(other)
-    again = validate(identification.Fit(**vars(fit)), paths[-1]).relative_error_percent
+    again = validate(identification.Fit.of(fit), paths[-1]).relative_error_percent
     assert again == pytest.approx(fit.recordings[-1].errors[-1].relative_error_percent, rel=0.06)
 
 
