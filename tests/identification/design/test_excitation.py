@@ -130,7 +130,7 @@ def random_x(robot, series=SERIES, seed=0, share=0.6):
     return series.coefficients(found)
 
 
-def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
+def test_series_starts_and_ends_at_rest():
     x = np.random.default_rng(0).standard_normal((3, K))
     reference = SERIES.reference(x)
     q, dq, ddq = reference.at(np.array([0.0, SERIES.period_s]))
@@ -146,7 +146,7 @@ def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
 
 
 @pytest.mark.parametrize("robot", [SCARA, ASYMMETRIC], ids=["scara", "tx40"])
-def test_the_gradient_is_that_of_differences(robot):
+def test_gradient_matches_differences(robot):
     model, base, _ = modelled(robot)
     information, basis, x = information_of(robot, model, base), SERIES.basis(40), random_x(robot)
     plain = np.exp(np.random.default_rng(1).uniform(-1, 1, base.b))
@@ -172,7 +172,7 @@ def test_the_gradient_is_that_of_differences(robot):
 @pytest.mark.parametrize(
     "robot", [ASYMMETRIC, *LOADED], ids=["asymmetric", "loaded scara", "loaded tx40"]
 )
-def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
+def test_limit_jacobian_matches_differences(robot):
     *_, direct = modelled(robot)
     limits, basis, x = (
         limits_of(robot, (direct,), 0.8, "here"),
@@ -197,7 +197,7 @@ def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
             assert off[own].max() < 1e-6 * np.abs(J.reshape(40, L, -1)[:, columns]).max()
 
 
-def test_efforts_count_friction_at_its_full_size():
+def test_efforts_include_full_friction():
     robot = with_text(
         "tx40", "following_error_deg = 15", "following_error_deg = 15\neffort_nm = 60", 1
     )
@@ -215,7 +215,7 @@ def test_efforts_count_friction_at_its_full_size():
     assert limits.share_of_whole(motion)[18] <= (np.abs(tau[:, 0]).max() + 2 * 6.9822) / 60
 
 
-def test_information_is_that_of_least_squares():
+def test_information_matches_least_squares():
     model, base, _ = modelled(SCARA)
     information = information_of(SCARA, model, base)
     motion = motion_of(random_x(SCARA), SERIES.basis(60))
@@ -237,7 +237,7 @@ def tx40_excitation():
     return robot, excite(robot, settings, prior_information(robot), "here", said.append), said
 
 
-def test_the_reference_tells_more_than_the_plain_one_in_all_parameters(tx40_excitation):
+def test_reference_beats_plain_in_all_parameters(tx40_excitation):
     _, found, said = tx40_excitation
     smaller = found.plain / found.sigma
     assert np.median(smaller) > 1.7
@@ -246,7 +246,7 @@ def test_the_reference_tells_more_than_the_plain_one_in_all_parameters(tx40_exci
     assert said[-1].startswith("search 1 of 1: deviations 0.")
 
 
-def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_excitation):
+def test_limits_hold_between_samples(tx40_excitation):
     robot, found, _ = tx40_excitation
     q, dq, ddq = motion = found.reference.at(np.linspace(0, 5, 5001))
     for j, joint in enumerate(robot.joints):
@@ -263,7 +263,7 @@ def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_e
     assert names["effort of joint joint_1"] >= torque / 60 - 1e-3
 
 
-def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_does_not():
+def test_infeasible_start_is_scaled_into_limits():
     """The position at the ends is a hair beyond its limit: drawn to rest there nothing would
     be left of the motion.
     """
@@ -282,7 +282,7 @@ def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_doe
     assert share.mean() > 0.05
 
 
-def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterion(monkeypatch):
+def test_no_worse_parameter_precedes_criterion(monkeypatch):
     sigmas = iter(np.array([[0.3, 1.2], [0.9, 0.9], [0.8, 0.95], [0.9, 1.0]]))
     starts = [random_x(SCARA, seed=seed, share=0.4) for seed in range(4)]
     monkeypatch.setattr(search, "STARTS", 4)
@@ -298,7 +298,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
     assert sigma.tolist() == [0.8, 0.95]
 
 
-def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
+def test_searches_all_beyond_limit_fail_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
     with pytest.raises(
         NoFitError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by"
@@ -329,7 +329,7 @@ def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
         ("counts_per_turn = 262144", "counts_per_turn = 1e11", 2, "(motor_1) = "),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(old, new, harmonics, says):
+def test_impossible_options_refused(old, new, harmonics, says):
     robot = with_text("scara", old, new, 1)
     with pytest.raises((BadInputError, RobotIdimError)) as caught:
         excite(robot, ExcitationSettings(harmonics=harmonics), prior_information(robot), "here")
@@ -337,7 +337,7 @@ def test_what_cannot_be_is_refused_in_one_line(old, new, harmonics, says):
     assert "\n" not in str(caught.value)
 
 
-def test_gravity_that_a_joint_cannot_hold_is_refused():
+def test_excess_gravity_refused():
     robot = with_text(
         "tx40", "acceleration_deg_s2 = 2500", "acceleration_deg_s2 = 2500\neffort_nm = 24"
     )
@@ -365,7 +365,7 @@ LEFT_OUT = "load friction (mu1, mu2) is not in the criterion, but in the effort 
         (without_parameters(LOADED[0]), (NOT_CHECKED, LEFT_OUT)),
     ],
 )
-def test_what_is_not_checked_or_not_in_the_criterion_is_told(robot, warnings):
+def test_unchecked_and_excluded_items_reported(robot, warnings):
     found = excite(robot, SHORT, prior_information(robot), "here")
     assert found.warnings == warnings
     assert len(found.limits.effort.limits) == (2 if warnings == (LEFT_OUT,) else 0)
@@ -378,7 +378,7 @@ def test_what_is_not_checked_or_not_in_the_criterion_is_told(robot, warnings):
         assert found.beta.tolist() == [values[name] for name in found.base.names]
 
 
-def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
+def test_noise_given_from_fit_or_torque_share(tmp_path):
     model, base, direct = modelled(SCARA)
     motions = [motion_of(random_x(SCARA), SERIES.basis(100))]
     rms = np.sqrt((direct.torque(*motions[0]) ** 2).mean(axis=0))
@@ -418,7 +418,7 @@ def earlier(tmp_path_factory):
     return path
 
 
-def test_earlier_recordings_add_what_their_least_squares_know_of_all_but_load_friction(earlier):
+def test_earlier_recordings_add_information(earlier):
     signals = load_signals(earlier)
     knowledge = prior_information(signals.robot, after=[earlier] * 2)
     _, every, _ = modelled(signals.robot)
@@ -434,7 +434,7 @@ def test_earlier_recordings_add_what_their_least_squares_know_of_all_but_load_fr
         earlier_information(base_parameters(InverseModel(TX40)), np.ones(6), knowledge.recordings)
 
 
-def test_the_command_writes_a_reference_that_can_be_tracked(tmp_path, capsys):
+def test_command_writes_trackable_reference(tmp_path, capsys):
     out, toml, after = (
         tmp_path / "ref.csv",
         REPLAY / "scara" / "robot.toml",
@@ -490,7 +490,7 @@ def obstacles_in(robot, find=lambda name: None, poses=((0.0, 0.0),)):
     return obstacles_of(InverseModel(robot), find, np.array(poses), 0.02)
 
 
-def test_pairs_that_are_adjacent_or_always_near_are_left_out():
+def test_adjacent_and_near_pairs_excluded():
     """Stretched out: the base reaches into link b, links are 0.2 m or more apart."""
     robot = capsules("ground_m = -0.3", 1.15, "abcde")
     obstacles = obstacles_in(robot, poses=np.zeros((3, 5)))
@@ -530,9 +530,7 @@ def unchecked(monkeypatch, robot, settings):
 
 
 @pytest.mark.parametrize(("base_m", "seed", "stays"), [(0.95, 3, True), (1.03, 2, False)])
-def test_links_keep_their_distance_between_the_samples_of_the_search(
-    monkeypatch, base_m, seed, stays
-):
+def test_link_distance_holds_between_samples(monkeypatch, base_m, seed, stays):
     """Where the reference keeps it without a check it stays; one that goes
     through the base is moved.
     """
@@ -549,7 +547,7 @@ def test_links_keep_their_distance_between_the_samples_of_the_search(
     assert found.used.max() <= 0.8 + 1e-6
 
 
-def test_a_robot_whose_links_are_near_each_other_at_rest_is_refused():
+def test_links_close_at_rest_refused():
     """Too near over the half of its range that may be used for rest; farther apart at the ends."""
     text = capsules("", 0.95).files["robot.toml"].decode()
     folded = text.replace("d_m = 1, theta_deg = 0", "d_m = 1, theta_deg = 180")
@@ -562,7 +560,7 @@ def test_a_robot_whose_links_are_near_each_other_at_rest_is_refused():
         )
 
 
-def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named(tmp_path):
+def test_overlapping_shapes_missing_meshes_named(tmp_path):
     assert obstacles_in(capsules("ground_m = -0.05")).near == (
         "ground and link of a",
         "ground and link of b",
@@ -602,7 +600,7 @@ def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named
     assert meshed.distances(np.array([[0.0, 0.5]])) == pytest.approx(3.5 - 0.3 - 0.1, abs=1e-4)
 
 
-def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_path):
+def test_view_shows_reference_within_limits(tx40_excitation, tmp_path):
     robot, found, _ = tx40_excitation
     write_rrd(tmp_path / "a.rrd", draw_excitation(found, excitation_document(found)))
     file = Written(tmp_path / "a.rrd")
@@ -632,7 +630,7 @@ def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_pa
 PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
 
 
-def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
+def test_report_shows_intervals_and_limits(tx40_excitation):
     _, found, _ = tx40_excitation
     expected, limits = excitation_document(found).sections
     first = expected.table.rows[0]
@@ -654,7 +652,7 @@ def loaded(robot, payload=PAYLOAD):
     return direct_model(model, add_payload(model, chi, payload))
 
 
-def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():
+def test_payload_reference_keeps_both_effort_limits():
     robot = with_text(
         "scara", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 40\n", 1
     )
@@ -679,7 +677,7 @@ def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():
     ]
 
 
-def test_the_deviations_of_gains_are_those_of_the_normal_equations():
+def test_gain_errors_match_normal_equations():
     """Of the rows of both runs, what is not stated of the payload, and the gains; a stated
     centre of mass tells more.
     """
@@ -712,7 +710,7 @@ def test_the_deviations_of_gains_are_those_of_the_normal_equations():
     assert ((found[0] > found[1]) & (found[1] > found[2])).all()
 
 
-def test_a_payload_without_torques_is_refused(tmp_path, capsys):
+def test_payload_without_torques_refused(tmp_path, capsys):
     (tmp_path / "robot.toml").write_bytes(
         without_parameters(robot_named("scara")).files["robot.toml"]
     )
@@ -722,7 +720,7 @@ def test_a_payload_without_torques_is_refused(tmp_path, capsys):
         assert said in capsys.readouterr().err
 
 
-def test_efforts_count_load_friction_against_the_motion():
+def test_efforts_count_load_friction_against_motion():
     robot = LOADED[1]
     model, base, direct = modelled(robot)
     limits, basis, x = (

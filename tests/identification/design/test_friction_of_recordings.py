@@ -79,7 +79,7 @@ def in_fifths(rows: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("count", "own"), [(1, ()), (3, ("Off",))])
-def test_parts_are_held_out_one_by_one(count, own):
+def test_cross_validation_by_hand(count, own):
     """By hand: weighted rows of the other parts, recordings or fifths, error of moving rows;
     own offsets fitted to it.
     """
@@ -137,7 +137,7 @@ def test_parts_are_held_out_one_by_one(count, own):
         assert choice.usual.held_out_percents[k] == pytest.approx(error, rel=within)
 
 
-def test_terms_whose_interval_holds_0_go_joint_by_joint():
+def test_insignificant_terms_removed_per_joint():
     """Root and load friction at all joints predict best; in a fit of these the root of
     the elbow is not seen.
     """
@@ -152,7 +152,7 @@ def test_terms_whose_interval_holds_0_go_joint_by_joint():
     assert abs(t["Fr2"]) < limit < min(t["Fr1"], t["mu1"], t["mu2"])
 
 
-def test_of_sets_within_one_standard_error_of_the_best_the_smallest_is_taken():
+def test_smallest_set_within_one_standard_error():
     def trial(count, *scores):
         terms = tuple(frozenset({"root"} if k < count else ()) for k in range(3))
         errors = {"fitted_error_percent": 1.0, "held_out_percents": np.ones(4)}
@@ -166,13 +166,13 @@ def test_of_sets_within_one_standard_error_of_the_best_the_smallest_is_taken():
     assert smallest_near_best([far, best]) is best
 
 
-def test_the_choice_does_not_depend_on_the_order_of_the_recordings():
+def test_choice_independent_of_recording_order():
     again = select_friction(Recordings(sources=several()[::-1]), RULES)
     assert [trial.terms for trial in again.trials] == [trial.terms for trial in chosen().trials]
     assert [trial.score for trial in again.trials] == [trial.score for trial in chosen().trials]
 
 
-def test_a_recording_that_the_others_cannot_predict_is_named():
+def test_unpredicted_recording_named():
     still = []
     for signals in several()[:2]:
         q = signals.q.copy()
@@ -190,7 +190,7 @@ def test_a_recording_that_the_others_cannot_predict_is_named():
 
 
 @pytest.mark.parametrize("names", [["r1.mcap"], ["r3.mcap", "r2.mcap", "r1.mcap"]])
-def test_the_command_prints_stores_and_writes_the_terms(names, tmp_path, capsys):
+def test_command_prints_and_stores_terms(names, tmp_path, capsys):
     for signals in several():
         write_signals(tmp_path / signals.recording, signals, source="test")
     text = (
@@ -240,7 +240,7 @@ def test_the_command_prints_stores_and_writes_the_terms(names, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(("terms", "own"), [(["root"], ("Fv",)), (["root", "load"], ())])
-def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
+def test_view_shows_each_joint_over_recordings(terms, own, monkeypatch):
     """Rows of all recordings; curves and intervals of the shared parameters, at three loads; of
     own parameters the mean.
     """
