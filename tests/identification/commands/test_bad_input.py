@@ -28,7 +28,7 @@ def robot_file(tmp_path):
     return place
 
 
-def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, robot_file):
+def test_output_never_overwrites_input(capsys, tmp_path, robot_file):
     fit = tmp_path / "fit.json"
     shutil.copy(REPLAY / "scara" / "fit.json", fit)
     before = {path: path.read_bytes() for path in (robot_file, fit)}
@@ -72,9 +72,7 @@ def test_volts_never_become_newton_metres(tmp_path):
         ("sample_rate_hz", "1e9", None, "expected at most 2e+07 steps"),
     ],
 )
-def test_cutoffs_and_controllers_that_cannot_be(
-    capsys, robot_file, key, value, cutoff_hz, expected
-):
+def test_impossible_cutoffs_and_controllers(capsys, robot_file, key, value, cutoff_hz, expected):
     lines = [
         f"{key} = {value}" if key and li.startswith(key) else li
         for li in robot_file.read_text().splitlines()
@@ -85,7 +83,7 @@ def test_cutoffs_and_controllers_that_cannot_be(
     assert expected in refused(capsys, "fit", SESSION, *options)
 
 
-def test_simulations_that_are_too_short_and_folders_that_cannot_be(capsys, tmp_path, robot_file):
+def test_short_simulations_and_bad_folders(capsys, tmp_path, robot_file):
     out = tmp_path / "x.mcap"
     short = refused(capsys, "simulate", robot_file, "-o", out, "--duration-s", "0.0001")
     assert "0.1 samples; expected 100 to" in short
@@ -103,7 +101,7 @@ def changed_fit(folder, change):
     return folder / "fit.json"
 
 
-def test_a_start_of_huge_values_is_told_and_written(capsys, tmp_path):
+def test_huge_start_values_reported(capsys, tmp_path):
     fit, out = (
         changed_fit(tmp_path, lambda c: [p.update(value=1e200) for p in c["parameters"]]),
         tmp_path / "iv.json",
@@ -113,7 +111,7 @@ def test_a_start_of_huge_values_is_told_and_written(capsys, tmp_path):
     assert json.loads(out.read_text())["iterations"][0]["instruments"] == "reference"
 
 
-def test_a_fit_that_diverged_is_told_wherever_it_is_used(capsys, tmp_path):
+def test_diverged_fit_reported_at_every_use(capsys, tmp_path):
     good, bad = (
         REPLAY / "scara" / "fit.json",
         changed_fit(tmp_path, lambda c: c.update(status="diverged")),
@@ -123,7 +121,7 @@ def test_a_fit_that_diverged_is_told_wherever_it_is_used(capsys, tmp_path):
     assert "its status is" not in run(capsys, "validate", good, SESSION)[1]
 
 
-def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
+def test_wrong_bandwidth_is_no_foreign_reference():
     """The reference is compared with the position as it was measured, not as the stated
     bandwidth lets it through.
     """
@@ -136,7 +134,7 @@ def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
     )
 
 
-def test_what_the_recorder_warned_of_stands_in_the_fit(tmp_path):
+def test_recorder_warnings_appear_in_fit(tmp_path):
     recording = read_recording(SESSION)
     path = tmp_path / "warned.mcap"
     with RecordingWriter(path, header(recording.robot)) as writer:

@@ -18,14 +18,14 @@ def answer(capsys, *arguments: object) -> str:
     return capsys.readouterr().out
 
 
-def test_a_table_in_place_of_a_recording(capsys, tmp_path):
+def test_table_instead_of_recording(capsys, tmp_path):
     table = tmp_path / "x.csv"
     table.write_text("t,q\n0,1\n")
     assert main(["fit", str(table)]) == 1
     assert f"`robot-acquire import {table} --robot ROBOT.toml" in capsys.readouterr().err
 
 
-def test_written_files_are_told_with_how_to_open_them(capsys, tmp_path):
+def test_written_files_show_how_to_open(capsys, tmp_path):
     report, picture = tmp_path / "a.html", tmp_path / "a.rrd"
     said = answer(capsys, "fit", SCARA, "--method", "wls", "--report", report, "--rrd", picture)
     assert said.endswith(
@@ -34,7 +34,7 @@ def test_written_files_are_told_with_how_to_open_them(capsys, tmp_path):
     )
 
 
-def test_a_study_says_how_long_a_run_took_and_what_is_zero(capsys, tmp_path):
+def test_study_reports_run_time_and_zeros(capsys, tmp_path):
     text = (REPLAY / "scara" / "robot.toml").read_text()
     assert "Fc2 = " in text
     robot = tmp_path / "robot.toml"
@@ -47,7 +47,7 @@ def test_a_study_says_how_long_a_run_took_and_what_is_zero(capsys, tmp_path):
     assert said.endswith(" s a run\n")
 
 
-def test_an_edited_description_beside_a_recording(capsys, tmp_path):
+def test_edited_description_beside_recording(capsys, tmp_path):
     recording, robot = tmp_path / "session.mcap", tmp_path / "robot.toml"
     shutil.copy(SCARA, recording)
     stored = load_signals(recording).robot.files["robot.toml"]
@@ -68,7 +68,7 @@ def test_an_edited_description_beside_a_recording(capsys, tmp_path):
     )
 
 
-def test_a_robot_without_urdf(capsys, tmp_path):
+def test_robot_without_urdf(capsys, tmp_path):
     out = tmp_path / "robot.toml"
     said = answer(capsys, "init", "--dh", "rpR", "--bandwidth-hz", "5", "-o", out)
     robot, text = load_robot(out), out.read_text()
@@ -82,6 +82,6 @@ def test_a_robot_without_urdf(capsys, tmp_path):
 @pytest.mark.parametrize(
     "given", [[], ["--dh", "RX"], ["arm.urdf", "--dh", "RR"], ["--dh", "RR", "--joints", "a,b"]]
 )
-def test_init_needs_a_urdf_or_letters(capsys, given):
+def test_init_needs_urdf_or_letters(capsys, given):
     assert main(["init", *given]) == 1
     assert "--dh" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from acquisition.robot import Robot, robot_from_files
 SESSION, SCARA = REPLAY / "scara" / "session.mcap", REPLAY / "scara" / "robot.toml"
 
 
-def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
+def test_fit_prints_table_and_writes_json(capsys, tmp_path):
     files = "--json", tmp_path / "fit.json", "--report", tmp_path / "fit.md"
     status, out, err = run(capsys, "fit", SESSION, *files)
     assert (status, err) == (0, "")
@@ -52,12 +52,12 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     assert f"{fit['parameters'][0]['value']:.8f}"[:5] in out
 
 
-def test_the_same_description_beside_a_recording_prints_the_same_bytes(capsys):
+def test_same_description_prints_same_bytes(capsys):
     command = "fit", SESSION, "--method", "wls"
     assert run(capsys, *command) == run(capsys, *command, "--robot", SCARA)
 
 
-def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
+def test_requested_verdict_sets_exit_status(capsys, tmp_path):
     status, _, err = run(capsys, "fit", SESSION, "--require", "trust")
     assert (status, err) == (0, "")
     options = "--method", "wls", "--require", "trust", "--json", tmp_path / "a.json"
@@ -69,7 +69,7 @@ def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
     assert run(capsys, "fit", SESSION, "--method", "wls")[0] == 0
 
 
-def test_options_and_keys_change_the_fit(capsys, tmp_path):
+def test_options_and_keys_change_fit(capsys, tmp_path):
     robot = tmp_path / "robot.toml"
     robot.write_text(SCARA.read_text() + '\n[identification]\nspan = "all"\ndecimation = 20\n')
     for name, options in {
@@ -101,7 +101,7 @@ def test_simulation_is_repeatable(capsys, tmp_path):
     assert a.tobytes() == b.tobytes()
 
 
-def test_a_recording_is_replaced_only_where_that_is_asked_for(capsys, tmp_path):
+def test_recording_replaced_only_on_request(capsys, tmp_path):
     log = tmp_path / "session.mcap"
     log.write_bytes(b"old")
     simulate = ["simulate", SCARA, "--duration-s", 1, "-o", log]
@@ -122,7 +122,7 @@ def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
         writer.samples(samples)
 
 
-def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
+def test_gaps_short_recordings_standstill_named(capsys, tmp_path):
     robot, samples, path = (
         robot_named("scara"),
         np.array(read_recording(SESSION).samples[:4000]),
@@ -145,7 +145,7 @@ def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
         assert message in refused(capsys, "fit", path)
 
 
-def test_a_session_that_ended_in_a_fault_is_fitted(capsys, tmp_path):
+def test_faulted_session_is_fitted(capsys, tmp_path):
     """Answers were lost before it, and the last rows have gaps: the line `rows` names them."""
     samples = np.array(read_recording(SESSION).samples)
     rows = np.delete(samples, np.r_[4000:4012, 12650:12660, 12670:12690])
@@ -156,7 +156,7 @@ def test_a_session_that_ended_in_a_fault_is_fitted(capsys, tmp_path):
     assert "verdict: trust" in out
 
 
-def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
+def test_unknown_gains_give_volts_and_warning(capsys, tmp_path):
     text = (REPLAY / "emps" / "robot.toml").read_text()
     text = text.replace("drive_gain = 35.15065188\n", "").replace(
         'drive_gain_unit = "N/V"', 'effort_unit = "V"'
@@ -208,7 +208,7 @@ ONE = {"name": "MX2", "value": 1, "sigma": 1, "unit": "kg m"}
         ),
     ],
 )
-def test_fits_that_do_not_belong_are_refused(capsys, tmp_path, changes, message):
+def test_unrelated_fits_refused(capsys, tmp_path, changes, message):
     path = tmp_path / "fit.json"
     path.write_text(json.dumps({"format": 1, "method": "wls", "status": "solved"} | changes))
     assert message in refused(capsys, "validate", path, SESSION)

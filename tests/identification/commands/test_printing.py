@@ -24,7 +24,7 @@ def narrow(monkeypatch):
     monkeypatch.setenv("LINES", "50")
 
 
-def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
+def test_narrow_terminal_keeps_all_digits(narrow, capsys, tmp_path):
     out = tmp_path / "fit.json"
     assert main(["fit", str(SESSION), "--method", "iv", "--all", "--json", str(out)]) == 0
     told = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
@@ -38,7 +38,7 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
     assert max(len(line) for line in told.splitlines()) < 90
 
 
-def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
+def test_readme_shows_printed_real_record(emps, capsys):
     print_whole(fit_document(fit_file(identify(signals_of(emps), Overrides()))), short=True)
     printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
     section = (
@@ -57,7 +57,7 @@ def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
 
 
 @pytest.mark.parametrize("name", ["run[/b].mcap", "run:smile:.mcap"])
-def test_names_are_printed_as_they_are(name, capsys, tmp_path):
+def test_names_printed_verbatim(name, capsys, tmp_path):
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
     assert (

@@ -26,7 +26,7 @@ def titles(page):
     return re.findall(r"<figcaption[^>]*>([^<]+)<", page)
 
 
-def test_stored_fit_has_the_report_of_the_fit_in_memory(stored, tmp_path, capsys):
+def test_stored_fit_report_matches_memory(stored, tmp_path, capsys):
     whole, bare, made = (tmp_path / f"{name}.html" for name in ("whole", "bare", "made"))
     write_html(made, picture_of(iv_of(SCARA)))
     assert run(capsys, "view", stored, "--log", SCARA, "-o", whole)[0] == 0
@@ -40,7 +40,7 @@ def test_stored_fit_has_the_report_of_the_fit_in_memory(stored, tmp_path, capsys
     assert set(titles(alone)) < set(titles(of_log)) == set(titles(expected))
 
 
-def test_stored_fit_without_log_has_no_rerun_file(stored, tmp_path, capsys):
+def test_stored_fit_without_log_has_no_rerun(stored, tmp_path, capsys):
     assert "--log LOG.mcap" in refused(capsys, "view", stored, "-o", tmp_path / "fit.rrd")
     assert "FIT.json before it" in refused(capsys, "view", SCARA, "--log", stored)
     assert "no effect on a fit" in refused(capsys, "view", stored, "--cutoff-hz", "20")

@@ -51,7 +51,7 @@ def here(tmp_path, monkeypatch):
         ("cut.json", "not a fit: Input data was truncated", "LOG.mcap"),
     ],
 )
-def test_what_is_no_fit_is_named_with_the_way_to_one(here, capsys, command, name, text, log):
+def test_non_fit_named_with_remedy(here, capsys, command, name, text, log):
     if command == f"compare {FIT} FILE" and name in ("robot.toml", "arm.urdf"):
         return  # which are the prior
     told = refused(capsys, *command.replace("FILE", name).split())
@@ -66,7 +66,7 @@ def test_what_is_no_fit_is_named_with_the_way_to_one(here, capsys, command, name
 @pytest.mark.parametrize(
     ("name", "kind"), [("fit.json", "a result as JSON"), ("robot.toml", "a robot.toml")]
 )
-def test_what_is_no_recording_is_named(here, capsys, program, command, name, kind):
+def test_non_recording_named(here, capsys, program, command, name, kind):
     shutil.copy(FIT, here)
     run_main = main if program == "identify" else ACQUIRE.main
     assert run_main(command.replace("FILE", name).split()) == 1
@@ -94,7 +94,7 @@ LINE = "warning: {} has no {} of the description: zero, as in the fit"
         ([["viscous", "coulomb"]] * 2, ""),
     ],
 )
-def test_terms_that_the_fit_does_not_have_are_told_and_zero(here, capsys, terms, missing):
+def test_missing_terms_reported_and_zero(here, capsys, terms, missing):
     own, errors = errors_of(capsys, SCARA / "robot.toml")
     assert own == []
     (here / "more.toml").write_bytes(described("scara", terms).files["robot.toml"])
@@ -106,7 +106,7 @@ def test_terms_that_the_fit_does_not_have_are_told_and_zero(here, capsys, terms,
     assert [f"warning: {text}" for text in warnings] == told
 
 
-def test_several_recordings_tell_it_once_and_essential_fits_do_not(here, capsys):
+def test_several_recordings_report_missing_once(here, capsys):
     more = here / "more.toml"
     more.write_bytes(described("scara", [USUAL] * 2).files["robot.toml"])
     assert run(capsys, "simulate", "robot.toml", "-o", "two.mcap", "--duration-s", 2)[0] == 0
