@@ -29,7 +29,7 @@ def tilted_arm() -> Robot:
 
 
 @pytest.mark.parametrize("robot", ["tx40", "emps", "arm"])
-def test_regressor_is_that_of_pinocchio_also_across_the_borders_of_blocks(robot):
+def test_regressor_matches_pinocchio_across_blocks(robot):
     """The arm has tilted axes, a slide and gravity that is tilted too; 4099 samples
     are two blocks and three.
     """
@@ -46,7 +46,7 @@ def test_regressor_is_that_of_pinocchio_also_across_the_borders_of_blocks(robot)
         assert np.abs(got - expected[..., order]).max() < 1e-13 * np.abs(expected).max()
 
 
-def test_scara_is_the_closed_form_of_the_paper():
+def test_scara_matches_paper_closed_form():
     """Section 4 of Janot2014: a planar arm of two links, L = 0.5 m, eight parameters."""
     dynamics = InverseModel(robot_named("scara"))
     base = base_parameters(dynamics)
@@ -66,7 +66,7 @@ def test_scara_is_the_closed_form_of_the_paper():
     np.testing.assert_allclose(tau, np.c_[tau1, tau2], atol=1e-12)
 
 
-def test_emps_has_four_parameters_and_five_with_friction_by_direction():
+def test_emps_parameters_with_directional_friction():
     base = base_parameters(InverseModel(robot_named("emps")))
     assert base.names == ("M1", "Fv1", "Fc1", "Off1")
     assert base.units == ("kg", "N s/m", "N", "N")
@@ -76,7 +76,7 @@ def test_emps_has_four_parameters_and_five_with_friction_by_direction():
     assert asymmetric.names == ("M1", "Fvp1", "Fcp1", "Fvn1", "Fcn1")
 
 
-def test_tx40_has_the_sixty_parameters_of_the_paper():
+def test_tx40_has_sixty_paper_parameters():
     base = base_parameters(InverseModel(robot_named("tx40")))
     assert base.b == 60
     expressions = dict(zip(base.names, base.expressions, strict=True))
@@ -93,7 +93,7 @@ def test_tx40_has_the_sixty_parameters_of_the_paper():
     assert sum(name.startswith(("Fv", "Fc", "Off")) for name in base.names) == 20
 
 
-def test_coupled_wrist_acts_as_the_authors_write_it():
+def test_coupled_wrist_matches_authors_equations():
     """tau5 += Ia6 ddq6 + Fvm6 dq6 + Fcm6 sign(dq5 + dq6); tau6 has ddq5 and dq5 in their place."""
     dynamics = InverseModel(robot_named("tx40"))
     q, dq, ddq = states(6)
@@ -135,7 +135,7 @@ effort_unit = "N m"
 @pytest.mark.parametrize(
     "matrix", [[[50, 0], [30, 40]], [[50, 0], [0, -40]], [[20, 20], [20, -20]]]
 )
-def test_rotor_torques_do_the_work_of_the_rotors_kinetic_energy(matrix):
+def test_rotor_torque_power_matches_kinetic_energy(matrix):
     """Power of the rotor columns = d/dt of sum 1/2 J (motor speed)²; for a differential both
     motors turn both joints.
     """
@@ -175,13 +175,13 @@ def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
         (TWO_TURNING, ("j1", "grip"), "joint 'grip': type = 'JointModelPX': expected revolute"),
     ],
 )
-def test_a_urdf_that_does_not_fit_is_refused_in_one_line(urdf, names, message):
+def test_mismatched_urdf_refused(urdf, names, message):
     with pytest.raises(BadInputError, match=message) as caught:
         InverseModel(urdf_robot(urdf, names))
     assert "\n" not in str(caught.value)
 
 
-def test_a_priori_values_must_be_standard_parameters_of_the_robot():
+def test_a_priori_values_are_standard_parameters():
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ7 = 0.061")
     dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
     with pytest.raises(BadInputError, match=r"parameters\.ZZ7 = 0\.061: not a standard parameter"):

@@ -33,9 +33,7 @@ def made(tmp_path, text):
         ('ixy="0.001"', 'ixy="{}"', "link '", "inertial inertia ixy"),
     ],
 )
-def test_numbers_that_are_none_are_told_in_one_line(
-    tmp_path, capfd, text, before, after, where, key
-):
+def test_malformed_numbers_refused(tmp_path, capfd, text, before, after, where, key):
     """As text of the parser's own they would stand on stderr; it would leave out the inertial."""
     assert before in WHOLE
     robot = robot_of_chain(made(tmp_path, WHOLE))
@@ -53,7 +51,7 @@ def test_numbers_that_are_none_are_told_in_one_line(
 
 
 @pytest.mark.parametrize("part", ["<mass value", "<inertia "])
-def test_an_inertial_without_one_of_its_parts_is_told(tmp_path, part):
+def test_incomplete_inertial_reported(tmp_path, part):
     robot = robot_of_chain(made(tmp_path, WHOLE))
     bad = WHOLE.replace(part, part.replace("<", "<other_"))
     with pytest.raises(BadInputError) as caught:
@@ -62,7 +60,7 @@ def test_an_inertial_without_one_of_its_parts_is_told(tmp_path, part):
     assert caught.value.expected == "a finite number"
 
 
-def test_what_the_model_does_not_need_may_be_anything(tmp_path, capfd):
+def test_irrelevant_elements_ignored(tmp_path, capfd):
     """Pictures, a limit of a locked joint, plugins: the model is the same without a word."""
     odd = '<visual><origin xyz="a"/><geometry><box size="1 x"/></geometry></visual>'
     text = WHOLE.replace("</inertial></link>", f"</inertial>{odd}</link>")
