@@ -39,7 +39,7 @@ def q():
 
 @pytest.mark.parametrize("percent", [0.2, 2.0])
 @pytest.mark.parametrize("name", ["emps", "scara"])
-def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
+def test_share_reported_to_tenth_of_percent(q, name, percent):
     q = q[name]
     chosen = drawn(len(q), percent)
     before = np.where(chosen, np.arange(len(q)) - 1, np.arange(len(q)))
@@ -53,7 +53,7 @@ def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
 
 
 @pytest.mark.parametrize("name", ["emps", "scara"])
-def test_nothing_is_found_where_nothing_is_lost(q, name):
+def test_no_loss_finds_nothing(q, name):
     assert shares(q[name]).max() == 0
     assert position_steps(q[name])[0][-1] > 0.5 * len(q[name])
 
@@ -62,7 +62,7 @@ def test_nothing_is_found_where_nothing_is_lost(q, name):
     ("what", "step"),
     [("12 bit over the range", None), ("slow motion", 1e-5), ("Stribeck 50 %", 1e-5)],
 )
-def test_nothing_is_found_in_coarse_or_slow_motion(what, step):
+def test_coarse_or_slow_motion_finds_nothing(what, step):
     """Counts of 10 µm beside those of the kind."""
     setup = KINDS[what].change(short("emps", 3), np.random.default_rng(3))
     setup = setup if step is None else setup.in_cell(encoder_step=step, encoder_noise=0.0)
@@ -79,7 +79,7 @@ def test_abrupt_stops_are_no_missing_rows():
 
 
 @pytest.mark.parametrize("name", ["emps", "scara", "tx40"])
-def test_nothing_is_found_in_shipped_sessions_at_any_rate(name):
+def test_shipped_sessions_find_nothing_at_any_rate(name):
     q = load_signals(REPLAY / name / "session.mcap").q
     assert max(shares(q[::every]).max() for every in (1, 2, 5, 10)) == 0
 
@@ -88,7 +88,7 @@ def line_of(fit):
     return next((line for line in fit.trust.lines if line.test == "rows"), None)
 
 
-def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx40):
+def test_real_axis_complete_real_arm_slow_encoder(emps, tx40):
     axis, arm = signals_of(emps), signals_of(tx40)
     assert line_of(ls_of(emps)) is None
     note = line_of(ls_of(tx40))
@@ -98,7 +98,7 @@ def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx
     assert max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0
 
 
-def test_the_verdict_of_arrays_with_lost_rows_is_caution():
+def test_lost_rows_in_arrays_give_caution():
     signals = short("scara", 1).recording(1)
     lossy = with_lost_rows(signals, drawn(len(signals.q), 1.0))
     arrays = signals_from_arrays(

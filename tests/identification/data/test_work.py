@@ -54,7 +54,7 @@ def work(request):
     return Work(request.getfixturevalue("cluster") if request.param == "cluster" else request.param)
 
 
-def test_results_come_in_the_order_of_the_tasks_and_errors_as_they_are(work):
+def test_results_in_task_order_errors_unchanged(work):
     found = list(work.run(slowly_squared, [(k,) for k in range(4)]))
     assert [square for square, _ in found] == [0, 1, 4, 9]
     assert {pid == os.getpid() for _, pid in found} == {work.workers == 1}
@@ -70,7 +70,7 @@ def told_of(work, *task) -> str:
     return str(told.value)
 
 
-def test_a_killed_worker_ends_the_run_in_one_line(tmp_path):
+def test_killed_worker_ends_run_in_one_line(tmp_path):
     tasks = [(tmp_path / "mark", number, 1) for number in range(6)]
     line = told_of(Work(2), killed, tasks)
     wanted = (
@@ -81,9 +81,7 @@ def test_a_killed_worker_ends_the_run_in_one_line(tmp_path):
     assert list(Work(2).run(killed, tasks)) == list(range(6)), "new workers do it"
 
 
-def test_a_killed_worker_of_dask_is_replaced_and_one_that_cannot_work_is_told(
-    cluster, tmp_path, monkeypatch
-):
+def test_killed_dask_worker_replaced_broken_named(cluster, tmp_path, monkeypatch):
     """joblib's own backend of Dask waits forever for what its workers cannot do."""
     assert list(Work(cluster).run(killed, [(tmp_path / "once", k, 1) for k in range(6)])) == list(
         range(6)
@@ -95,7 +93,7 @@ def test_a_killed_worker_of_dask_is_replaced_and_one_that_cannot_work_is_told(
     assert "No module named 'only_here'" in told_of(Work(cluster), slowly_squared, [(1,)])
 
 
-def test_a_cluster_of_one_worker_does_the_tasks():
+def test_one_worker_cluster_runs_tasks():
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as dask:
         threads = list(Work(dask.scheduler_address).run(thread, [()]))
@@ -103,7 +101,7 @@ def test_a_cluster_of_one_worker_does_the_tasks():
     assert "Dask" in threads[0]
 
 
-def test_a_script_needs_no_guard():
+def test_script_needs_no_guard():
     script = (
         "from identification import Work\nprint(*Work(2).run(pow, [(k, 2) for k in range(4)]))\n"
     )
@@ -114,7 +112,7 @@ def test_a_script_needs_no_guard():
 
 
 @pytest.mark.parametrize("installed", [True, False])
-def test_a_cluster_that_cannot_be_used_is_one_line(monkeypatch, installed):
+def test_unusable_cluster_refused(monkeypatch, installed):
     if not installed:
         monkeypatch.setitem(sys.modules, "distributed", None)
     line = told_of(Work("nowhere://host:8786"), slowly_squared, [(1,)])
