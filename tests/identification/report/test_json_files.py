@@ -40,7 +40,7 @@ def lasting_keys(earlier) -> set[str]:
     return {key for key in keys(earlier) if not key.startswith(went)}
 
 
-def test_a_fit_keeps_the_keys_of_earlier_versions(fits):
+def test_fit_keeps_keys_of_earlier_versions(fits):
     earlier = json.loads((REPLAY / "scara" / "fit.json").read_text())
     now = json.loads(fits["iv"].read_text())
     assert earlier["method"] == now["method"] == "iv"
@@ -60,7 +60,7 @@ def test_a_fit_keeps_the_keys_of_earlier_versions(fits):
     assert set(now) - set(without) == only_iv
 
 
-def test_a_fit_is_read_back_as_it_was_written(fits):
+def test_fit_round_trips_through_json(fits):
     fit = iv_of(SCARA)
     written, made = read_fit(fits["iv"]), fit_file(fit)
     columns = {
@@ -83,7 +83,7 @@ def test_a_fit_is_read_back_as_it_was_written(fits):
             assert getattr(made, name) == getattr(written, name), name
 
 
-def test_every_file_has_a_format_and_its_keys(fits, tmp_path):
+def test_every_file_has_format_and_keys(fits, tmp_path):
     robot, out = REPLAY / "scara" / "robot.toml", tmp_path / "out.json"
     study = ["study", robot, "--runs", "1", "--duration-s", "2"]
     for kind, expected, command in (

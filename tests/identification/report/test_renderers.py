@@ -56,7 +56,7 @@ def terminal_cells(text: str) -> list[list[str]]:
     ]
 
 
-def test_the_three_renderers_give_the_same_cells(capsys):
+def test_three_renderers_give_same_cells(capsys):
     print_whole(REPORT)
     terminal, markdown = capsys.readouterr().out, to_markdown(REPORT)
     _, *rows = markdown_cells(markdown)
@@ -70,7 +70,7 @@ def test_the_three_renderers_give_the_same_cells(capsys):
         assert "warning: a wrong gain" in text
 
 
-def test_markdown_takes_no_text_for_markup():
+def test_markdown_escapes_markup():
     text = to_markdown(REPORT)
     assert "| a\\|b\\\\ | 1.2346 |" in text
     assert "| \\|rho\\| |" in text.replace("| name ", "", 1)
@@ -78,6 +78,6 @@ def test_markdown_takes_no_text_for_markup():
     assert next(line for line in text.splitlines() if line.startswith("|--")) == "|---|--:|--:|--:|"
 
 
-def test_a_row_has_a_cell_for_each_column():
+def test_row_has_cell_for_each_column():
     with pytest.raises(ValueError, match="a row of 1 cells in a table of 2 columns"):
         Table(columns=columns("a", "b"), rows=(("x",),))

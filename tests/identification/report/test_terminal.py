@@ -37,7 +37,7 @@ WIDE = Document(
 )
 
 
-def test_lines_of_a_short_report_are_broken_between_words_and_no_name_is_cut(capsys):
+def test_short_report_wraps_without_cutting_names(capsys):
     print_whole(WIDE, f"open the plots: rerun /a b/{LONG} {LONG}", short=True)
     out = capsys.readouterr().out
     lines = out.splitlines()
@@ -56,14 +56,14 @@ def test_lines_of_a_short_report_are_broken_between_words_and_no_name_is_cut(cap
     assert not set("┃│") & set(out)
 
 
-def test_with_all_lines_are_whole_and_nothing_is_hidden(capsys):
+def test_all_option_hides_nothing(capsys):
     print_whole(WIDE)
     lines = capsys.readouterr().out.splitlines()
     assert {("word " * 60).strip(), "only with --all"} <= set(lines)
     assert "3 of 3 checks passed (--all)" not in lines
 
 
-def test_a_short_table_counts_its_hidden_rows():
+def test_short_table_counts_hidden_rows():
     rows = tuple((f"p{k}",) for k in range(21))
     section = Section(
         table=Table(columns=columns("name"), rows=rows), lines=("a line",), warnings=("a warning",)
@@ -76,7 +76,7 @@ def test_a_short_table_counts_its_hidden_rows():
     assert few.with_short_table([1]) is few
 
 
-def test_a_comparison_in_short_has_the_largest_differences_and_its_warnings():
+def test_short_comparison_has_largest_and_warnings():
     a, b = (ParameterSet.of_file(read_fit(REPLAY / "tx40" / "fit.json"), label) for label in "ab")
     moved = dict(b.parameters)
     for name in ("Fv1", "Ia6"):
