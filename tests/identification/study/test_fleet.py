@@ -53,7 +53,7 @@ def run(folder, say=lambda text: None, **how):
     )
 
 
-def test_the_table_has_each_fit_and_marks_the_step_of_friction(fleet, tmp_path, capsys):
+def test_table_has_each_fit_and_friction_step(fleet, tmp_path, capsys):
     shutil.copytree(fleet, tmp_path / "arm")
     (tmp_path / "arm" / "cut.mcap").write_bytes((fleet / "1.mcap").read_bytes()[:50_000])
     assert (
@@ -102,7 +102,7 @@ def made_row(k, x, half, **others):
     return study.FleetRow(**{**row, **others})
 
 
-def test_what_is_beyond_both_intervals_is_marked_and_what_is_inside_is_not(tmp_path):
+def test_only_values_beyond_intervals_marked(tmp_path):
     rows = study.with_changes(
         [made_row(0, 10.0, 1.0), made_row(1, 11.9, 1.0), made_row(2, 8.9, 1.9)]
     )
@@ -122,7 +122,7 @@ def test_what_is_beyond_both_intervals_is_marked_and_what_is_inside_is_not(tmp_p
         assert [row.changed for row in study.with_changes(rows)] == ["", "", ""], other
 
 
-def test_a_run_goes_on_where_the_last_one_stopped(fleet, tmp_path):
+def test_run_resumes_where_last_stopped(fleet, tmp_path):
     def stop(text):
         fits.append(text)
         if text.startswith("2 of"):
@@ -147,7 +147,7 @@ def test_a_run_goes_on_where_the_last_one_stopped(fleet, tmp_path):
     assert others[COUNT:] == [f"{COUNT} of {COUNT}: {folder / '2.mcap'}"]
 
 
-def test_stored_fits_of_other_versions_open_or_are_made_again(fleet, tmp_path):
+def test_stored_fits_of_other_versions_open_or_refit(fleet, tmp_path):
     (folder := tmp_path / "arm").mkdir()
     shutil.copy(fleet / "1.mcap", folder)
     rows = run(folder)
@@ -160,7 +160,7 @@ def test_stored_fits_of_other_versions_open_or_are_made_again(fleet, tmp_path):
         assert (run(folder, fits.append), len(fits)) == (rows, made)
 
 
-def test_recordings_of_a_folder_are_fitted_together_if_they_are_of_one_robot(fleet, tmp_path):
+def test_folder_of_one_robot_fitted_together(fleet, tmp_path):
     (tmp_path / "arm" / "mixed").mkdir(parents=True)
     for file in (fleet / "1.mcap", REPLAY / "scara" / "session.mcap"):
         shutil.copy(file, tmp_path / "arm" / "mixed")
@@ -174,13 +174,13 @@ def test_recordings_of_a_folder_are_fitted_together_if_they_are_of_one_robot(fle
     assert "session.mcap: joints = 2: expected 1, as in 1.mcap" in mixed.reason
 
 
-def test_a_mistake_of_the_program_is_a_row_and_is_tried_again(fleet, monkeypatch):
+def test_program_error_is_row_and_retried(fleet, monkeypatch):
     monkeypatch.setattr("identification.study.fleet.identify", lambda *arguments, **options: 1 // 0)
     assert {row.reason[:28] for row in run(fleet)} == {"unexpected ZeroDivisionError"}
     assert not list((fleet.parent / "store").iterdir())
 
 
-def test_bad_input_is_one_line(tmp_path, capsys):
+def test_bad_input_refused(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     for folder, out, text in (
         ("none", "f.csv", "none: no recordings: expected a folder with files *.mcap\n"),

@@ -65,7 +65,7 @@ def apart(one, other) -> float:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_motion_and_torque_are_those_of_the_other_simulator(name):
+def test_motion_and_torque_match_other_simulator(name):
     """The mean over two periods, which is half a sample late of the command of its tick."""
     assert apart(independent(name), packaged(name)) < 0.005
 
@@ -79,7 +79,7 @@ def test_motion_and_torque_are_those_of_the_other_simulator(name):
         ("emps", {"coloured_percent": 3.0}, {"coloured_noise_percent": 3.0}),
     ],
 )
-def test_noise_has_the_deviation_that_it_has_in_the_other_simulator(name, own, theirs):
+def test_noise_std_matches_other_simulator(name, own, theirs):
     # noise of the recorded torque comes after it
     mean = "torque" not in str(theirs) and "coloured" not in str(theirs)
     one, other = (
@@ -97,7 +97,7 @@ def test_noise_has_the_deviation_that_it_has_in_the_other_simulator(name, own, t
     assert (np.std(one[0], axis=0) > 0).all()
 
 
-def test_a_lag_moves_the_torque_alone():
+def test_delay_shifts_torque_only():
     effort, off = packaged("scara")
     late, same = packaged("scara", lag_samples=3)
     np.testing.assert_array_equal(late[3:], effort[:-3])
@@ -109,7 +109,7 @@ def own_coloured(seed, shape):
     return Noise(coloured_percent=100.0).on_effort(np.ones(shape), seed) - 1.0
 
 
-def test_coloured_noise_is_that_of_the_other_simulator():
+def test_coloured_noise_matches_other_simulator():
     x = own_coloured(1, (20_000, 3))
     y = coloured(np.random.default_rng(1), (3, 20_000, 1))
     for z in (x, y[..., 0].T):
@@ -119,7 +119,7 @@ def test_coloured_noise_is_that_of_the_other_simulator():
     assert np.std(starts) == pytest.approx(1.0, rel=0.15)
 
 
-def test_every_noise_is_an_option_and_stands_in_the_recording(tmp_path):
+def test_each_noise_is_option_and_recorded(tmp_path):
     given = ["--encoder-step", "1e-4", "--lag-samples", "2"]
     path, robot = tmp_path / "a.mcap", REPLAY / "emps" / "robot.toml"
     assert main(["simulate", str(robot), "--duration-s", "1", *given, "-o", str(path)]) == 0
@@ -133,7 +133,7 @@ def test_every_noise_is_an_option_and_stands_in_the_recording(tmp_path):
     assert {field.name for field in fields(Noise)} <= set(vars(options))
 
 
-def test_without_noise_the_estimate_is_not_biased_by_the_integration():
+def test_noise_free_integration_is_unbiased():
     """Viscous friction of a step's end in place of its middle: M 0.056 % too large,
     more than an interval.
     """

@@ -21,13 +21,13 @@ def condition(name: str, duration_s: float) -> float:
     return float(np.linalg.cond(W))
 
 
-def test_an_hour_excites_as_ten_seconds_do():
+def test_hour_excites_like_ten_seconds():
     conditions = [condition("scara", duration_s) for duration_s in (10.0, 3600.0)]
     assert conditions[0] < 25
     np.testing.assert_allclose(conditions, conditions[0], rtol=0.02)
 
 
-def test_whole_periods_of_about_the_length_asked_for():
+def test_whole_periods_near_requested_length():
     robot = robot_named("scara")
     for duration_s, period_s, expected in (
         (4.0, 10.0, 4.0),

@@ -58,7 +58,7 @@ def in_one_pass(robot, q_ref):
 
 @pytest.mark.parametrize("rows", [3, 7, 100, 640, 1000])
 @pytest.mark.parametrize("structure", ["pd_velocity_feedforward", "computed_torque"])
-def test_spans_are_those_of_one_pass(monkeypatch, rows, structure):
+def test_segments_match_single_run(monkeypatch, rows, structure):
     """Also those that leave one row for the last; computed torque needs accelerations."""
     robot = robot_named("scara")
     gains = {}
@@ -78,7 +78,7 @@ def test_spans_are_those_of_one_pass(monkeypatch, rows, structure):
 
 
 @pytest.mark.parametrize("rows", [7, 64, 5000])
-def test_columns_are_written_as_their_rows_would_be(tmp_path, monkeypatch, rows):
+def test_columns_written_like_rows(tmp_path, monkeypatch, rows):
     """Every tenth row is shown as a joint state, wherever blocks end."""
     robot, rng, count = robot_named("scara"), np.random.default_rng(1), 200
     values = {name: rng.normal(size=(count, 2)) for name in ("position", "effort", "velocity")}
@@ -96,7 +96,7 @@ def test_columns_are_written_as_their_rows_would_be(tmp_path, monkeypatch, rows)
     assert [message.log_time for _, _, message in shown] == stamps[::10].tolist()
 
 
-def test_more_than_a_million_samples_and_no_more_than_a_day():
+def test_sample_limit_is_one_day():
     q_ref = random_reference(
         robot_named("scara"), duration_s=1200.0, sample_rate_hz=RATE_HZ, seed=SEED
     )
@@ -109,7 +109,7 @@ def test_more_than_a_million_samples_and_no_more_than_a_day():
             )
 
 
-def test_a_full_disk_is_told(tmp_path, monkeypatch, capsys):
+def test_full_disk_reported(tmp_path, monkeypatch, capsys):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -38,7 +38,7 @@ class Tasks:
         )
 
 
-def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps, capsys):
+def test_real_noise_moves_ls_not_iv(emps, capsys):
     fits = vary(RecordingFile.at(emps), None, Work())
     largest = np.max([moves_of(fits, name) for name in fits[0].values], axis=0)
     moves = dict(zip((fit.variant.to for fit in fits), largest, strict=True))
@@ -82,7 +82,7 @@ def test_each_variant_changes_one_thing():
         assert sum(changed) == 1
 
 
-def test_noise_and_settings_reach_the_fit():
+def test_noise_and_settings_reach_fit():
     source, rules = RecordingFile.at(SCARA), Variant(changed="none", to="the rules")
     changes = [{}, {"noise": 1e-3}, {"noise": 1e-3}, {"start": 1000.0}]
     one, noisy, again, started = (fit_variant(source, replace(rules, **x)) for x in changes)
@@ -125,7 +125,7 @@ def made_up():
     return [rules, VariedFit(variant=cut, ended="too short"), noisy]
 
 
-def test_moves_are_in_half_widths_of_iv_by_the_rules_and_of_essential_parameters():
+def test_changes_in_half_widths_of_default_iv():
     fits = made_up()
     np.testing.assert_array_equal(
         moves_of(fits, "M1"), [[0, 0, 0, 0], [np.nan] * 4, [8, 0.5, 2, 0.5]]
@@ -156,7 +156,7 @@ def test_moves_are_in_half_widths_of_iv_by_the_rules_and_of_essential_parameters
     assert document.short.sections[1].table is None
 
 
-def test_the_mass_over_noise_is_drawn_by_both_methods_with_intervals_and_the_truth():
+def test_mass_over_noise_plot_of_both_methods():
     known = {"units": {"M1": "kg"}, "known": ("true", {"M1": 10.25})}
     rules, _, noisy = made_up()
     strong = replace(noisy, variant=replace(noisy.variant, noise=1e-5))
@@ -180,7 +180,7 @@ def test_the_mass_over_noise_is_drawn_by_both_methods_with_intervals_and_the_tru
     assert noise_chart([rules]) is None
 
 
-def test_a_simulated_recording_knows_its_true_values():
+def test_simulated_recording_has_true_values():
     fit = fit_variant(
         RecordingFile.at(REPLAY / "emps" / "session.mcap"), Variant(changed="none", to="the rules")
     )
@@ -189,12 +189,12 @@ def test_a_simulated_recording_knows_its_true_values():
     assert abs(fit.values["M1"][2] - 95.1089) < fit.values["M1"][3]
 
 
-def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
+def test_unfittable_recording_refused():
     with pytest.raises(NoFitError, match="converged"):
         vary(RecordingFile.at(SCARA), (1e-6,), Tasks({}))
 
 
-def test_the_command_prints_one_line_of_conclusion_and_draws(tmp_path, capsys):
+def test_command_prints_conclusion_and_plots(tmp_path, capsys):
     out = tmp_path / "a.html"
     assert main(["study", str(SCARA), "--position-noise", "1e-4", "--report", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -213,7 +213,7 @@ def test_the_command_prints_one_line_of_conclusion_and_draws(tmp_path, capsys):
         ("robot.toml", "--position-noise 1,2", "expected one with ROBOT.toml"),
     ],
 )
-def test_options_of_the_other_kind_of_study_are_refused(file, option, said, capsys):
+def test_options_of_other_study_refused(file, option, said, capsys):
     assert main(["study", str(SCARA.with_name(file)), *option.split()]) == 1
     err = capsys.readouterr().err
     assert (said in err, err.count("\n")) == (True, 1)

@@ -45,7 +45,7 @@ def run(iv: RunFit, status: str = "converged") -> Run:
         (fit_of_run((0.0, 0.0), positive=False, verdict="caution"), False),
     ],
 )
-def test_false_trust_is_trust_in_what_is_far_off_or_no_robot(one, wrong):
+def test_false_trust_is_large_error_or_inconsistent(one, wrong):
     assert false_trust(one, TRUE) == wrong
     runs = [run(one), run(fit_of_run((0.0, 0.0), beta=1.1 * TRUE))]
     iv = summaries(runs, TRUE)[1]
@@ -55,7 +55,7 @@ def test_false_trust_is_trust_in_what_is_far_off_or_no_robot(one, wrong):
     assert told.endswith("iv in run 7" if wrong else "no run")
 
 
-def test_coverage_spread_and_bias_are_those_of_the_printed_intervals():
+def test_coverage_spread_bias_match_intervals():
     offs = {-1: (0.5, -0.9), 0: (1.1, 0.0), 1: (0.0, -2.0)}
     runs = [
         run(fit_of_run(off, beta=1.01 * TRUE + k * np.array([0.1, 0.2]))) for k, off in offs.items()
@@ -68,7 +68,7 @@ def test_coverage_spread_and_bias_are_those_of_the_printed_intervals():
     assert iv.bias_percent == pytest.approx(1.0)
 
 
-def test_a_run_has_the_intervals_and_verdicts_of_its_fits(monkeypatch):
+def test_run_has_intervals_and_verdicts_of_fits(monkeypatch):
     study, laws = Study(noise=Noise(effort_percent=1.0), duration_s=4.0), []
     monkeypatch.setattr(
         "identification.methods.model.law_of",
