@@ -26,7 +26,7 @@ rng = np.random.default_rng(8)
 
 
 @pytest.mark.parametrize("arm", ["one link", "random"])
-def test_gradient_and_hessian_are_those_of_differences(arm):
+def test_gradient_and_hessian_match_differences(arm):
     if arm == "random":
         _, C, K, physical, chi = random_estimate(7, 1.0)
     else:
@@ -47,7 +47,7 @@ def test_gradient_and_hessian_are_those_of_differences(arm):
     np.testing.assert_allclose(H, by_gradients, rtol=1e-5, atol=1e-8 * np.abs(H).max())
 
 
-def test_the_optimum_is_that_of_another_optimiser():
+def test_optimum_matches_other_optimiser():
     """An estimate without a positive rotor inertia, and weights that let the barrier be seen."""
     K, physical = one_link()
     C, wrong = covariance(7, 0.05), np.concatenate([body(5), [-0.4, 0.1, 0.3, -0.2]])
@@ -82,7 +82,7 @@ def test_the_optimum_is_that_of_another_optimiser():
     assert found.decrement <= 1e-6
 
 
-def test_an_impossible_arm_becomes_a_possible_one(monkeypatch):
+def test_inconsistent_arm_becomes_consistent(monkeypatch):
     idm, K, chi, physical = tx40(described=False)
     assert lowest(physical, physical.start) > 0
     names = list(idm.names)
@@ -104,7 +104,7 @@ def test_an_impossible_arm_becomes_a_possible_one(monkeypatch):
     assert newton_step.call_count < 60
 
 
-def test_a_possible_arm_stays_where_it_is():
+def test_consistent_arm_unchanged():
     """The prior being its own, by the reach of the barrier of friction and rotors alone; else by
     that of the links too.
     """
@@ -117,7 +117,7 @@ def test_a_possible_arm_stays_where_it_is():
         assert np.abs(sharp.beta - beta).max() < 1e-4 * np.abs(beta).max()
 
 
-def test_what_is_asked_of_a_coupled_wrist():
+def test_coupled_wrist_constraints():
     """Ia5 - Ia6, a positive viscous matrix, Coulomb power at the three corners: the published
     values have all of it.
 
@@ -179,7 +179,7 @@ def urdf_arm() -> Robot:
     )
 
 
-def test_links_expected_are_those_of_a_urdf_or_plausible_ones():
+def test_expected_links_from_urdf_or_plausible():
     physical = physical_parameters(InverseModel(urdf_arm()))
     link = physical.start[physical.links]
     np.testing.assert_allclose(link[0], [0.01, 0, 0, 0.04, 0, 0.04, 0.2, 0, 0, 2.0], atol=1e-12)
@@ -194,7 +194,7 @@ def test_links_expected_are_those_of_a_urdf_or_plausible_ones():
     assert np.linalg.norm(M[6:9] / M[9]) == pytest.approx(0.5 * np.hypot(0.225, 0.035))
 
 
-def test_estimates_that_are_no_numbers_are_refused():
+def test_non_finite_estimates_refused():
     K, physical = one_link()
     for beta, C in (
         (np.full(7, np.nan), np.eye(7)),
@@ -205,7 +205,7 @@ def test_estimates_that_are_no_numbers_are_refused():
 
 
 @pytest.mark.parametrize("rows", [[[1, 1], [1, -1]], [[1, 0.5, 0], [0, 1, 1]]])
-def test_coulomb_friction_takes_power_at_all_speeds_where_it_does_at_the_corners(rows):
+def test_coulomb_corners_bound_power_at_all_speeds(rows):
     """Joints of their own and motors that turn with several, values of either sign: the corners say
     what random speeds say.
     """
@@ -220,13 +220,13 @@ def test_coulomb_friction_takes_power_at_all_speeds_where_it_does_at_the_corners
     np.testing.assert_array_equal(found[clear] > 0, expected[clear] > 0)
 
 
-def test_a_direction_without_friction_of_its_own_has_no_corner():
+def test_direction_without_friction_has_no_corner():
     """One motor over two joints that have no friction else: only its own speed counts."""
     np.testing.assert_allclose(corner_speeds(np.array([[1.0, 1.0]])), [[1.0]])
     np.testing.assert_allclose(corner_speeds(np.array([[0.0, 2.0, 0.0]])), [[1.0]])
 
 
-def test_intervals_are_those_of_the_inverse_hessian():
+def test_intervals_from_inverse_hessian():
     """Without the barrier; base parameters have what they moved in their interval."""
     K, physical = one_link()
     C = covariance(7, 0.05)

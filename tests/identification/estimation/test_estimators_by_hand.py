@@ -31,7 +31,7 @@ def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return Z, W, W @ np.arange(1.0, b + 1) + rng.normal(size=r)
 
 
-def test_instruments_with_weights_and_left_out_rows_are_the_formula():
+def test_weighted_iv_matches_formula():
     Z, W, Y = system(1, 40, 3)
     joints, weights = np.repeat([0, 1], 20), np.array([3.0, 0.2])
     used = np.arange(40) % 5 > 0
@@ -54,7 +54,7 @@ def test_instruments_with_weights_and_left_out_rows_are_the_formula():
     assert np.abs(unweighted - fit.beta).max() > 1e-3
 
 
-def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
+def test_weights_use_rank_of_joint_columns():
     """Joint 1: six rows, three columns.
 
     Joint 2: five rows, three columns of which one is twice another: rank 2.
@@ -83,7 +83,7 @@ def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
     )
 
 
-def test_the_f_test_of_the_reduction_is_the_formula():
+def test_reduction_f_test_matches_formula():
     """F = ((RSS_reduced - RSS_full)/dropped) / (RSS_full/(r - b)); twelve rows and five columns, so
     that each number shows.
     """
@@ -108,7 +108,7 @@ def test_the_f_test_of_the_reduction_is_the_formula():
     assert essential_parameters(problem, full, correlation=-0.5).F_effective == reduced.F
 
 
-def test_the_first_stage_is_the_regression_of_a_column_on_its_instrument():
+def test_first_stage_is_column_on_instrument():
     Z, W, _ = system(6, 30, 1)
     w, z = W[:, :1], Z[:, :1]
     fitted = z @ (z.T @ w) / (z.T @ z)
@@ -116,7 +116,7 @@ def test_the_first_stage_is_the_regression_of_a_column_on_its_instrument():
     assert first_stage(z / np.linalg.norm(z), w, 30)[1] == pytest.approx(first)
 
 
-def test_a_joint_without_torque_weighs_no_more_than_a_million_others():
+def test_zero_torque_joint_has_bounded_weight():
     W = np.random.default_rng(3).normal(size=(12, 2))
     Y = np.r_[np.zeros(6), np.arange(6.0) ** 2]
     weights = weighted_least_squares(System.whole(W, Y, np.repeat([0, 1], 6), ("a", "b"))).weights
@@ -124,7 +124,7 @@ def test_a_joint_without_torque_weighs_no_more_than_a_million_others():
 
 
 @pytest.mark.parametrize(("ratio", "kept"), [(30.0, ("a", "b")), (10.0, ("a",))])
-def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
+def test_reduction_ends_at_given_error_ratio(ratio, kept):
     """Orthonormal columns, s = 1: %sigma 5 and 66.7, a ratio of 13.3; F = 1.5² (r - 2)/(r - 1)
     does not keep the second.
     """
@@ -139,7 +139,7 @@ def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
         assert pytest.approx(1.5**2 * 38 / 39) == reduced.F
 
 
-def test_a_column_of_rounding_alone_is_not_excited():
+def test_rounding_only_column_not_excited():
     rng = np.random.default_rng(5)
     W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
     with pytest.raises(NoFitError, match="parameters not excited = b: no torque depends on them"):
@@ -148,7 +148,7 @@ def test_a_column_of_rounding_alone_is_not_excited():
         )
 
 
-def test_the_tail_of_f_is_that_of_scipy_stats():
+def test_f_tail_matches_scipy():
     rng = np.random.default_rng(7)
     for F, dropped, freedom in zip(
         rng.exponential(4.0, 300), rng.integers(1, 100, 300), rng.uniform(1, 1e6, 300), strict=True
@@ -161,7 +161,7 @@ def test_the_tail_of_f_is_that_of_scipy_stats():
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 16, 1000])
-def test_quantiles_are_those_of_the_distributions(freedom):
+def test_quantiles_match_distributions(freedom):
     for tail in (0.2, 0.025, 1e-3):
         assert t_quantile(1 - tail, freedom) == pytest.approx(stats.t.isf(tail, freedom), rel=1e-12)
         assert chi_squared_quantile(tail, freedom) == pytest.approx(

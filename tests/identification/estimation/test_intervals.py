@@ -35,12 +35,12 @@ def _as_a_long_recording(monkeypatch):
     ("T", "most", "B"),
     [(10, 16, 4), (63, 16, 6), (252, 16, 15), (253, 16, 16), (10**6, 16, 16), (10**6, 48, 48)],
 )
-def test_how_many_cosines(T, most, B):
+def test_number_of_cosines(T, most, B):
     assert cosines(T, most) == B
 
 
 @pytest.mark.parametrize(("T", "B"), [(120, 9), (300, 16)])
-def test_every_step_from_rows_to_an_interval(T, B):
+def test_interval_steps_by_hand(T, B):
     """Scores of two joints, bread, weights, rows that do not count, and what white noise leaves,
     worked out row by row; of 300 instants two or three have a span, which counts as one.
     """
@@ -79,7 +79,7 @@ def test_every_step_from_rows_to_an_interval(T, B):
 
 
 @pytest.mark.parametrize("parts", [(120,), (50, 70)])
-def test_a_slow_column_has_the_deviation_of_its_coefficient(parts):
+def test_slow_column_has_true_standard_error(parts):
     """Of white noise and a drift beside five slow columns: z'e, z what the drift adds to them,
     has the variance |z|².
 
@@ -106,7 +106,7 @@ def test_a_slow_column_has_the_deviation_of_its_coefficient(parts):
     assert np.sum(apart) < 0.8 * (z @ z)
 
 
-def test_the_covariance_has_the_deviations_of_the_intervals_and_the_correlations_of_the_formula():
+def test_covariance_matches_intervals_and_formula():
     rng = np.random.default_rng(3)
     W = rng.normal(size=(200, 6)) @ rng.normal(size=(6, 6))
     Y = W @ np.ones(6) + rng.normal(size=200)
@@ -163,7 +163,7 @@ def test_intervals_of_several_recordings_by_hand():
 
 
 @pytest.mark.parametrize(("short", "count"), [(0, SPANS), (2000, FINE_SPANS)])
-def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monkeypatch):
+def test_blocks_are_equal_with_row_products(short, count, monkeypatch):
     """1010 instants in 120 spans of 8 or 9, or 240 of 4 or 5, brought in pieces that end within a
     span; the second joint feels three of seven columns, and slow rows and fast ones stay apart.
     """
@@ -196,7 +196,7 @@ def test_spans_are_equal_and_have_the_products_of_their_rows(short, count, monke
     assert rows.rows(0.0 * share)[0].shape == (0, 7)  # no row counts
 
 
-def test_rows_of_other_instants_belong_to_the_span_that_they_lie_in():
+def test_other_rows_belong_to_containing_block():
     """Of two recordings; behind the end the last span."""
     spans = np.array([0, 10, 20, 30]), np.array([0, 5, 10])
     instants = np.array([0, 9, 10, 29, 30]), np.array([4, 5, 12])
