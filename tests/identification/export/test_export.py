@@ -106,7 +106,7 @@ def tx40_model():
 
 
 @pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
-def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
+def test_new_urdf_matches_link_torques(name, tmp_path):
     robot = robot_named(name)
     if name == "tx40":
         robot = dataclasses.replace(robot, gravity=np.array([9.81, 0.0, 0.0]))
@@ -147,7 +147,7 @@ def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
     assert [line for line in lines if line.startswith("unknown ")] == ([] if known else [unknown])
 
 
-def test_a_stated_effort_is_a_new_urdfs_limit_whatever_the_motors_are_recorded_in():
+def test_given_effort_is_limit_of_new_urdf():
     robot = robot_named("scara")
     keys = {"drive_gain": None, "drive_gain_unit": None, "effort_unit": "A"}
     motors = tuple(msgspec.structs.replace(m, **keys) for m in robot.motors)
@@ -172,7 +172,7 @@ def inverse_in_mujoco(text, q, dq, ddq, *, friction):
     return found, model
 
 
-def test_frictionloss_is_dry_friction_where_it_is_saturated(tx40_model, tmp_path):
+def test_frictionloss_is_saturated_dry_friction(tx40_model, tmp_path):
     """|v| > 0.25 rad/s of every joint and of motor 6, |a| < 2 rad/s²."""
     chi = values_of(tx40_model)
     texts, _ = exported(tx40_model, chi, tmp_path)
@@ -212,7 +212,7 @@ def without_values(text):
 
 
 @pytest.mark.parametrize("light", [False, True])
-def test_the_users_urdf_comes_back_with_other_values_and_nothing_else(light, tmp_path):
+def test_user_urdf_changes_values_only(light, tmp_path):
     """Header, comments, prefixes, meshes, limits stay, bodies have its names.
 
     A link too light for those fixed to it is all.
@@ -242,7 +242,7 @@ def test_the_users_urdf_comes_back_with_other_values_and_nothing_else(light, tmp
         assert "link beam: tool, right, fixed to it, keep" in said
 
 
-def test_a_toml_has_the_values_and_all_other_lines(tx40_model, tmp_path):
+def test_toml_has_values_and_all_other_lines(tx40_model, tmp_path):
     chi = values_of(tx40_model)
     texts, _ = exported(tx40_model, chi, tmp_path)
     again = load_robot(tmp_path / "out.toml")
@@ -261,7 +261,7 @@ def test_a_toml_has_the_values_and_all_other_lines(tx40_model, tmp_path):
         "\n# old\n# remarks\n[parameters] # SI\nFv1 = 1.0\n# inside\nFc1 = 2\n\n# of the joint\n",
     ],
 )
-def test_parameters_replace_what_was_there_however_it_was_written(table):
+def test_parameters_replaced_in_any_notation(table):
     text = (
         f'name = "x"\nmatrix = [\n    [1, 0],\n    [0, 1],\n]\n{table}[[joint]]\nname = "j" # '
         "remark\n"
@@ -280,13 +280,13 @@ def test_parameters_replace_what_was_there_however_it_was_written(table):
     assert "# new\n[parameters]\n" in made
 
 
-def test_a_table_that_cannot_be_replaced_by_lines_is_refused():
+def test_irreplaceable_table_refused():
     with pytest.raises(BadInputError) as caught:
         replace_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
     assert caught.value.key == "[parameters]"
 
 
-def test_a_toml_names_the_urdf_that_is_written_with_it(tmp_path):
+def test_toml_names_its_exported_urdf(tmp_path):
     model = InverseModel(urdfs.robot_of_arm(USERS, "# my arm\n"))
     texts, _ = exported(model, values_of(model), tmp_path)
     assert texts["toml"].startswith("# my arm\n")
@@ -307,7 +307,7 @@ def losses(document, title):
     return found
 
 
-def test_losses_of_a_format_are_reported_with_their_torque(tx40_model, tmp_path):
+def test_format_losses_reported_with_torque(tx40_model, tmp_path):
     chi = values_of(tx40_model)
     texts, document = exported(tx40_model, chi, tmp_path)
     of_urdf, of_mjcf = losses(document, "out.urdf"), losses(document, "out.mjcf")
@@ -345,7 +345,7 @@ def test_losses_of_a_format_are_reported_with_their_torque(tx40_model, tmp_path)
     assert of_urdf[what, "joint_5"][0] == pytest.approx(np.sqrt(np.mean(missing**2)), rel=0.05)
 
 
-def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported_with_a_loss(
+def test_negative_wrist_friction_exported_with_loss(
     tmp_path,
 ):
     """The published TX40: Fv6 - Fvm6 is below zero, which MuJoCo takes and gains energy by;
@@ -374,7 +374,7 @@ def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported
     assert caught.value.key == "viscous friction of joint_5 and joint_6"
 
 
-def test_asymmetric_friction_is_written_as_the_mean_of_both_ways(tmp_path):
+def test_asymmetric_friction_written_as_mean(tmp_path):
     own = (REPLAY / "scara" / "robot.toml").read_text()
     text = own.replace('type = "revolute"', 'type = "revolute"\nfriction = "asymmetric"', 1)
     model = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
@@ -390,7 +390,7 @@ def test_asymmetric_friction_is_written_as_the_mean_of_both_ways(tmp_path):
     assert [float(x) for x in found.groups()] == [0.0, 1.0]
 
 
-def test_rotations_are_those_of_their_angles_and_quaternions():
+def test_rotations_match_angles_and_quaternions():
     special = [0.3, np.pi / 2, 0.2], [0.0, -np.pi / 2, 0.0], [np.pi, 0, 0], [0, 0, np.pi]
     for angles in (*RNG.uniform(-3, 3, (20, 3)), *special):
         R = pin.rpy.rpyToMatrix(*angles)
@@ -411,7 +411,7 @@ def outputs_in(folder, name="x", kinds=("urdf", "mjcf", "toml")):
     return [f"--{kind}={folder / name}.{kind}" for kind in kinds]
 
 
-def test_a_fit_that_is_not_consistent_is_made_so(fits, tmp_path, capsys):
+def test_inconsistent_fit_made_consistent(fits, tmp_path, capsys):
     values = {}
     for name, path in fits.items():
         status, printed, _ = run(capsys, "export", path, *outputs_in(tmp_path, name))
@@ -427,7 +427,7 @@ def test_a_fit_that_is_not_consistent_is_made_so(fits, tmp_path, capsys):
     }
 
 
-def test_parameters_left_out_are_zero_with_their_own_deviation(fits):
+def test_dropped_parameters_zero_with_standard_error(fits):
     stored = read_fit(fits["free"])
     names, sigma = [p.name for p in stored.parameters], 0.02
     out = names.index("ZZ2")  # no link has zero: how far from it depends on the deviation
@@ -484,20 +484,20 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("why", REFUSED)
-def test_what_no_simulator_should_have_is_refused_in_one_line(why, fits, tmp_path, capsys):
+def test_unusable_models_refused(why, fits, tmp_path, capsys):
     change, words = REFUSED[why]
     path = changed(fits["consistent"], tmp_path, change)
     assert words in refused(capsys, "export", path, *outputs_in(tmp_path))
     assert [p.name for p in tmp_path.iterdir()] == ["changed.json"]
 
 
-def test_a_fit_not_to_be_used_is_exported_where_that_is_asked_for(fits, tmp_path, capsys):
+def test_do_not_use_fit_exported_on_request(fits, tmp_path, capsys):
     path = changed(fits["consistent"], tmp_path, lambda c: c.update(verdict="do not use"))
     status, printed, _ = run(capsys, "export", path, *outputs_in(tmp_path), "--allow-untrusted")
     assert (status, "verdict do not use" in printed) == (0, True)
 
 
-def test_files_are_written_all_or_none(fits, tmp_path, capsys):
+def test_files_written_all_or_none(fits, tmp_path, capsys):
     (tmp_path / "x.mjcf").mkdir()
     for outputs in (outputs_in(tmp_path), [], ["--toml", fits["consistent"]]):
         refused(capsys, "export", fits["consistent"], *outputs)
@@ -560,7 +560,7 @@ UNKNOWN = re.sub(r"(?m)^drive_gain = .*\ndrive_gain_unit = .*$", 'effort_unit = 
         ),
     ],
 )
-def test_a_toml_has_determined_drive_gains_or_those_nobody_describes(
+def test_toml_has_well_determined_drive_gains(
     motors, others, expected, said, fits, tmp_path, capsys
 ):
     gains = [gain | others for gain in GAINS]
@@ -604,7 +604,7 @@ def under_law(name, structure):
     ("name", "structure"),
     [("scara", "pd"), ("tx40", "cascade_p_p"), ("scara", "pd_velocity_feedforward")],
 )
-def test_actuators_move_mujocos_robot_as_the_law_moves_the_simulated_one(name, structure, tmp_path):
+def test_mujoco_actuators_match_control_law(name, structure, tmp_path):
     """Without Coulomb friction and offsets, which MuJoCo has softly or not at all; the wrist
     of the TX40 is coupled.
     """
@@ -644,7 +644,7 @@ def test_actuators_move_mujocos_robot_as_the_law_moves_the_simulated_one(name, s
 
 
 @pytest.mark.parametrize("name", ["tx40", "scara"])
-def test_a_found_law_is_written_where_the_description_has_none(name, tmp_path, capsys):
+def test_estimated_law_written_if_none_given(name, tmp_path, capsys):
     stored, toml = read_fit(REPLAY / name / "fit.json"), tmp_path / "new.toml"
     assert run(capsys, "export", REPLAY / name / "fit.json", "--toml", toml)[0] == 0
     described, now = (robot_named(name).controller, load_robot(toml).controller)

@@ -59,7 +59,7 @@ def torque_of_the_urdf(text, names, states):
 
 
 @pytest.mark.parametrize("names", [(*ARM, "finger"), ("turn", "slide")])
-def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
+def test_parameters_match_urdf_torque(here, capsys, names):
     """Fixed and locked links are part of the link that carries them; the axis of the first joint is
     along none of the frame.
     """
@@ -75,7 +75,7 @@ def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
     np.testing.assert_allclose(dynamics.regressor(*states) @ chi, tau, atol=1e-11)
 
 
-def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
+def test_init_writes_urdf_values_and_marks_rest(here, capsys):
     status, out, err = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
     text, robot = (here / "robot.toml").read_text(), load_robot("robot.toml")
     assert (status, err) == (0, "")
@@ -135,7 +135,7 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
         ("--dh RR --bus bus.toml", 2, 2, 2 * 4 + 2 + 5),
     ],
 )
-def test_lines_are_told_by_what_needs_them(here, capsys, given, fit, motors, move):
+def test_lines_marked_by_what_needs_them(here, capsys, given, fit, motors, move):
     """Of a log with efforts of the joints nothing is needed; dimensions if there is no URDF."""
     (here / "bus.toml").write_text(BUS)
     words = [word.replace("_", " ") for word in given.split()]
@@ -168,7 +168,7 @@ counts_per_turn = {1000 * node} # FILL IN: turn the motor once
 """ for node in (7, 3))  # fmt: skip
 
 
-def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsys):
+def test_scanned_bus_replaces_example_drives(here, capsys):
     (here / "bus.toml").write_text(BUS)
     out = ["init", "arm.urdf", "--joints", "turn,lift", "--bus", "bus.toml", "-o", "robot.toml"]
     status, printed, _ = run(capsys, *out)
@@ -192,7 +192,7 @@ def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsy
     assert f"to be filled in: {len(marked) - 1} lines" in printed
 
 
-def test_what_is_there_is_not_replaced_and_the_urdf_is_found_from_the_output(here, capsys):
+def test_existing_file_kept_urdf_found_from_output(here, capsys):
     (here / "bus.toml").write_text(BUS)
     said = refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "robot.toml")
     assert said == "bus.toml: drives = 2: expected 3 [[bus.drive]], one for each joint of the URDF"
@@ -219,7 +219,7 @@ def test_what_is_there_is_not_replaced_and_the_urdf_is_found_from_the_output(her
     )
 
 
-def test_the_example_of_the_drives_is_one(here, capsys):
+def test_example_drives_are_valid(here, capsys):
     """Without the mark of its lines: a description whose simulated drives can
     be resolved and moved.
     """
@@ -239,7 +239,7 @@ def test_the_example_of_the_drives_is_one(here, capsys):
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 11, 15])
-def test_the_frames_of_the_examples_drives_fit_between_two_syncs(tmp_path, capsys, n):
+def test_example_can_frames_fit_sync_period(tmp_path, capsys, n):
     """As a session that sends asks for it, which names the shortest period to two digits; 2 ms
     where that is enough.
     """
@@ -254,7 +254,7 @@ def test_the_frames_of_the_examples_drives_fit_between_two_syncs(tmp_path, capsy
     assert bus.file.sync_period_s == 0.002 or bus.load > 0.8
 
 
-def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
+def test_missing_limits_from_options_or_named(here, capsys):
     """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
     equal = LIMIT.replace("-2", "0").replace("1.5", "0")
     for kind, limit in (
@@ -292,7 +292,7 @@ def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
         )
 
 
-def test_options_and_limits_of_the_urdf_hold_together(here):
+def test_options_and_urdf_limits_combine(here):
     """The narrower range, the smaller speed; one value holds for all joints of one kind, one
     bandwidth for the robot.
     """
@@ -339,11 +339,11 @@ def test_options_and_limits_of_the_urdf_hold_together(here):
         ("--joints lift,turn", "order of joints = lift, turn: expected turn, lift"),
     ],
 )
-def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
+def test_unsuitable_options_refused(here, capsys, given, message):
     assert message in refused(capsys, "init", "arm.urdf", *NAMES, *given.split())
 
 
-def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
+def test_urdf_values_refused_with_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
     with pytest.raises(
         RobotIdimError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"
@@ -425,7 +425,7 @@ BAD = (
 
 
 @pytest.mark.parametrize(("text", "message"), BAD, ids=[message for _, message in BAD])
-def test_a_bad_urdf_ends_in_one_line(here, capsys, text, message):
+def test_bad_urdf_refused(here, capsys, text, message):
     (here / "arm.urdf").write_text(text)
     said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
     assert said.startswith(("arm.urdf: ", "robot made up: URDF: "))
@@ -433,7 +433,7 @@ def test_a_bad_urdf_ends_in_one_line(here, capsys, text, message):
     assert not (here / "robot.toml").exists()
 
 
-def test_a_file_that_is_not_there_and_one_of_bytes(here, capsys):
+def test_missing_and_binary_files_refused(here, capsys):
     assert (
         refused(capsys, "init", "none.urdf")
         == "none.urdf: cannot be read: No such file or directory"
@@ -442,7 +442,7 @@ def test_a_file_that_is_not_there_and_one_of_bytes(here, capsys):
     assert "arm.urdf: is not XML" in refused(capsys, "init", "arm.urdf")
 
 
-def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
+def test_massless_link_merged_into_body(here, capsys):
     """A joint may move a link without mass if another is fixed to it: they are one body."""
     (here / "arm.urdf").write_text(urdf(arm=massless("arm"), sensor=link("sensor", mass=0.4)))
     assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
@@ -471,9 +471,7 @@ LACKING = [
 
 
 @pytest.mark.parametrize(("text", "why"), LACKING)
-def test_without_inertials_of_bodies_there_are_no_a_priori_values_and_a_note(
-    here, capsys, text, why
-):
+def test_no_inertials_no_a_priori_values(here, capsys, text, why):
     """A fit needs the geometry alone. A mass or moment below zero, or a link that was forgotten,
     would be simulated, and compared with a fit, as if it were the robot's.
     """
@@ -496,7 +494,7 @@ def test_without_inertials_of_bodies_there_are_no_a_priori_values_and_a_note(
 
 
 @pytest.mark.parametrize("text", [bare(urdf()), urdf(arm=link("arm", mass=-1))])
-def test_a_urdf_without_inertials_is_fitted_and_gets_them_by_export(here, capsys, text):
+def test_urdf_without_inertials_fitted_and_exported(here, capsys, text):
     """The recording is pinocchio's torque of the whole URDF; the exported URDF needs the same at
     states that were not recorded.
     """
@@ -555,7 +553,7 @@ LOCKED = (
         ),
     ],
 )  # fmt: skip
-def test_what_is_odd_or_locked_is_noted(here, capsys, changes, options, noted):
+def test_odd_and_locked_joints_noted(here, capsys, changes, options, noted):
     (here / "arm.urdf").write_text(urdf(**changes))
     status, out, _ = run(capsys, "init", "arm.urdf", *options)
     assert status == 0
@@ -576,7 +574,7 @@ def test_what_is_odd_or_locked_is_noted(here, capsys, changes, options, noted):
         ("N_m --torque-sensor", [{"effort_unit": u} for u in ("N m", "N m", "N")], ()),
     ],
 )  # fmt: skip
-def test_the_motors_of_a_unit_have_numbers_by_options_only(here, capsys, given, motors, to_fill_in):
+def test_unit_motor_values_by_options_only(here, capsys, given, motors, to_fill_in):
     """A gain without its ratio has no effect: it would scale all values by the ratio."""
     command = ["init", "arm.urdf", "--effort", *(word.replace("_", " ") for word in given.split())]
     assert run(capsys, *command, "-o", "robot.toml")[0] == 0
@@ -595,7 +593,7 @@ def test_the_motors_of_a_unit_have_numbers_by_options_only(here, capsys, given, 
     assert ("#: Ia1" in text) == ("torque-sensor" not in given)
 
 
-def test_options_of_motors_that_do_not_go_together(here, capsys):
+def test_conflicting_motor_options_refused(here, capsys):
     for given, key in (
         (["--ratio", "9"], "--ratio"),
         (["--effort", "N m", "--drive-gain", "1"], "--drive-gain"),

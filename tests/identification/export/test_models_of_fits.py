@@ -53,9 +53,7 @@ AS_INIT = """[controller]
         ("[controller]\r\nbandwidth_hz = 8.0\r\n", "", 8.0),
     ],
 )
-def test_a_found_law_is_written_into_a_table_that_may_be_empty(
-    table, place, bandwidth_hz, tmp_path, capsys
-):
+def test_estimated_law_fills_empty_table(table, place, bandwidth_hz, tmp_path, capsys):
     fit, toml = tmp_path / "fit.json", tmp_path / "new.toml"
     fit.write_text(json.dumps(with_controller(table, place)))
     assert run(capsys, "export", fit, "--toml", toml)[0] == 0
@@ -68,7 +66,7 @@ def test_a_found_law_is_written_into_a_table_that_may_be_empty(
 
 
 @pytest.mark.parametrize("line", ["controller = {}\n", "controller.bandwidth_hz = 8.0\n"])
-def test_a_law_for_which_there_is_no_line_is_refused(line, tmp_path, capsys):
+def test_unsupported_law_refused(line, tmp_path, capsys):
     fit, toml, content = tmp_path / "fit.json", tmp_path / "new.toml", with_controller("")
     content["description"]["robot.toml"] = line + content["description"]["robot.toml"]
     fit.write_text(json.dumps(content))
@@ -102,9 +100,7 @@ def recorded(folder, terms, more=""):
         ([FAR, USUAL[:2]], "", {"Fs1"}, "wls"),
     ],
 )
-def test_terms_that_a_fit_leaves_out_are_zero_in_its_models(
-    terms, more, left_out, method, tmp_path, capsys
-):
+def test_dropped_terms_are_zero_in_models(terms, more, left_out, method, tmp_path, capsys):
     log, robot = recorded(tmp_path, terms, more)
     model = InverseModel(robot)
     base = base_parameters(model)
@@ -125,7 +121,7 @@ def test_terms_that_a_fit_leaves_out_are_zero_in_its_models(
             assert value == pytest.approx(true[name], rel=0.05, abs=0.03)
 
 
-def test_a_model_without_terms_is_that_of_a_robot_without_them():
+def test_model_without_terms_matches_plain_robot():
     """The nearest body of an estimate far from any, so that conditions move it."""
     without, having = (InverseModel(described("scara", [terms] * 2)) for terms in (USUAL[:2], LOAD))
     base = base_parameters(without)
@@ -142,7 +138,7 @@ def test_a_model_without_terms_is_that_of_a_robot_without_them():
     np.testing.assert_allclose([*chi.values()], expected.chi, rtol=1e-6, atol=1e-9)
 
 
-def test_a_covariance_without_a_row_of_another_parameter_is_refused(tmp_path):
+def test_incomplete_covariance_refused(tmp_path):
     content = json.loads((REPLAY / "scara" / "fit.json").read_text())
     covariance = content["covariance"]
     del covariance["names"][0]
