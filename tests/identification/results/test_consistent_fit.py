@@ -34,7 +34,7 @@ def consistent(tx40):
     return with_consistent(ls_of(tx40))
 
 
-def test_the_real_arm_becomes_a_physical_one(consistent):
+def test_real_arm_becomes_consistent(consistent):
     """Every pseudo-inertia and every own rotor inertia and friction positive; the
     torque error hardly larger.
     """
@@ -67,7 +67,7 @@ def lines_of(fit) -> list[str]:
     return [line for section in fit_document(fit_file(fit)).sections for line in section.lines]
 
 
-def test_the_verdict_and_the_consistent_set_are_one_computation(consistent):
+def test_verdict_shares_consistent_computation(consistent):
     """chi² and largest move of the verdict's line are those of `--consistent`; not with
     another prior, which is said.
     """
@@ -84,7 +84,7 @@ def test_the_verdict_and_the_consistent_set_are_one_computation(consistent):
     ]
 
 
-def test_the_report_has_intervals_and_names_what_left_the_fits(consistent):
+def test_report_has_intervals_and_dropped_names(consistent):
     c = consistent.consistent_set
     base = [
         msgspec.structs.replace(p, move=1.7 if k == 3 else p.move)
@@ -108,7 +108,7 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent):
     assert not any("by more than one half-width" in line for line in lines_of(consistent))
 
 
-def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
+def test_prior_supplies_unmeasured_parameters():
     """Variances by a Hessian of differences; a parameter that is measured alone, and one that
     is not measured at all.
     """
@@ -171,7 +171,7 @@ CAD = """<robot name="cad"><link name="base"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
 
 
-def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
+def test_urdf_gives_links_of_dh_robot():
     """In the frames of the rows they give the torques of the URDF in pinocchio."""
     robot = robot_from_files({"robot.toml": TWO.encode()}, "two.toml")
     idm = InverseModel(robot)
@@ -197,7 +197,7 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     )
 
 
-def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
+def test_file_holds_model_inputs(tmp_path, capsys):
     session, out, prior = (
         REPLAY / "scara" / "session.mcap",
         tmp_path / "fit.json",
@@ -230,7 +230,7 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     assert read_fit(tmp_path / "old.json").consistent.chi2 == c["chi2"]
 
 
-def test_the_file_holds_what_an_essential_fit_leaves_out():
+def test_file_holds_parameters_dropped_by_essential():
     path = REPLAY / "tx40" / "session.mcap"
     fit = identify_ls(signals_of(path), Overrides(), essential=True)
     full, names = fit.full, fit.estimate.names
@@ -252,12 +252,12 @@ def test_the_file_holds_what_an_essential_fit_leaves_out():
         (["--consistent", "--prior", "none.urdf"], ("none.urdf", "cannot be read")),
     ],
 )
-def test_options_that_cannot_be_meant_are_refused(more, words, capsys):
+def test_meaningless_options_refused(more, words, capsys):
     err = refused(capsys, "fit", REPLAY / "scara" / "session.mcap", *more)
     assert all(word in err for word in words)
 
 
-def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys, monkeypatch):
+def test_validate_judges_consistent_set(tmp_path, capsys, monkeypatch):
     session, out, free = (
         REPLAY / "scara" / "session.mcap",
         tmp_path / "fit.json",

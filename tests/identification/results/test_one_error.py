@@ -28,7 +28,7 @@ from identification.results import (
 SESSION = REPLAY / "scara" / "session.mcap"
 
 
-def test_all_that_tell_an_error_tell_the_same(tmp_path, monkeypatch, capsys):
+def test_all_outputs_report_same_error(tmp_path, monkeypatch, capsys):
     """Headline, tests, friction, validation, fleet, report and files, of least squares."""
     monkeypatch.chdir(tmp_path)
     assert main(["fit", str(SESSION), "--method", "wls", "--json", "f.json", "--all"]) in (0, 3)
@@ -48,7 +48,7 @@ def test_all_that_tell_an_error_tell_the_same(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("hz", [1.5, 15.0])
-def test_an_error_does_not_depend_on_the_bandwidth_that_is_stated(hz):
+def test_error_independent_of_given_bandwidth(hz):
     signals = sound("scara", np.random.default_rng(0)).recording(0)
     expected = fit_by_default(signals).errors[-1]
     stated = replace(signals, robot=with_control(signals.robot, bandwidth_hz=hz))
@@ -62,7 +62,7 @@ def test_an_error_does_not_depend_on_the_bandwidth_that_is_stated(hz):
     assert f"{found.relative_error_percent:.3g} % torque error" in document.title
 
 
-def test_friction_tells_the_errors_of_the_fits_that_it_compares():
+def test_friction_reports_errors_of_its_fits():
     choice = select_friction(sound("scara", np.random.default_rng(0)).recording(0))
     for trial, fit in zip((choice.usual, choice.recommended), choice.fits(), strict=True):
         assert trial.fitted_error_percent == pytest.approx(
@@ -73,7 +73,7 @@ def test_friction_tells_the_errors_of_the_fits_that_it_compares():
         assert np.nanmean(trial.held_out_percents) == pytest.approx(held, rel=0.05)
 
 
-def test_the_motion_ahead_is_predicted_by_the_true_values_and_not_by_others():
+def test_only_true_values_predict_motion():
     """By the independent simulator, without noise; 20 % more of all inertias falls behind."""
     body, law, robot = cell_of("scara")
     path = references(body, range(3, 4), duration_s=6.0, rate_hz=law.rate_hz)
@@ -93,7 +93,7 @@ def test_the_motion_ahead_is_predicted_by_the_true_values_and_not_by_others():
     np.testing.assert_allclose(one.ahead, [error, way], rtol=1e-6)
 
 
-def test_recordings_have_common_filters_of_their_errors_fitted_or_validated():
+def test_recordings_share_error_filters():
     """Those of the faster one; a recording that is too short for them is told of."""
     setup = sound("scara", np.random.default_rng(0))
     slow = replace(replace(setup, highest_hz=0.3).recording(1), recording="slow.mcap")

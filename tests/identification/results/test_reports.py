@@ -65,7 +65,7 @@ def test_the_verdict_comes_first_with_one_error():
 
 @pytest.mark.parametrize("wide", [(), ("Fv1", "Fc2"), None])
 @pytest.mark.parametrize("kept", [("ZZ1R", "Fv1", "Fc2", "ZZ2"), None])
-def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
+def test_outputs_count_same_parameters(kept, wide):
     """Of the `kept` by the F test those with an interval narrower than the value; of `wide`,
     None for all, it is wider.
     """
@@ -98,7 +98,7 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
 
 
 @pytest.mark.parametrize("everything", [False, True])
-def test_the_table_has_the_essential_parameters_or_all(everything):
+def test_table_has_essential_parameters_or_all(everything):
     essential = ("ZZ1R", "Fc2")
     fit = with_essential(ls_of(SCARA), essential)
     document = fit_document(fit_file(fit))
@@ -120,7 +120,7 @@ def test_the_table_has_the_essential_parameters_or_all(everything):
     assert ("ZZ1R = ZZ1 + 0.25 M2" in document.sections[-1].lines) == everything
 
 
-def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_tests_found():
+def test_short_report_has_ten_largest_and_findings():
     fit = ls_of(SCARA)
     finding, *others = fit.trust.lines
     lines = (replace(finding, level="caution"), replace(others[0], level="not made"), *others[1:])
@@ -149,7 +149,7 @@ def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_
     assert rest == [Section()] * len(rest), "all else needs --all"
 
 
-def test_a_validation_and_a_recording_say_what_they_are():
+def test_validation_and_recording_name_themselves():
     signals, fit = signals_of(SCARA), ls_of(SCARA)
     document = validation_document(fit.recordings, "fit.json", fit.errors, ("another robot",))
     assert document.title.startswith("fit.json on session.mcap: ")
