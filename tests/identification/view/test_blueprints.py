@@ -13,7 +13,7 @@ COMMANDS = {  # what stands before --rrd FILE
 }
 
 
-def test_the_commands_are_those_that_write_such_files():
+def test_commands_match_writers():
     """That of `demo` is looked at where it is made."""
     commands = next(
         action for action in IDENTIFY.parser(*IDENTIFY.commands)._actions if action.choices
@@ -25,7 +25,7 @@ def test_the_commands_are_those_that_write_such_files():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_each_view_stands_under_one_parent(command, tmp_path, monkeypatch):
+def test_each_view_has_one_parent(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     out = "-o" if command.startswith("view") else "--rrd"
     assert IDENTIFY.main([*command.split(), *map(str, COMMANDS[command]), out, "a.rrd"]) == 0

@@ -54,13 +54,13 @@ AXES = {
 
 
 @pytest.mark.parametrize("case", AXES)
-def test_an_axis_has_round_ticks_and_places_numbers(case):
+def test_axis_has_round_ticks(case):
     axis, ticks, value, share = AXES[case]
     assert {round(tick, 12): text for tick, text in axis.ticks.items()} == ticks
     assert axis.place(value, 100.0, 200.0) == pytest.approx(100.0 + 100.0 * share)
 
 
-def test_parameters_have_rows_with_values_intervals_and_differences():
+def test_parameter_rows_have_intervals_differences():
     own = values("IV", M1=(2.0, 0.3), M2=(-1.0, 0.1), M3=(0.0, 0.1))
     own.parameters["M2"] = msgspec.structs.replace(own.parameters["M2"], essential=False)
     ls, true = (
@@ -95,7 +95,7 @@ def test_parameters_have_rows_with_values_intervals_and_differences():
     assert len(deviation_charts(own, [])[0].columns) == 1
 
 
-def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected():
+def test_test_figures_have_intervals_and_expected():
     figures = (
         ("shoulder", 1.2, 0.2, -0.5),
         ("elbow", -0.5, 0.0, 0.0),
@@ -133,7 +133,7 @@ def a_run(number, ls, iv, status="converged"):
     return Run(number=number, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
 
 
-def test_a_study_has_all_errors_by_method_and_the_medians_of_those_that_count():
+def test_study_has_errors_and_medians_by_method():
     runs = [a_run(k, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.3, 0.02)])]
     runs += [a_run(3, 0.9, None, "diverged"), a_run(4, 0.2, 0.9, "max_iterations")]
     chart = study_chart(runs)
@@ -153,7 +153,7 @@ def test_a_study_has_all_errors_by_method_and_the_medians_of_those_that_count():
     assert [name for name, _ in study_chart(none).names if name] == ["LS", "IV"]
 
 
-def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit():
+def test_spectra_show_sine_and_fit_cutoffs():
     signals = made_up(types=("revolute",))
     settings = fitted(signals).settings
     sine = replace(signals, q=1e-3 * np.sin(2 * np.pi * 80.0 * signals.t_s)[:, None])
@@ -188,7 +188,7 @@ def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit():
     )
 
 
-def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
+def test_resting_joint_has_chart_without_rows(monkeypatch):
     rows = friction_charts.rigid_torque_at_rows
     monkeypatch.setattr(
         friction_charts,
@@ -202,7 +202,7 @@ def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
     assert "nan" not in draw_graph(still)
 
 
-def test_rows_are_drawn_where_their_axis_says():
+def test_rows_drawn_at_their_axis_position():
     marks = [
         Mark(row=0, value=0.5, half=0.25, color=ORANGE),
         Mark(row=1, value=0.5, color=GREY, shape="ring"),

@@ -62,7 +62,7 @@ def page_of(picture, tmp_path):
     return Page((tmp_path / "report.html").read_text(encoding="utf-8"))
 
 
-def test_the_file_stands_alone_and_is_small(tmp_path):
+def test_file_is_small_and_self_contained(tmp_path):
     signals, fit = signals_of(TX40), iv_of(TX40)
     start = time.process_time()
     page = page_of(picture(TX40), tmp_path)
@@ -92,7 +92,7 @@ def test_the_file_stands_alone_and_is_small(tmp_path):
         assert part in said
 
 
-def test_the_result_stands_before_the_appendix(tmp_path):
+def test_result_precedes_appendix(tmp_path):
     write_html(tmp_path / "report.html", picture(TX40))
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     result, appendix = text.split("<details>")
@@ -109,7 +109,7 @@ def test_the_result_stands_before_the_appendix(tmp_path):
     assert appendix.count("<figure") > 20
 
 
-def test_rerun_shows_what_is_over_time_and_html_all_but_the_robot(tmp_path):
+def test_rerun_has_time_series_html_the_rest(tmp_path):
     drawn = picture(SCARA)
     write_rrd(tmp_path / "fit.rrd", drawn)
     views = {origin.replace("\\", "") for origin in Written(tmp_path / "fit.rrd").views}
@@ -126,7 +126,7 @@ def test_rerun_shows_what_is_over_time_and_html_all_but_the_robot(tmp_path):
     assert places == sorted(places), "in the order of the pages"
 
 
-def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
+def test_several_recordings_have_own_signals(tmp_path):
     drawn = picture(SCARA)
     both = join_pictures([drawn, picture_of(ls_of(SCARA))])
     names = [page.name for page in both.pages]
@@ -136,7 +136,7 @@ def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
 
 
 @pytest.mark.parametrize("length", [400, 401])
-def test_a_spectrum_is_that_of_welch(length):
+def test_spectrum_matches_welch(length):
     x = np.random.default_rng(1).standard_normal(1700).cumsum()
     expected = signal.welch(x, 250.0, nperseg=length, detrend="linear")[1]
     np.testing.assert_allclose(
@@ -156,7 +156,7 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_commands_write_their_report(name, tmp_path, capsys, monkeypatch):
+def test_commands_write_report(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for file in ("session.mcap", "robot.toml", "fit.json", "truth.json"):
         shutil.copy(REPLAY / "scara" / file, tmp_path / file.replace("session", "log"))
@@ -170,7 +170,7 @@ def test_commands_write_their_report(name, tmp_path, capsys, monkeypatch):
 
 
 @needs_chromium
-def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(tmp_path):
+def test_chromium_shows_without_requests_or_scroll(tmp_path):
     file = tmp_path / "report.html"
     write_html(file, picture(TX40))
     with browser() as window:

@@ -76,7 +76,7 @@ def values(rrd: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(times)[order], np.array(rows)[order]
 
 
-def test_the_page_has_the_rows_of_the_recording(tmp_path, recorded):
+def test_view_has_rows_of_recording(tmp_path, recorded):
     session, rrd, warnings = (
         Session(recorded, tmp_path / "log.mcap", 4.0),
         tmp_path / "live.rrd",
@@ -132,7 +132,7 @@ def clocked(monkeypatch: pytest.MonkeyPatch, at_poll: Callable[[], object]) -> N
         (lambda path: None, "has not grown"),
     ],
 )  # fmt: skip
-def test_a_recording_that_cannot_be_followed_any_more_is_one_line(
+def test_unfollowable_recording_ends_in_one_line(
     tmp_path, recorded, monkeypatch, capsys, harm, text
 ):
     path, polls = tmp_path / "log.mcap", iter(range(10**6))
@@ -166,7 +166,7 @@ def state(rrd: Path) -> tuple[str, list[int]]:
     return text, colors
 
 
-def test_the_state_is_red_where_the_file_has_stopped_growing(tmp_path, recorded, monkeypatch):
+def test_state_red_when_file_stops_growing(tmp_path, recorded, monkeypatch):
     path, rrd = tmp_path / "log.mcap", tmp_path / "live.rrd"
     session = begun(recorded, path)
     red = [int.from_bytes(bytes((*live.RED, 255)), "big")]
@@ -182,7 +182,7 @@ def test_the_state_is_red_where_the_file_has_stopped_growing(tmp_path, recorded,
     session.recorder.close()
 
 
-def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
+def test_residual_matches_whole_recording(tmp_path, recorded):
     signals = load_signals(SCARA)
     fit = identify_ls(signals, Overrides())
     write_json(tmp_path / "fit.json", fit_file(fit))
@@ -221,7 +221,7 @@ def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
         np.testing.assert_allclose(band[-1], [4 * rms[j], -4 * rms[j]])
 
 
-def test_the_level_of_an_effort_is_the_limit_that_counts():
+def test_effort_level_is_effective_limit():
     """The smaller of the joint's own and its drive's, as of `excite`; none where none is stated."""
     robot = read_recording(SCARA).robot
     motor = msgspec.structs.replace(robot.motors[0], saturation=2.0)

@@ -53,7 +53,7 @@ def meshes_drawn(path, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["meshes/l.stl", "package://arm/meshes/l.stl"])
-def test_a_recording_viewed_in_another_folder_has_its_meshes(name, tmp_path):
+def test_recording_in_other_folder_keeps_meshes(name, tmp_path):
     path = recorded(tmp_path / "log.mcap", load_robot(described(tmp_path / "arm", name)))
     (tmp_path / "elsewhere").mkdir()
     moved = path.rename(tmp_path / "elsewhere" / "log.mcap")
@@ -62,13 +62,13 @@ def test_a_recording_viewed_in_another_folder_has_its_meshes(name, tmp_path):
     assert meshes_drawn(moved, tmp_path) == [TRIANGLE] * 3, "one of each link"
 
 
-def test_meshes_are_attached_only_where_asked_for(tmp_path):
+def test_meshes_attached_only_on_request(tmp_path):
     robot = load_robot(described(tmp_path / "arm", asked=""))
     assert set(robot.files) == {"robot.toml", "robot.urdf"}
     assert meshes_drawn(recorded(tmp_path / "log.mcap", robot), tmp_path) == []
 
 
-def test_a_mesh_of_a_kind_that_is_not_known_is_not_written(tmp_path):
+def test_unknown_mesh_format_not_written(tmp_path):
     files = dict(load_robot(described(tmp_path / "arm")).files)
     content = files.pop("mesh:meshes/l.stl")
     files |= {
@@ -82,7 +82,7 @@ def test_a_mesh_of_a_kind_that_is_not_known_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     "name", ["meshes/none.stl", "package://other/meshes/l.stl", "meshes/l.txt"]
 )
-def test_a_mesh_that_is_not_found_is_refused(name, tmp_path):
+def test_missing_mesh_refused(name, tmp_path):
     path = described(tmp_path, name)
     (tmp_path / "meshes" / "l.txt").write_text("text")
     with pytest.raises(BadInputError, match="does not exist") as caught:
@@ -94,7 +94,7 @@ def test_a_mesh_that_is_not_found_is_refused(name, tmp_path):
     )
 
 
-def test_what_cannot_be_attached_is_refused(tmp_path, monkeypatch):
+def test_unattachable_recording_refused(tmp_path, monkeypatch):
     path = described(tmp_path)
     monkeypatch.setattr(meshes, "MAX_MESH_BYTES", 133)
     with pytest.raises(BadInputError, match="134 bytes of meshes so far: expected at most 133"):

@@ -34,7 +34,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
+def test_panels_and_data_match(case, written):
     signals = made_up(**case)
     file = written(signals)
     n, errors = signals.robot.n, signals.robot.n * (signals.q_ref is not None)
@@ -46,7 +46,7 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
 
 
 @pytest.mark.parametrize("name", ["two joints, with reference", "one joint"])
-def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
+def test_iv_fit_shows_simulated_robot(name, written):
     signals = made_up(types=("revolute",)) if name == "one joint" else scara()
     fit, ls = fitted_iv(signals), fitted(signals)
     file = written(signals, fit, truth=ls.beta)
@@ -84,7 +84,7 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
         assert part in text
 
 
-def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
+def test_unsimulated_robot_has_no_ghost(written):
     fit = fitted_iv(made_up())
     assert (fit.status, fit.recordings[0].simulated.by_joint) == ("not_confirmed", ())
     file = written(made_up(), fit)
@@ -93,7 +93,7 @@ def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
     assert fit.reason in file.static["/report"]["TextDocument:text"][0]
 
 
-def test_titles_say_joint_and_unit(written):
+def test_titles_have_joint_and_unit(written):
     titles = {
         origin: title
         for origin, (_, title) in written(made_up(types=("prismatic", "revolute"))).views.items()
@@ -109,7 +109,7 @@ def test_titles_say_joint_and_unit(written):
     assert in_amperes["/torque/joint\\ 1.x"][1] == "torque joint 1.x [A]"
 
 
-def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
+def test_joints_of_one_type_share_error_unit(written):
     signals = made_up(types=("revolute", "prismatic", "revolute"), reference=True)
     q_ref = signals.q + np.array([2e-3, 3e-5, 5e-6])
     file = written(replace(signals, q_ref=q_ref))
@@ -123,7 +123,7 @@ def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
         )
 
 
-def test_short_curves_are_written_sample_by_sample(written):
+def test_short_curves_written_per_sample(written):
     signals = made_up(reference=True)
     fit, file = fitted(signals), written(signals)
     plan = fit.settings
@@ -145,7 +145,7 @@ def test_short_curves_are_written_sample_by_sample(written):
             np.testing.assert_allclose(x, values[:, j], rtol=1e-9, atol=1e-9 * np.abs(values).max())
 
 
-def test_the_residual_is_the_one_whose_error_is_reported(written):
+def test_residual_matches_reported_error(written):
     signals = made_up()
     fit, file = fitted(signals), written(signals)
     s = fit.problem.for_errors.settings
@@ -167,7 +167,7 @@ def test_the_residual_is_the_one_whose_error_is_reported(written):
         assert set(np.diff(k)) == {s.decimation}
 
 
-def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
+def test_long_recording_blocks_have_no_seam(written, monkeypatch):
     signals = made_up()
     whole = written(signals)
     monkeypatch.setattr(curves, "_BLOCK", 700)
@@ -181,7 +181,7 @@ def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
 
 
 @pytest.mark.parametrize(("N", "step"), [(10, 1), (10, 3), (99, 9), (5, 9)])
-def test_thinning_keeps_both_extremes_of_every_bucket(N, step):
+def test_thinning_keeps_bucket_extremes(N, step):
     x = np.random.default_rng(N).standard_normal(N)
     k = extremes(x, step)
     assert (np.diff(k) > 0).all()
@@ -194,7 +194,7 @@ def test_thinning_keeps_both_extremes_of_every_bucket(N, step):
         assert kept.max() == bucket.max()
 
 
-def test_what_was_not_recorded_or_done_is_not_shown(written):
+def test_missing_and_skipped_items_not_shown(written):
     signals = made_up()
     assert not any(path.endswith("reference") for path in written(signals).curves)
     unfiltered = written(signals, fitted(signals, cutoff_hz=0.0), name="b.rrd")
@@ -206,7 +206,7 @@ def test_what_was_not_recorded_or_done_is_not_shown(written):
     assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
 
 
-def test_each_fit_is_an_application_of_its_own(written):
+def test_each_fit_is_own_application(written):
     """A viewer has one layout per application: another fit's titles would stand
     over this one's curves.
     """
@@ -218,7 +218,7 @@ def test_each_fit_is_an_application_of_its_own(written):
     assert files[0].application == files[1].application != files[2].application
 
 
-def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):
+def test_failure_leaves_no_file_silently(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(rerun_panels, "_arrange", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         write_rrd(tmp_path / "fit.rrd", picture_of(fitted(made_up())))

@@ -36,7 +36,7 @@ def written(folder, picture):
 
 
 @pytest.mark.parametrize("name", ["tx40", "emps"])
-def test_a_robot_is_drawn_from_its_table(name):
+def test_robot_drawn_from_table(name):
     robot = robot_named(name)
     q = 0.2 * np.cumsum(np.random.default_rng(1).standard_normal((400, robot.n)), axis=0) / 20
     signals = replace(
@@ -67,7 +67,7 @@ def test_a_robot_is_drawn_from_its_table(name):
         np.testing.assert_allclose(at, expected, atol=1e-9)
 
 
-def test_poses_are_as_many_as_a_screen_shows():
+def test_poses_limited_to_screen():
     assert pose_stride(45_000, 5000.0) == 100
     assert pose_stride(100, 20.0) == 1
     assert 10_000_000 / pose_stride(10_000_000, 1000.0) <= 15_000
@@ -101,9 +101,7 @@ PLACES = {  # name of the mesh, environment, whether it is found
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(
-    place, mesh, tmp_path, monkeypatch, capfd
-):
+def test_urdf_shows_shapes_and_found_meshes(place, mesh, tmp_path, monkeypatch, capfd):
     name, variables, found = PLACES[place]
     mesh.with_name("l.STL.txt").write_text("text")
     folder = tmp_path / "src"
@@ -142,7 +140,7 @@ def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(
     assert capfd.readouterr() == ("", "")
 
 
-def test_both_robots_stand_where_their_data_says(tmp_path):
+def test_both_robots_follow_their_data(tmp_path):
     signals = scara()
     fit = fitted_iv(signals)
     file, motion = written(tmp_path, picture_of(fit)), fit.recordings[0].simulated.motion
@@ -163,7 +161,7 @@ def event(t_s, **values):
     return Event(stamp_ns=round(1e9 * t_s), **values)
 
 
-def test_events_and_counters_of_a_session_are_shown(tmp_path):
+def test_session_events_and_counters_shown(tmp_path):
     t_s = np.array([-1.0, 0.0, 1.0, 2.0, 99.0])
     phases = [(-3.0, "configure"), (-1.0, "settle"), (0.5, "track"), (99.0, "stop")]
     events = [event(t_s=at, kind="phase", text=text) for at, text in phases]
@@ -187,7 +185,7 @@ def test_events_and_counters_of_a_session_are_shown(tmp_path):
     np.testing.assert_allclose(counts, [0, 0, 2, 2, 3])
 
 
-def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_are_recorded():
+def test_extra_columns_on_signal_view():
     plain = made_up(types=("revolute", "prismatic"))
     robot = plain.robot
     columns = {
@@ -222,7 +220,7 @@ def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_ar
 @pytest.mark.parametrize(
     ("case", "N"), [({"types": ("prismatic",), "reference": True}, 4000), ({}, 2)], ids=str
 )
-def test_a_recording_that_is_not_fitted_is_shown(case, N, tmp_path):
+def test_unfitted_recording_shown(case, N, tmp_path):
     signals = made_up(**case)
     signals = replace(signals, t_s=signals.t_s[:N], q=signals.q[:N], effort=signals.effort[:N])
     file = written(tmp_path, draw_recording(signals, Overrides()))
@@ -233,7 +231,7 @@ def test_a_recording_that_is_not_fitted_is_shown(case, N, tmp_path):
     assert ("cannot be fitted" in file.static["/report"]["TextDocument:text"][0]) == (N < 4000)
 
 
-def test_differences_are_in_deviations_of_the_difference():
+def test_differences_in_their_standard_errors():
     a, b = (
         values("A", M1=(2.0, 0.3), M2=(1.0, 0.0), M4=(1.0, 0.1)),
         values("B", M1=(1.0, 0.4), M2=(1.0, 0.0), M3=(5.0, 1.0)),
@@ -251,7 +249,7 @@ def test_differences_are_in_deviations_of_the_difference():
         differences(a, values("C", M9=(1.0, 1.0)))
 
 
-def test_where_there_are_intervals_they_are_the_deviations_to_judge_by():
+def test_intervals_preferred_as_standard_errors():
     """Intervals of 2.0 ± 0.6 and 1.0 ± 0.8: the difference is one of two whose halves add up to
     1, so 1.96 deviations.
     """
@@ -269,7 +267,7 @@ def test_where_there_are_intervals_they_are_the_deviations_to_judge_by():
     assert Parameter(name="M1", value=1.0, unit="kg").half == 0
 
 
-def test_text_has_only_characters_of_the_viewers_font(tmp_path):
+def test_text_uses_viewer_font_only(tmp_path):
     """The viewer's font is Inter alone; the viewer ends at a character without a glyph."""
     assert shown_text("cond ZᵀW, σ ± 2 µrad²/√Hz − é") == "cond Z'W, σ ± 2 µrad²/√Hz − é"
     assert shown_text("Ｊ１ 関節") == "J1 ??"
@@ -300,7 +298,7 @@ def test_command_view(capsys, tmp_path):
     )
 
 
-def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
+def test_incomparable_fits_refused(capsys, tmp_path):
     def fit(name, parameter, unit):
         parameters = [{"name": parameter, "value": 1.0, "sigma": 0.1, "unit": unit}]
         content = {"format": 1, "method": "wls", "status": "solved", "parameters": parameters}
