@@ -42,7 +42,7 @@ def simulated(problem, prior, x, covariance, **options):
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])
-def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
+def test_noise_free_motion_matches_robot(name):
     toml = REPLAY / name / "robot.toml"
     body = plant(toml, smooth=0.002)
     reference = references(body, range(1), duration_s=3.0, rate_hz=1000.0)
@@ -82,7 +82,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     assert (np.linalg.norm(Z - W, axis=0) < 0.03 * np.linalg.norm(W, axis=0)).all()
 
 
-def test_blocks_of_a_long_recording_give_what_one_block_gives(monkeypatch):
+def test_long_recording_blocks_match_one_block(monkeypatch):
     """All products of columns; the motion that is kept has its instants of the rows."""
     problem = make_problem(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(decimation=5))
     full = weighted_least_squares((whole := rows_of_recording(*equation_alone(problem))).system)
@@ -104,7 +104,7 @@ def test_blocks_of_a_long_recording_give_what_one_block_gives(monkeypatch):
     )
 
 
-def test_a_pass_whose_inertia_matrix_is_not_positive():
+def test_iteration_with_indefinite_inertia_matrix():
     """The SCARA's elbow with an inertia below zero, within its interval: the nearest robot is
     simulated, and tracks.
     """
@@ -127,7 +127,7 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     np.testing.assert_array_equal(without.Z, nothing.Z)
 
 
-def test_tracking_errors_are_norms_of_the_errors_over_norms_of_the_motion():
+def test_tracking_errors_match_definition():
     """By definition, against the low-passed recording; a joint that the reference holds has none of
     position. Between the steps of a controller of 700 Hz positions follow the speeds.
     """

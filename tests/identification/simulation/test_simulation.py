@@ -42,7 +42,7 @@ def still(n: int, seconds: float) -> np.ndarray:
     return np.zeros((round(seconds * RATE), n))
 
 
-def test_a_light_wrist_does_not_chatter():
+def test_light_wrist_does_not_chatter():
     """Fc h/M = 0.16 rad/s per step on joint 6: explicit friction would reverse its sign
     every step at standstill.
     """
@@ -54,7 +54,7 @@ def test_a_light_wrist_does_not_chatter():
 
 
 @pytest.mark.parametrize("name", ["tx40", "emps"])
-def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
+def test_signals_share_one_instant(name):
     """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint
     turns round or sticks.
     """
@@ -90,7 +90,7 @@ def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
     )
 
 
-def test_a_saturated_motor_holds_its_own_integral_only():
+def test_saturated_motor_holds_own_integral_only():
     model, loop = scara_pid(saturation=0.5)
     zero, reference = still(2, 0.01), still(2, 0.01) + np.array([1.0, 0.3])
     control = Control(model, loop, zero[0], zero[0])
@@ -102,7 +102,7 @@ def test_a_saturated_motor_holds_its_own_integral_only():
 
 @pytest.mark.parametrize("structure", ["cascade_p_pi", "pid"])
 @pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
-def test_steps_of_several_instants_move_as_those_of_one(estimate, structure):
+def test_multi_instant_steps_match_single(estimate, structure):
     model, loop = scara_pid(saturation=np.inf)
     (w, size), moved = np.array([[9.0, 13.0], [0.6, 0.4]]), []
     for m in (1, 3):
@@ -121,7 +121,7 @@ def test_steps_of_several_instants_move_as_those_of_one(estimate, structure):
 
 
 @pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
-def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
+def test_reference_segments_match_whole(estimate):
     model, loop = scara_pid(saturation=300.0)
     loop = dataclasses.replace(loop, velocity_estimate=estimate)
     t_s = np.arange(900)[:, None] / RATE
@@ -144,7 +144,7 @@ def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
     assert "0.900 s" in lost
 
 
-def test_a_surrogate_holds_a_vertical_axis_up():
+def test_default_pd_holds_vertical_axis():
     """The PD of 5 Hz alone would let the axis sag by g/w² = 9.9 mm; half of the reference
     would be lost in that.
     """
@@ -182,7 +182,7 @@ def test_a_surrogate_holds_a_vertical_axis_up():
     assert (fit.status, fit.passes[-1].tracking_percent < 20) == ("converged", True)
 
 
-def test_a_simulation_that_cannot_go_on_says_why_and_is_not_clipped():
+def test_stopped_simulation_reports_reason():
     _, model = model_of("emps")
     loop = dataclasses.replace(
         default_law(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6])
@@ -202,7 +202,7 @@ def test_a_simulation_that_cannot_go_on_says_why_and_is_not_clipped():
         assert reason == "the inertia matrix is not positive definite"
 
 
-def test_noise_at_the_first_instant_does_not_go_into_the_integral():
+def test_initial_noise_stays_out_of_integral():
     """Begun in motion, off the reference, with 50 rad/s² of a count in its second difference: what
     is held is gravity only.
     """
@@ -234,7 +234,7 @@ TURN_SLIDE_TURN = 'name = "turn slide turn"\n[controller]\nbandwidth_hz = 5\n' +
 
 
 @pytest.mark.parametrize("mass", [1e-3, 2.0])
-def test_a_representative_robot_has_no_link_without_mass(mass):
+def test_representative_robot_has_link_masses(mass):
     """M2R = M2 + M3, and M3 is free to choose: whatever M2R is, M2 must not come out as zero."""
     dynamics = InverseModel(
         robot_from_files({"robot.toml": TURN_SLIDE_TURN.encode()}, "robot.toml")
@@ -253,7 +253,7 @@ def test_a_representative_robot_has_no_link_without_mass(mass):
     np.testing.assert_allclose(M, np.stack(columns, axis=1), atol=1e-12)
 
 
-def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated():
+def test_impossible_parameters_rejected():
     dynamics = InverseModel(robot_named("scara"))
     massless = np.array(
         [{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names]
@@ -266,7 +266,7 @@ def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated(
     )
 
 
-def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint():
+def test_unit_inertias_doubled_on_coupled_joint():
     dynamics = InverseModel(robot_named("tx40"))
     base = base_parameters(dynamics)
     beta = regular_start(dynamics, base)
@@ -307,7 +307,7 @@ LAWS_OF_A_LONE_JOINT = {
 @pytest.mark.parametrize("law", LAWS_OF_A_LONE_JOINT)
 @pytest.mark.parametrize("friction", ["symmetric", "asymmetric", "none", "load"])
 @pytest.mark.parametrize(("kind", "unit"), [("revolute", "N m/A"), ("prismatic", "N/A")])
-def test_a_lone_joint_moves_as_one_of_several(kind, unit, friction, law):
+def test_lone_joint_matches_one_of_several(kind, unit, friction, law):
     """In Python floats as in arrays, to which further friction leads, here of size zero."""
     terms = {"none": "[]", "load": '["viscous", "coulomb", "load"]'}.get(friction, f'"{friction}"')
     text = (
