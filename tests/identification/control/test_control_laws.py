@@ -115,7 +115,7 @@ def path_of(kind: str) -> np.ndarray:
 )
 @pytest.mark.parametrize("estimate", ESTIMATES)
 @pytest.mark.parametrize("structure", LAWS)
-def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
+def test_each_law_matches_sampled_loop(structure, estimate, kind, saturation):
     robot = axis(structure, estimate, saturation)
     (*_, model), path = modelled(robot), path_of(kind)
     done = simulate(
@@ -132,7 +132,7 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
 
 @pytest.mark.parametrize("saturation", [np.inf, 3.0])
 @pytest.mark.parametrize("structure", LAWS)
-def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturation):
+def test_external_torque_and_feedforward_in_loop(structure, saturation):
     robot = axis(structure, "exact", saturation)
     (*_, model), path = modelled(robot), path_of("sine")
     k = np.arange(TICKS)
@@ -149,7 +149,7 @@ def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturat
 
 
 @pytest.mark.parametrize("structure", LAWS)
-def test_the_gain_update_leaves_the_motion_as_it_was(structure):
+def test_gain_update_leaves_motion_unchanged(structure):
     """Twice the mass and friction under twice the gains and twice the limit: the same
     motion, saturated or not.
     """
@@ -168,7 +168,7 @@ def test_the_gain_update_leaves_the_motion_as_it_was(structure):
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_viscous_friction_of_each_direction_slows_its_own(way):
+def test_directional_viscous_friction_decay(way):
     """M dv/dt = -Fv v - Fc of the side it moves to: v = (v0 + Fc/Fv) exp(-Fv t/M) - Fc/Fv."""
     dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
     values = {"M1": 95.0, "Fvp1": 160.0, "Fcp1": 15.0, "Fvn1": 240.0, "Fcn1": 25.0}
@@ -189,7 +189,7 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
     )
 
 
-def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
+def test_coupled_gain_matrix_acts_at_motors():
     R, e = np.array([[2.0, 0.0], [3.0, -4.0]]), np.array([0.01, 0.02])
     model = direct_model(
         dynamics := InverseModel(load_robot(REPLAY / "scara" / "robot.toml")),
@@ -215,7 +215,7 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
 
 
 @pytest.mark.parametrize("estimate", ESTIMATES)
-def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
+def test_loop_started_on_reference_needs_no_effort(estimate):
     robot = axis("pd_velocity_feedforward", estimate, np.inf)
     dynamics = InverseModel(robot)
     model = direct_model(
@@ -228,7 +228,7 @@ def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
 
 
 @pytest.mark.parametrize(("limit", "effort"), [(np.inf, 0.4), (0.3, 0.3)])
-def test_an_integral_starts_within_the_limit(limit, effort):
+def test_integral_starts_within_limit(limit, effort):
     """8 N to hold at 20 N/A take 0.4 A; of a limit of 0.3 A no more than
     that is in the integral.
     """
@@ -251,7 +251,7 @@ def test_an_integral_starts_within_the_limit(limit, effort):
         (18.0, 2.0, True),
     ],
 )
-def test_friction_by_direction_holds_by_direction(force, more, moves):
+def test_directional_friction_holds_by_direction(force, more, moves):
     """15 N hold against a push in the positive direction, 25 N against one in the negative
     direction, and with Stribeck friction `more`.
     """
@@ -267,7 +267,7 @@ def test_friction_by_direction_holds_by_direction(force, more, moves):
     assert (abs(done.dq[-1, 0]) > 2e-3) == moves
 
 
-def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
+def test_joint_inertia_is_largest_along_path():
     """SCARA, elbow straight and folded: ZZ1R + ZZ2 ± 2 L MX2 at the shoulder, ZZ2 at the elbow."""
     *_, model = modelled(load_robot(REPLAY / "scara" / "robot.toml"))
     poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
@@ -276,7 +276,7 @@ def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
     )
 
 
-def test_a_controller_described_in_part_names_what_is_missing():
+def test_incomplete_controller_names_missing_keys():
     text = axis("pid", "exact", np.inf).files["robot.toml"].decode()
     robot = robot_from_files(
         {"robot.toml": re.sub("(velocity|integral)_gain = .*", "", text).encode()}, "axis.toml"
@@ -298,7 +298,7 @@ def test_a_controller_described_in_part_names_what_is_missing():
         ((1.0, 1.0), "computed_torque", 1),
     ],
 )
-def test_a_step_has_several_instants_while_the_fastest_speed_loop_allows(Kd, structure, periods):
+def test_substeps_follow_fastest_speed_loop(Kd, structure, periods):
     R = np.array([[1.0, 0.0], [0.0, -1.0]])
     loop = replace(free(2, 4000.0), R=R, Kd=np.array(Kd), G=np.ones(2), structure=structure)
     slower = loop.slower(np.stack([np.diag([2.0, 2.0]), np.diag([3.0, 0.5])]), 1000.0)

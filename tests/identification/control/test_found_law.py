@@ -82,7 +82,7 @@ def gains_of(structure: str) -> list[float]:
     ("structure", "delay"),
     [*((x, 0.75) for x in STRUCTURES), *(("pd", x) for x in (-1.0, 3.0)), ("cascade_p_pi", 0.0)],
 )
-def test_structure_gains_and_delay_are_told(structure, delay):
+def test_structure_gains_and_delay_estimated(structure, delay):
     law = told(recorded(structure, delay=delay))
     assert law.reason is None
     assert (
@@ -109,7 +109,7 @@ def test_intervals_hold():
     assert np.median(widths) < 0.01
 
 
-def test_a_law_that_is_none_of_them_is_not_told():
+def test_unknown_structure_not_reported():
     signals = recorded("pd")
     acceleration = np.gradient(np.gradient(signals.q_ref, 1 / RATE_HZ, axis=0), 1 / RATE_HZ, axis=0)
     law = told(
@@ -119,7 +119,7 @@ def test_a_law_that_is_none_of_them_is_not_told():
     assert "linear law" in law.reason
 
 
-def test_saturated_samples_are_left_out():
+def test_saturated_samples_excluded():
     signals = recorded("pd")
     limit = 0.6 * np.abs(signals.robot.motor_effort(signals.effort)).max(axis=0)
     motors = tuple(
@@ -134,7 +134,7 @@ def test_saturated_samples_are_left_out():
     assert told(replace(signals, effort=clipped)).residual_percent.max() > 5.0, "they matter"
 
 
-def test_the_law_of_the_real_axis_is_the_published_one(emps):
+def test_real_axis_law_matches_published(emps):
     law = law_of(make_problem(load_signals(emps), Overrides()))
     off = np.abs(law.gains - law.described)[:2]
     assert (law.law.structure, law.reason, law.rival) == ("pd", None, None)
@@ -145,7 +145,7 @@ def test_the_law_of_the_real_axis_is_the_published_one(emps):
 
 
 @pytest.mark.parametrize("times", [np.nan, -1.0])
-def test_a_law_without_positive_gains_is_none(times, monkeypatch):
+def test_law_without_positive_gains_rejected(times, monkeypatch):
     """What the simulated robot, the file and [controller] would have:
     refused before any of them.
     """
