@@ -83,7 +83,7 @@ def ur5() -> Signals:
     return recorded(0)
 
 
-def test_an_arm_with_speed_fed_forward_is_identified_without_its_bandwidth(ur5):
+def test_speed_feedforward_arm_without_bandwidth(ur5):
     fit, true = identify(ur5, Overrides()), truth(ur5)
     values = np.array([true[name] for name in fit.estimate.names])
     assert fit.status == "converged", fit.reason
@@ -97,7 +97,7 @@ def test_an_arm_with_speed_fed_forward_is_identified_without_its_bandwidth(ur5):
     assert errors[0] == pytest.approx(errors[1], rel=0.1)
 
 
-def test_filters_and_loop_are_told_and_no_warning_contradicts_them(ur5):
+def test_filters_and_loop_reported_consistently(ur5):
     problem = make_problem(ur5, Overrides())
     cutoff_hz, loop_hz = problem.settings.cutoff_hz, problem.signals.robot.bandwidth_hz
     assert loop_hz == pytest.approx(2 * cutoff_hz)
@@ -115,7 +115,7 @@ def test_filters_and_loop_are_told_and_no_warning_contradicts_them(ur5):
     ("given_hz", "told"),
     [(2.0, "low-pass at 2 Hz"), (20.0, "low-pass at 20 Hz"), (0.0, "no low-pass")],
 )
-def test_a_stated_cutoff_stays_and_moves_no_loop(ur5, given_hz, told):
+def test_given_cutoff_stays_loop_unchanged(ur5, given_hz, told):
     free, given = (make_problem(ur5, Overrides(cutoff_hz=x)) for x in (None, given_hz))
     assert (given.settings.cutoff_hz or 0.0, given.slip_cutoff_hz) == (
         given_hz,
@@ -129,7 +129,7 @@ def test_a_stated_cutoff_stays_and_moves_no_loop(ur5, given_hz, told):
     assert problem.settings.warnings == ()
 
 
-def test_a_recording_read_again_has_the_same(ur5):
+def test_reread_recording_has_same_bandwidth(ur5):
     problem = make_problem(ur5, Overrides())
     again = (light := replace(problem, source=ur5).without_samples).with_samples()
     # and meanwhile nothing holds the samples
@@ -140,7 +140,7 @@ def test_a_recording_read_again_has_the_same(ur5):
     assert again.signals.motion_hz == problem.signals.motion_hz == problem.settings.cutoff_hz
 
 
-def test_rows_beside_reversals_stay(ur5):
+def test_rows_near_reversals_kept(ur5):
     """A sample stands within half a period of twice the motion's end, where its joint reverses."""
     problem = make_problem(replace(ur5, q_ref=None), Overrides())
     moves, beside = sample_weights(problem).moves, ur5.sample_rate_hz / problem.signals.motion_hz
@@ -151,7 +151,7 @@ def test_rows_beside_reversals_stay(ur5):
 
 
 @pytest.mark.parametrize("count", [2, 20, 60])
-def test_a_short_recording_is_refused(ur5, count):
+def test_short_recording_refused(ur5, count):
     few = {name: getattr(ur5, name)[:count] for name in ("t_s", "q", "q_ref", "effort")}
     with pytest.raises(NoFitError):
         make_problem(replace(ur5, **few), Overrides())

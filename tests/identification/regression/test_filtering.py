@@ -25,7 +25,7 @@ T = np.arange(8000) / FS
 
 
 @pytest.mark.parametrize("cutoff_hz", [10.0, 400.0])
-def test_forward_backward_3db_frequency_is_where_the_gain_is_minus_3_db(cutoff_hz):
+def test_zero_phase_cutoff_at_minus_3_db(cutoff_hz):
     f_hz = forward_backward_3db_hz(cutoff_hz, FS)
     y = lowpass(np.sin(2 * np.pi * f_hz * T)[:, None], cutoff_hz, FS)[2000:6000, 0]
     assert 10 * np.log10(2 * np.mean(y**2)) == pytest.approx(-3.01, abs=0.02)
@@ -43,11 +43,11 @@ def test_derivatives_of_sines_for_every_joint():
 @pytest.mark.parametrize(
     ("factor", "passes"), [(1, ()), (13, (13,)), (20, (4, 5)), (17, (17,)), (1000, (10, 10, 10))]
 )
-def test_large_decimations_go_in_passes(factor, passes):
+def test_large_decimations_in_stages(factor, passes):
     assert sorted(decimation_passes(factor)) == list(passes)
 
 
-def test_a_part_of_a_motion_is_the_part_of_the_whole():
+def test_partial_motion_matches_whole():
     rng = np.random.default_rng(0)
     q = np.cumsum(rng.normal(size=(6000, 2)), axis=0)
     tau = rng.normal(size=(6000, 2))
@@ -60,7 +60,7 @@ def test_a_part_of_a_motion_is_the_part_of_the_whole():
         )
 
 
-def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
+def test_bad_cutoffs_and_few_samples_refused():
     with pytest.raises(BadInputError) as told:
         lowpass(np.zeros((100, 1)), 600.0, FS)
     assert (told.value.key, told.value.value) == ("cut-off", 600.0)
@@ -73,7 +73,7 @@ def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
 
 
 @pytest.mark.parametrize(("samples", "factor"), [(7366, 2), (9001, 10), (9009, 7), (5003, 17)])
-def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, factor):
+def test_decimation_matches_scipy_both_ways(samples, factor):
     """By scipy's filters, over the ends extended here as far as their ringing reaches."""
     x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
     near = 6 * factor
@@ -92,7 +92,7 @@ def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, fa
 
 
 @pytest.mark.parametrize("cutoff_hz", [10.0, 400.0])
-def test_the_low_pass_is_the_recursive_filter_run_forward_and_backward(cutoff_hz):
+def test_low_pass_matches_scipy_both_ways(cutoff_hz):
     x = np.random.default_rng(0).standard_normal((9000, 3)).cumsum(axis=0)
     expected = signal.sosfiltfilt(
         signal.butter(4, cutoff_hz, fs=FS, output="sos"), x, axis=0, padlen=12
@@ -101,7 +101,7 @@ def test_the_low_pass_is_the_recursive_filter_run_forward_and_backward(cutoff_hz
 
 
 @pytest.mark.parametrize(("samples", "factor"), [(400, 2), (1003, 10), (2000, 13)])
-def test_decimation_with_edges_of_matlab_is_filtfilt(samples, factor):
+def test_matlab_edge_decimation_is_filtfilt(samples, factor):
     x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
     expected = signal.sosfiltfilt(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"), x, padlen=24)
     found = Decimation(factor=factor, smooth_ends=False).filtered(x)
@@ -110,7 +110,7 @@ def test_decimation_with_edges_of_matlab_is_filtfilt(samples, factor):
     )
 
 
-def test_the_reach_of_a_filter_is_that_of_its_slowest_pole():
+def test_filter_support_follows_slowest_pole():
     for found, zpk in (
         (lowpass_reach(50.0, FS), signal.butter(4, 50.0, fs=FS, output="zpk")),
         (decimation_reach(10), signal.cheby1(8, 0.05, 0.08, output="zpk")),
@@ -119,7 +119,7 @@ def test_the_reach_of_a_filter_is_that_of_its_slowest_pole():
 
 
 @pytest.mark.parametrize("samples", [40000, 40007])
-def test_every_tenth_sample_of_what_a_low_pass_leaves_decimates_as_all_samples_do(samples):
+def test_every_tenth_sample_decimates_alike(samples):
     decimation, rate_hz = Decimation(factor=100), 5000.0
     x = lowpass(np.random.default_rng(1).normal(size=(samples, 3)), 50.0, rate_hz).T
     stride = decimation.stride_behind(50.0, rate_hz)
@@ -130,7 +130,7 @@ def test_every_tenth_sample_of_what_a_low_pass_leaves_decimates_as_all_samples_d
     np.testing.assert_allclose(strided, decimation.filtered(x), atol=1e-6 * np.abs(x).max())
 
 
-def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept():
+def test_no_skipping_where_noise_would_alias():
     for decimation, cutoff_hz in (
         (Decimation(factor=100), None),
         (Decimation(factor=100), 400.0),
@@ -141,7 +141,7 @@ def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept(
 
 
 @pytest.mark.parametrize("by", [0.25, -0.7, 1.5])
-def test_samples_in_between_are_those_of_a_cubic_spline(by):
+def test_upsampling_matches_cubic_spline(by):
     x, at = np.random.default_rng(2).normal(size=(300, 2)).cumsum(axis=0), np.arange(300) + by
     np.testing.assert_allclose(
         sampled_at(at, x)[40:-40],
@@ -155,7 +155,7 @@ def test_samples_in_between_are_those_of_a_cubic_spline(by):
 
 
 @pytest.mark.parametrize("samples", [3, 1000, 1007])
-def test_what_a_smooth_motion_needs_is_computed_at_strides_and_lies_on_a_spline_between(samples):
+def test_smooth_motion_computed_at_strides(samples):
     t_s, asked = np.arange(samples) / 1000, []
     q = np.sin(2 * np.pi * 5 * t_s)[:, None] * [1.0, 2.0]
     motion = Motion(t_s=t_s, q=q, dq=q, ddq=q, tau=q)

@@ -12,14 +12,14 @@ from identification.regression.spectrum import motion_band_hz
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-5])
-def test_joints_that_stand_do_not_set_the_band(noise):
+def test_resting_joints_do_not_set_band(noise):
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     q = signals.q.copy()
     q[:, 1] = q[0, 1] + noise * np.random.default_rng(0).standard_normal(len(q))
     assert 0.1 < motion_band_hz(replace(signals, q=q)) <= motion_band_hz(signals)
 
 
-def test_torque_errors_of_a_recording_in_which_a_joint_stands_are_behind_the_same_filters():
+def test_resting_joint_keeps_torque_error_filters():
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     q = signals.q.copy()
     q[:, 1] = q[0, 1]

@@ -36,7 +36,7 @@ def exact():
     return equation_of(problem, unknowns, 0), x, motion
 
 
-def test_terms_leave_nothing_of_an_exact_torque(exact):
+def test_terms_explain_exact_torque(exact):
     equation, x, motion = exact
     drives = equation.drives.with_gains_and_lag(x, motion)
     size = np.linalg.norm(equation.drives.torque(x, drives), axis=1)
@@ -51,7 +51,7 @@ def test_terms_leave_nothing_of_an_exact_torque(exact):
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.0013])
-def test_columns_are_the_derivatives_of_torques(exact, late_s):
+def test_columns_are_torque_derivatives(exact, late_s):
     """At gains off by a tenth. The sign of the links' torque has no filter in the columns of load
     friction, and the rate of a torque, which friction lets jump, is that of its samples.
     """

@@ -53,7 +53,7 @@ def by_formula(moves: np.ndarray, L: int) -> np.ndarray:
     return found
 
 
-def test_weights_are_those_of_the_formula_in_any_block():
+def test_weights_match_formula_in_any_block():
     moves = np.ones((400, 2), dtype=bool)
     moves[150:160, 0] = moves[300:, 0] = moves[40:60, 1] = False
     problem = scara()
@@ -69,7 +69,7 @@ def test_weights_are_those_of_the_formula_in_any_block():
     assert (expected[0, 200:260] == pytest.approx(1.0), expected[0, 150:160].max()) == (True, 0.0)
 
 
-def test_a_joint_stands_within_half_a_period_of_the_cutoff_of_a_slow_sample():
+def test_standstill_within_half_cutoff_period():
     """A joint that follows a known speed: zero where it is below 4 % of its peak within 20
     ms, at 1 kHz and 25 Hz.
     """
@@ -87,7 +87,7 @@ def test_a_joint_stands_within_half_a_period_of_the_cutoff_of_a_slow_sample():
     assert (found != near[s.start : s.stop]).mean() < 2e-3  # samples at the threshold
 
 
-def test_coupled_joints_stand_where_a_direction_that_acts_on_them_does(monkeypatch):
+def test_coupled_joints_rest_with_their_motor(monkeypatch):
     """At equal speeds of opposite sign a motor on both joints stands."""
     t = SCARA.t_s
     q = np.stack([np.sin(2 * np.pi * 0.5 * t), -np.sin(2 * np.pi * 0.5 * t)], axis=1)
@@ -104,7 +104,7 @@ def test_coupled_joints_stand_where_a_direction_that_acts_on_them_does(monkeypat
     assert (both[:, 0] == both[:, 1]).mean() > 0.9
 
 
-def test_rows_and_columns_have_the_same_weights():
+def test_rows_and_columns_share_weights():
     """Y = F[w tau] and W beta = F[w W beta] by hand, and the weight of a row F[w]
     over the filter's gain.
     """
@@ -131,7 +131,7 @@ def test_rows_and_columns_have_the_same_weights():
     )
 
 
-def test_a_threshold_of_zero_is_the_method_without_weights():
+def test_zero_threshold_disables_weights():
     """Decimated torque and regressor as they are: the digits that are published.
 
     The number is that of the method.
@@ -151,7 +151,7 @@ def test_a_threshold_of_zero_is_the_method_without_weights():
     assert [one.low_speed_percent for one in by_method] == [0.0, 10.0]
 
 
-def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is_refused():
+def test_short_moves_shorten_taper_or_refused():
     t = SCARA.t_s
     quick = np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 4 * t)], axis=1)
     ramps = sample_weights(scara(q=quick)).ramps
@@ -162,7 +162,7 @@ def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is
         identify_ls(problem.signals, Overrides())
 
 
-def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_they_move():
+def test_too_short_moves_unweighted_in_motion():
     """The elbow of two reverses too often for any ramp: torque and regressor of its rows as
     they are, and it is said.
     """
@@ -206,7 +206,7 @@ def short_moves(seed: int):
     )
 
 
-def test_recordings_of_short_moves_are_fitted():
+def test_recordings_of_short_moves_fitted():
     """No ramps suit their moves: chosen for both together, and told with joint and bandwidth."""
     fit = identify_ls(Recordings(sources=(short_moves(1), short_moves(2))), Overrides())
     for name in ("shoulder", "elbow"):
@@ -218,7 +218,7 @@ def test_recordings_of_short_moves_are_fitted():
     assert (off(fit) < 2.0).all()
 
 
-def test_the_ramp_that_is_chosen_has_the_smaller_half_widths():
+def test_chosen_taper_has_smaller_half_widths():
     """By the median ratio of the half-widths of whole fits with each ramp stated."""
     chosen = identify_ls(SCARA, Overrides()).settings.ramp_rows
     long, short = (identify_ls(SCARA, Overrides(ramp_rows=ramp)) for ramp in (2.0, 0.5))
@@ -237,7 +237,7 @@ def with_friction(signals, *terms):
 
 
 @pytest.mark.parametrize("noise", [0.0, 8e-4])
-def test_terms_of_slow_motion_count_slower_samples_down_to_the_noise(noise):
+def test_slow_terms_count_rows_down_to_noise(noise):
     """A quarter of 4 % of the peak; or 4 deviations of the noise of the filtered speed, which is
     told by another filter here.
     """
