@@ -123,7 +123,7 @@ def texts(fit: Fit) -> list[str]:
 
 
 @pytest.mark.parametrize("fault", CASES)
-def test_the_fit_that_follows_the_advice_is_right(fault):
+def test_fit_after_advice_is_right(fault):
     case = CASES[fault]
     signals = case.faulty().recording(5)
     told = texts(fit_by_default(signals))
@@ -147,7 +147,7 @@ def harmed(fit: Fit) -> bool:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_advice_makes_a_wrong_ratio_trusted(seed):
+def test_no_advice_makes_wrong_ratio_trusted(seed):
     """Rotors take what a wrong ratio leaves: whatever is offered, described, leaves a doubt."""
     rng = np.random.default_rng(seed)
     setup = replace(sound("tx40", rng), timing="command", substeps=1)

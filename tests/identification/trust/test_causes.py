@@ -37,7 +37,7 @@ def with_sign(signals: Signals, motor: int) -> Signals:
     return of_motors(lambda efforts: factor * efforts)(signals)
 
 
-def test_exchanged_efforts_are_named_and_what_is_left_without():
+def test_swapped_efforts_named():
     signals = setup("scara", 2).recording(2)
     fit = fit_by_least_squares(replace(signals, effort=signals.effort[:, ::-1]))
     assert first(fit) == ("do not use", "the efforts of motor_1 and motor_2 are exchanged")
@@ -50,7 +50,7 @@ def test_exchanged_efforts_are_named_and_what_is_left_without():
     assert with_it > 50
 
 
-def test_a_wrong_sign_names_the_motor_but_where_all_are_wrong():
+def test_wrong_sign_names_motor_unless_all_wrong():
     signals = setup("scara", 3).recording(3)
     wrong = with_sign(signals, 1)
     turned = np.array([-1.0, 1.0])
@@ -65,7 +65,7 @@ def test_a_wrong_sign_names_the_motor_but_where_all_are_wrong():
         assert first(fit_by_least_squares(one)) == ("do not use", finding)
 
 
-def test_of_a_coupled_wrist_the_motor_is_named():
+def test_coupled_wrist_names_motor():
     signals = setup("tx40", 1, 8.0).recording(1)
     assert not {"signs and order", "saturation", "positions"} & {
         line.test for line in fit_by_least_squares(signals).trust.lines
@@ -84,7 +84,7 @@ def test_of_a_coupled_wrist_the_motor_is_named():
     assert first(by_joint) == ("do not use", "the efforts of joint_5 and joint_6 are exchanged")
 
 
-def test_an_unstated_limit_of_a_drive_is_named():
+def test_missing_drive_limit_named():
     """The simulation cannot follow: refused, or told first."""
     saturated = replace(setup("scara", 4), saturated=0.8).recording(4)
     try:
@@ -94,7 +94,7 @@ def test_an_unstated_limit_of_a_drive_is_named():
     assert "saturates at" in told
 
 
-def test_limits_are_where_an_effort_stays_and_peaks_are_none():
+def test_limits_are_plateaus_not_peaks():
     t, robot = np.arange(10_000) / 1000, robot_named("scara")
     q = np.stack([np.sin(2 * np.pi * 0.5 * t), np.sin(2 * np.pi * 0.7 * t)], axis=1)
     effort = np.stack([10 * np.sin(2 * np.pi * 0.5 * t), 2 * np.sin(2 * np.pi * 0.9 * t)], axis=1)
@@ -117,7 +117,7 @@ def test_limits_are_where_an_effort_stays_and_peaks_are_none():
     assert limits(clipped, saturation=20.0) == [found]
 
 
-def test_radians_declared_as_degrees_are_asked_for():
+def test_radians_declared_as_degrees_queried():
     signals = (
         KINDS["radians declared as degrees"]
         .change(setup("scara"), np.random.default_rng(1))
@@ -129,7 +129,7 @@ def test_radians_declared_as_degrees_are_asked_for():
 @pytest.mark.parametrize(
     ("bandwidth_hz", "rate_hz", "least_hz"), [(5.0, 0.001, 10), (None, 0.001, 1), (None, 1.0, 1)]
 )
-def test_a_period_for_a_rate_is_refused(bandwidth_hz, rate_hz, least_hz):
+def test_period_given_as_rate_refused(bandwidth_hz, rate_hz, least_hz):
     signals = setup("scara", duration_s=1.0).recording(1)
     robot = replace(
         signals.robot, controller=type(signals.robot.controller)(bandwidth_hz=bandwidth_hz)
@@ -142,7 +142,7 @@ def test_a_period_for_a_rate_is_refused(bandwidth_hz, rate_hz, least_hz):
     )
 
 
-def test_a_known_lag_and_the_data_are_compared_by_students_t():
+def test_delay_compared_by_students_t():
     """3.48 deviations are the quantile 0.9985 of Student's t of 16 degrees of freedom (tables),
     2.97 that of a normal law.
     """

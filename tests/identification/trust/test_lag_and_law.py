@@ -73,7 +73,7 @@ def known(signals: Signals, option: float | str | None = None) -> tuple[float, f
 
 
 @pytest.mark.parametrize(("name", "lag"), [("emps", 3), ("scara", 0)])
-def test_the_lag_is_found_corrected_and_counted(name, lag):
+def test_delay_found_corrected_and_counted(name, lag):
     signals = recorded(name, lag=lag)
     fit = fitted(signals)
     # By the same ramps: those of a stated lag may be others, just as good.
@@ -93,7 +93,7 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     assert "corrected, included in the intervals" in told.text
 
 
-def test_what_a_lag_moves_is_the_difference_of_two_fits():
+def test_delay_effect_is_difference_of_two_fits():
     signals = recorded("emps", lag=3)
     by = partial(Overrides, ramp_rows=2.0)
     fits = [identify(signals, by(torque_lag_s=lag_s), method="wls") for lag_s in (-1e-4, 1e-4)]
@@ -109,7 +109,7 @@ def test_what_a_lag_moves_is_the_difference_of_two_fits():
     ("cell", "within", "most_ms"),
     [({"lag": 1, "noise": 2e-5}, 1.25, 0.8), ({"stribeck": 0.5}, 1.5, np.inf)],
 )
-def test_noise_that_is_fed_back_or_missing_friction_do_not_pass_for_a_lag(cell, within, most_ms):
+def test_noise_or_missing_friction_is_no_delay(cell, within, most_ms):
     (found,) = fitted(recorded("emps", **cell)).data.lags
     assert found.value_s == pytest.approx(
         (cell.get("lag", 0) - 0.5) * 1e-3, abs=within * found.half_width_s
@@ -117,7 +117,7 @@ def test_noise_that_is_fed_back_or_missing_friction_do_not_pass_for_a_lag(cell, 
     assert 1e3 * found.half_width_s < most_ms
 
 
-def test_a_lag_takes_half_its_step_from_the_fourth_pass_on(monkeypatch):
+def test_delay_step_halved_from_fourth_iteration(monkeypatch):
     """As values do: undamped, a lag may go to and fro for ever. It settles by its whole step, here
     of 0.4 samples.
     """
@@ -130,7 +130,7 @@ def test_a_lag_takes_half_its_step_from_the_fourth_pass_on(monkeypatch):
         assert (x[-1], lag.value_s, settled) == pytest.approx((value_s, value_s, False))
 
 
-def test_data_that_contradict_what_is_known_count_alone():
+def test_contradicting_data_count_alone():
     """A torque two samples late that is said to be a mean, without a controller to replay."""
     signals = replace(late_scara(), effort_timing="mean")
     fit = fitted(with_controller(signals, **NO_LAW, bandwidth_hz=signals.robot.bandwidth_hz))
@@ -139,7 +139,7 @@ def test_data_that_contradict_what_is_known_count_alone():
     assert "contradicts it and is not used" in fit.trust.line("lag").text
 
 
-def test_data_beside_a_lag_that_is_stated():
+def test_data_beside_given_delay():
     late = recorded("emps", lag=3)
     fit = fitted(late, method="wls", torque_lag_s=0.0025)
     assert (fit.trust.line("lag").level, fit.settings.torque_lag_s) == ("ok", 0.0025)
@@ -148,7 +148,7 @@ def test_data_beside_a_lag_that_is_stated():
     assert (wrong.level, "the data give 0.002" in wrong.text) == ("caution", True)
 
 
-def test_without_a_reference_the_lag_is_not_found_but_counted():
+def test_delay_without_reference_counted_not_found():
     bare = replace(recorded("scara"), q_ref=None)
     fit = identify(bare, Overrides())
     (found,) = fit.data.lags
@@ -160,7 +160,7 @@ def test_without_a_reference_the_lag_is_not_found_but_counted():
     assert identify(bare, Overrides(), method="iv").data.lags[0].found is None
 
 
-def test_the_delay_behind_the_command_and_a_torque_before_it():
+def test_command_delay_and_early_torque():
     signals = recorded("scara")
     assert fitted(signals).data.lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
     _, evidence = looked_at("iv", signals)
@@ -174,7 +174,7 @@ def test_the_delay_behind_the_command_and_a_torque_before_it():
     assert "2.00 ± 0.10 samples after the command" in after.text
 
 
-def test_recordings_alike_have_one_lag_and_others_their_own():
+def test_similar_recordings_share_delay():
     first, second = recorded("scara"), late_scara()
     first = replace(first, recording="A", sha256="a")
     both = Recordings(sources=(first, replace(second, recording="B", sha256="b")))
@@ -206,7 +206,7 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
         ("unknown", 1000.0, "none", 1e-3, (1e-3, 0.0, "torque_lag_s")),
     ],
 )
-def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
+def test_known_delay(timing, rate_hz, stated, option, expected):
     signals = with_controller(
         replace(recorded("scara"), effort_timing=timing), sample_rate_hz=rate_hz
     )
@@ -217,7 +217,7 @@ def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
     )
 
 
-def test_the_shift_is_that_of_a_sine_and_ends_are_cut():
+def test_sine_shift_with_truncated_ends():
     t = np.arange(2000.0)
     x = np.sin(0.05 * t)[:, None]
     np.testing.assert_allclose(
@@ -231,7 +231,7 @@ def test_the_shift_is_that_of_a_sine_and_ends_are_cut():
 
 
 @pytest.mark.parametrize("block", [None, 1])
-def test_an_autoregression_is_taken_out(block, monkeypatch):
+def test_autoregression_removed(block, monkeypatch):
     """Of fast rows that count, with six like them before and behind: the noise that drives it is
     left, within the twentieth of its square that the estimated coefficients change.
     """
@@ -268,7 +268,7 @@ def test_an_autoregression_is_taken_out(block, monkeypatch):
     assert np.sum(x[used] ** 2) > 2 * np.sum(e[used] ** 2)
 
 
-def test_a_joint_that_shows_no_lag_leaves_the_filter_of_the_others_as_long():
+def test_joint_without_delay_keeps_others_filter():
     problem = make_problem(recorded("scara"), Overrides())
     share, speed = np.ones((2, 300, 2))
     speed[::3, 1] = 0.0  # the elbow reverses all the time
@@ -289,7 +289,7 @@ def law_line_of(signals: Signals) -> TrustLine:
 
 
 @pytest.mark.parametrize("name", ["emps", "scara"])
-def test_the_right_controller_is_confirmed_and_faults_are_named(name):
+def test_right_controller_confirmed_faults_named(name):
     signals = recorded(name)
     sign = np.ones(signals.robot.n)
     sign[-1] = -1
@@ -305,13 +305,13 @@ def test_the_right_controller_is_confirmed_and_faults_are_named(name):
     assert f"motor {signals.robot.motors[-1].name}:" in line.text
 
 
-def test_a_rate_one_percent_wrong_shows_where_a_speed_is_fed_back():
+def test_one_percent_rate_error_shows_in_speed_loop():
     signals = recorded("emps")
     found = law_line_of(replace(signals, sample_rate_hz=1010.0, t_s=signals.t_s / 1.01))
     assert found.level == "caution"
 
 
-def test_an_integral_is_found_and_missed_where_it_is_not_described():
+def test_missing_integral_found():
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
     c = described_controller(body)
@@ -332,7 +332,7 @@ def test_an_integral_is_found_and_missed_where_it_is_not_described():
     )
 
 
-def test_the_described_gains_tell_a_lag_of_noisy_commands():
+def test_given_gains_show_delay_of_noisy_commands():
     signals = recorded("emps", lag=1, noise=2e-5)
     law = law_of(make_problem(signals, Overrides()))
     assert law.lag_s[0] * signals.sample_rate_hz == pytest.approx(1.0, abs=0.1)
@@ -343,7 +343,7 @@ def test_the_described_gains_tell_a_lag_of_noisy_commands():
     )
 
 
-def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used():
+def test_skipped_law_has_reason_estimated_is_used():
     signals = recorded("scara")
     bare = with_controller(signals, **NO_LAW)
     torque = with_controller(signals, structure="computed_torque")
@@ -357,7 +357,7 @@ def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used(
     assert not [x for x in fit.trust.assumed if x.what == "control law"]
 
 
-def test_the_real_emps(emps):
+def test_real_emps(emps):
     """Controller confirmed.
 
     The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier.
@@ -372,7 +372,7 @@ def test_the_real_emps(emps):
     assert 1e3 * lag.delay_s[0] == pytest.approx(0.27, abs=0.08)
 
 
-def test_a_lag_that_no_reference_shows_is_assumed_and_with_one_there_is_a_way():
+def test_invisible_delay_assumed_with_advice():
     """An axis whose viscous friction a lag of ± 2 ms moves by some half-widths."""
     signals = replace(sound("emps", np.random.default_rng(2)).recording(2), effort_timing="unknown")
     fit = fit_by_default(replace(signals, q_ref=None))

@@ -58,7 +58,7 @@ def told(signals):
     return fit, line
 
 
-def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
+def test_a_priori_torque_where_no_rotor_regrouped():
     head = 'type = "revolute"\nrotor_inertia = false\n'
     text = six_joints((1.1, 0.9, 1.2, 0.8, 1.0, 1.3))
     still = robot_of(text, NAMES, joint=lambda toml: toml.replace('type = "revolute"\n', head))
@@ -86,7 +86,7 @@ def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
     assert not any("6" in expressions[name] for name in left)
 
 
-def test_links_off_by_forty_percent_are_no_fault(monkeypatch):
+def test_forty_percent_link_error_is_no_fault(monkeypatch):
     """No cause is looked for: wrist_3 alone is not told by its links, which need no torque."""
     fit = fitted(recorded())
     line = fit.trust.line("prior")
@@ -119,14 +119,14 @@ def with_columns(names: str, order=range(6), gain=1.0):
         (("q q_ref", range(6), np.pi / 180), "position of all joints in rad declared as degrees?"),
     ],
 )
-def test_a_fault_of_the_recording_is_named_at_its_joints(signals, said):
+def test_recording_fault_named_at_joints(signals, said):
     fit, line = told(with_columns(*signals))
     assert fit.trust.verdict != "trust"
     assert line.level == "caution"
     assert line.text.startswith(said), line.text
 
 
-def test_a_prior_that_is_off_everywhere_is_no_fault_of_the_recording():
+def test_uniform_a_priori_error_is_no_fault():
     _, line = told(
         replace(recorded(), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES))
     )
@@ -137,7 +137,7 @@ def test_a_prior_that_is_off_everywhere_is_no_fault_of_the_recording():
     assert line.text.startswith("torques are 5 times what the URDF's links need: ")
 
 
-def test_a_stated_payload_counts():
+def test_given_payload_counts():
     signals = runs(12.0).signals(robot_of(six_joints(), NAMES), 0)
     assert "wrist_1 is" in told(signals)[1].text
     line = told(replace(signals, payload=Payload(12.0, (0.0, 0.0, 0.0))))[1]
@@ -145,7 +145,7 @@ def test_a_stated_payload_counts():
     assert all(0.9 < value < 1.1 for _, value, *_ in line.figures)
 
 
-def test_without_gains_or_inertials_there_is_no_prior():
+def test_no_a_priori_without_gains_or_inertials():
     for robot in (
         robot_of(six_joints(), NAMES, joint=lambda toml: toml.replace('"N m"', '"A"')),
         robot_of(six_joints((0,) * 6), NAMES),
@@ -157,7 +157,7 @@ def test_without_gains_or_inertials_there_is_no_prior():
         assert {stored.prior_source, *(one.prior for one in stored.parameters)} == {msgspec.UNSET}
 
 
-def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_other_blocks():
+def test_held_out_error_with_a_priori_links():
     fit = fitted(recorded())
     data, problem = fit.data, fit.problem
     system, weights = data.observed.system, fit.estimate.weights
@@ -186,9 +186,7 @@ def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_o
     )
 
 
-def test_the_report_and_the_files_have_the_prior_and_a_fit_is_compared_with_a_urdf(
-    tmp_path, capsys
-):
+def test_a_priori_in_report_files_and_compare(tmp_path, capsys):
     write_signals(tmp_path / "log.mcap", recorded(), source="independent simulator")
     fit, report, arm = (tmp_path / name for name in ("fit.json", "r.md", "arm.urdf"))
     command = "fit", tmp_path / "log.mcap", "--method", "wls", "--json", fit, "--report", report

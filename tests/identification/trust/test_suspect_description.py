@@ -56,7 +56,7 @@ def figures(fit: Fit, kind: str) -> list[tuple[str, float, float]]:
     return [(x.where, x.value, x.t) for x in missing_terms(fit.data) if x.kind == kind]
 
 
-def test_a_rotor_that_the_description_denies_is_named_with_its_size():
+def test_disabled_rotor_named_with_size():
     setup = white("scara")
     fit = fit_by_default(denied_rotor(setup, np.random.default_rng(1)).recording(3))
     told = fit.trust.line("added columns")
@@ -75,7 +75,7 @@ def test_a_rotor_that_the_description_denies_is_named_with_its_size():
     assert clean("scara").trust.verdict == "trust"
 
 
-def test_zeros_and_rotors_that_no_column_tells_are_assumed_and_those_without_effect_are_not():
+def test_unseen_zeros_and_rotors_assumed():
     """The SCARA's last zero turns its link; its first and that of a level axis are
     nowhere in the torque.
     """
@@ -92,7 +92,7 @@ def test_zeros_and_rotors_that_no_column_tells_are_assumed_and_those_without_eff
     assert assumed(off)["zeros"] == "right at elbow"
 
 
-def test_the_zero_of_a_joint_is_named_in_degrees_or_assumed():
+def test_joint_zero_named_in_degrees_or_assumed():
     signals = arm().recording(3)
     clean = fit_by_least_squares(signals)
     assert max(abs(t) for _, _, t in figures(clean, "zero")) < 4
@@ -106,7 +106,7 @@ def test_the_zero_of_a_joint_is_named_in_degrees_or_assumed():
     assert fit.trust.line("added columns").level == "caution"
 
 
-def test_clocks_that_run_apart_are_named():
+def test_clock_drift_named():
     fit = fit_by_default(clocks_apart(white("scara"), np.random.default_rng(0)).recording(3))
     told = fit.trust.line("added columns")
     assert (told.level, told.finding) == ("caution", "clock drift between positions and efforts")
@@ -127,7 +127,7 @@ def test_clocks_that_run_apart_are_named():
         ("ratio of one joint 5-10 %", "scara", "ratio", 7.6),
     ],
 )
-def test_faults_in_time_and_of_a_ratio_are_named_with_their_size(what, name, kind, found):
+def test_time_and_ratio_faults_named_with_size(what, name, kind, found):
     """Least squares of white noise; values as drawn, where the description says what is right."""
     fit = fit_by_least_squares(
         KINDS[what].change(white(name), np.random.default_rng(4)).recording(3)
@@ -141,7 +141,7 @@ def test_faults_in_time_and_of_a_ratio_are_named_with_their_size(what, name, kin
     assert max(map(abs, sound_t), default=0.0) < 4.5
 
 
-def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
+def test_delay_needs_fast_rows_alone(monkeypatch):
     """Of the elbow; the rows of the shoulder stay."""
     data, scored, shares = clean("scara").data, columns._scored, []
     orthonormal, joint = columns.orthonormal, data.observed.system.joint_of_row
@@ -172,7 +172,7 @@ def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     assert len(shares) == 3
 
 
-def test_a_lag_is_found_where_joints_reverse_often():
+def test_delay_found_with_frequent_reversals():
     """A command acts for the period after it: half a sample early. Behind a filter of six rows no
     joint has enough.
     """
@@ -184,7 +184,7 @@ def test_a_lag_is_found_where_joints_reverse_often():
     assert lag.half_width_s < 0.0002
 
 
-def test_a_late_elbow_is_named():
+def test_late_elbow_named():
     def late(signals):
         effort = signals.effort.copy()
         effort[2:, 1] = effort[:-2, 1]
@@ -195,7 +195,7 @@ def test_a_late_elbow_is_named():
     assert figures(fit, "lag")[1][1] == pytest.approx(2.0, abs=0.3)
 
 
-def test_terms_have_the_same_columns_in_blocks_as_in_one_pass(monkeypatch):
+def test_terms_same_in_blocks_and_whole(monkeypatch):
     """Hysteresis begins where the rows before end; the limit is of the whole recording's torque."""
     signals, often = white("scara").recording(3), Overrides(decimation=2)
     whole = identify_ls(signals, often).data.observed
@@ -206,7 +206,7 @@ def test_terms_have_the_same_columns_in_blocks_as_in_one_pass(monkeypatch):
     assert (off <= 1e-5 * size).all()
 
 
-def test_several_recordings_name_a_brake_by_shares_of_their_time():
+def test_several_recordings_name_brake_by_time_share():
     setup = KINDS["brake drags for 30 % of the time"].change(
         white("scara"), np.random.default_rng(4)
     )

@@ -35,7 +35,7 @@ def off_percent(fit: Fit, signals: Signals) -> float:
 # Ends and rows
 
 
-def test_a_description_asks_for_matlabs_edges():
+def test_description_requests_matlab_edges():
     signals = signals_of(SCARA)
     given = msgspec.structs.replace(signals.robot.identification, edges="matlab")
     asked = dataclasses.replace(
@@ -48,7 +48,7 @@ def test_a_description_asks_for_matlabs_edges():
     np.testing.assert_array_equal(fits[1].beta, by_option.beta)
 
 
-def test_samples_that_stand_weigh_nothing_in_both_methods_and_settings_say_so():
+def test_standstill_has_zero_weight_in_ls_and_iv():
     signals, ls, iv = signals_of(TX40), ls_of(TX40), iv_of(TX40)
     whole = identify_ls(signals, Overrides(low_speed_percent=0.0))
     rows = ls.data.observed.share.size
@@ -64,7 +64,7 @@ def test_samples_that_stand_weigh_nothing_in_both_methods_and_settings_say_so():
 # A surrogate at a low rate
 
 
-def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
+def test_low_rates_converge_under_default_pd():
     """The same motion, below 1 Hz, at 1 kHz and 100 Hz: within one interval. Held for 20 ms
     that PD is not stable.
     """
@@ -95,9 +95,7 @@ def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
 
 
 @pytest.mark.parametrize(("name", "method", "joint"), [("emps", "wls", 0), ("scara", "iv", 1)])
-def test_an_effort_of_the_wrong_sign_is_told_with_its_joint_and_a_right_one_is_not(
-    name, method, joint, request
-):
+def test_wrong_effort_sign_named_with_joint(name, method, joint, request):
     signals = signals_of(SCARA if name == "scara" else request.getfixturevalue("emps"))
     right = identify(signals, Overrides(), method="ols").trust.line("physical")
     assert (right.level, right.value > 0) == ("ok", True)
@@ -118,7 +116,7 @@ def rewritten(path, robot: Robot, samples) -> None:
         writer.samples(samples)
 
 
-def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(tmp_path, capsys):
+def test_do_not_use_result_written_with_status_3(tmp_path, capsys):
     recording = read_recording(SCARA)
     samples = np.array(recording.samples)
     samples["effort"][:, 1] *= -1
@@ -146,7 +144,7 @@ def with_keys(folder: Path, *keys: str) -> str:
     return str(folder / "robot.toml")
 
 
-def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsys):
+def test_no_convergence_or_large_error_status_3(tmp_path, capsys):
     out = tmp_path / "fit.json"
     robot = with_keys(tmp_path, "max_iterations = 1")
     status, _, err = run(capsys, "fit", SCARA, "--method", "iv", "--robot", robot, "--json", out)
@@ -160,7 +158,7 @@ def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsy
 # The best pass
 
 
-def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch):
+def test_unconverged_returns_best_tracking_iteration(monkeypatch):
     """Passes 2 and 3 get a share of the torque as noise: the first one's
     simulated robot tracks best.
     """
@@ -184,11 +182,11 @@ def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch
 # Settings and descriptions
 
 
-def test_a_start_of_iv_is_refused_with_least_squares(capsys):
+def test_iv_start_refused_with_least_squares(capsys):
     assert "--start" in refused(capsys, "fit", SCARA, "--method", "wls", "--start", "ls")
 
 
-def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
+def test_validate_takes_fit_settings(capsys, tmp_path):
     fit, errors = tmp_path / "fit.json", tmp_path / "errors.json"
     robot = with_keys(tmp_path, 'span = "all"', "low_speed_percent = 7", "decimation = 20")
 
@@ -215,7 +213,7 @@ def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
     assert used("cutoff_hz", "edges") == [hz, "matlab"]
 
 
-def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(capsys, tmp_path):
+def test_validate_falls_back_to_fit_description(capsys, tmp_path):
     fit, log, errors = tmp_path / "fit.json", tmp_path / "log.mcap", tmp_path / "errors.json"
     assert run(capsys, "fit", SCARA, "--json", fit)[0] == 0
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("d_m = 0.5", "d_m = 0.4")
@@ -242,7 +240,7 @@ def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(ca
     assert "perhaps not the same quantities" in told
 
 
-def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
+def test_compare_matches_parameters_by_meaning(capsys, tmp_path):
     a, b, old = (tmp_path / f"{name}.json" for name in ("a", "b", "old"))
     write_json(a, fit_file(ls_of(SCARA)))
     content, other = (json.loads(a.read_text()) for _ in range(2))
@@ -277,7 +275,7 @@ def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
 # Samples at real SYNC times
 
 
-def test_samples_at_real_times_are_made_uniform(tmp_path):
+def test_real_timestamps_resampled_uniformly(tmp_path):
     """A jitter of 0.3 periods that is in the stamps does no harm; one that is
     not costs what it costs.
     """

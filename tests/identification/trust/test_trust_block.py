@@ -127,7 +127,7 @@ def line(level: str, test: str = "a test", finding: str = "") -> TrustLine:
     return TrustLine(test, level, "", finding=finding)
 
 
-def test_the_worst_line_is_the_verdict():
+def test_worst_line_is_verdict():
     for levels, verdict in (
         (("ok", "cannot tell", "not made"), "trust"),
         (("ok", "caution", "not made"), "caution"),
@@ -147,7 +147,7 @@ def test_the_worst_line_is_the_verdict():
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
-def test_a_clean_recording_is_trusted_and_what_nobody_checked_is_named(method):
+def test_clean_recording_trusted_gaps_named(method):
     """Least squares cannot find the lag, and half a millisecond more or less is much of the
     shoulder's small friction.
     """
@@ -163,7 +163,7 @@ def test_a_clean_recording_is_trusted_and_what_nobody_checked_is_named(method):
     assert all(one.value and one.why for one in assumed.values())
 
 
-def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
+def test_shared_parameters_in_unknown_units_rejected():
     fit = identify(without_gains(recorded("scara")), Overrides(), method="wls")
     assert (fit.trust.verdict, fit.trust.finding) == ("do not use", "drive gains not known")
     assert fit.trust.line("units").text.startswith("ZZ2, MX2, MY2 act at several joints")
@@ -174,7 +174,7 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
     assert "one joint has no relative gain" in alone.line("added columns").text
 
 
-def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used(monkeypatch):
+def test_held_out_error_and_negative_m_do_not_use(monkeypatch):
     _, evidence = examined("wls", "scara")
     held, law = (trust_in(evidence).line(test) for test in ("held-out blocks", "control law"))
     far = replace(held, level="caution", case="far off")
@@ -200,7 +200,7 @@ def test_a_test_has_a_row_of_words_and_the_guide_counts_the_spans():
     assert set(counts) == {str(FINE_SPANS)}
 
 
-def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
+def test_uncertain_inertia_is_caution():
     _, evidence = examined("wls", "scara")
     # as with --essential
     of_some = replace(evidence, estimate=evidence.estimate.part(np.arange(5)))
@@ -220,7 +220,7 @@ def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
     assert essential_names(fit.essential, fit.estimate, wide) == ()
 
 
-def test_the_error_is_that_behind_the_rules_filter():
+def test_error_uses_default_filter():
     """Noise of 20 µm makes the prediction of a fit without a filter useless; the
     model is none the worse.
     """
@@ -242,7 +242,7 @@ def test_the_error_is_that_behind_the_rules_filter():
         ({"Fv1": 1.5, "Fc2": 1.5}, "caution"),
     ],
 )
-def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
+def test_negative_friction_false_positive_per_joint(below, level):
     _, evidence = examined("wls", "scara")
     estimate, half = evidence.estimate, evidence.intervals.half
     beta = estimate.beta.copy()
@@ -252,7 +252,7 @@ def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
     assert found.level == level, found.text
 
 
-def test_signs_are_judged_by_weighted_rows_only_where_ordinary_least_squares_sees_no_wrong_one():
+def test_signs_by_weighted_rows_if_ols_sees_none():
     """Of the rows as they are, and with the sign of every torque changed;
     beta of one or the other.
     """
@@ -282,7 +282,7 @@ def test_the_ways_an_iteration_ends():
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
-def test_a_column_is_solved_with_the_others(method, monkeypatch):
+def test_column_solved_with_others(method, monkeypatch):
     """By the rows of its instants, with what the rows of spans of time give."""
     fit, evidence = examined(method, "scara", fault="drift", by="instants")
     system = evidence.observed.system
@@ -320,14 +320,14 @@ def test_a_column_is_solved_with_the_others(method, monkeypatch):
     ("method", "fault"),
     [("iv", "asymmetric friction"), ("wls", "drift"), ("wls", "Stribeck friction")],
 )
-def test_what_the_model_lacks_is_named_first(method, fault):
+def test_missing_term_named_first(method, fault):
     found = examined(method, "scara", fault=fault)[0].trust
     told = found.line("added columns")
     assert (told.level, found.verdict) == ("caution", "caution")
     assert told.text.startswith(f"{fault} of joint ")
 
 
-def test_a_column_has_the_size_of_the_fault():
+def test_column_has_fault_size():
     found = [
         x
         for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])
@@ -337,13 +337,13 @@ def test_a_column_has_the_size_of_the_fault():
     assert [abs(x.value - 20.0) < 3 * x.value / x.t < 15.0 for x in found] == [True, True]
 
 
-def test_a_tilt_of_gravity_is_named_first():
+def test_gravity_tilt_named_first():
     told = examined("wls", "tx40", fault="tilt of gravity")[0].trust.line("added columns")
     assert told.text.startswith("tilt of gravity about x ")
     assert abs(float(told.text.split()[5])) == pytest.approx(np.deg2rad(3.0), rel=0.1)
 
 
-def test_a_relative_gain_is_named():
+def test_relative_gain_named():
     """The elbow's torque scaled by 1.2: its inertia and friction take that, its share in the
     shoulder's torque does not.
     """
@@ -353,7 +353,7 @@ def test_a_relative_gain_is_named():
     assert (told.level, told.text[:23]) == ("caution", "relative gain of joint ")
 
 
-def test_two_kinds_of_one_name_are_two_columns_that_count_together(monkeypatch):
+def test_same_name_columns_count_together(monkeypatch):
     """Two phases of one fault: a ripple of the elbow, which neither phase explains alone."""
     signals = recorded("scara")
     phase = 20 * signals.q[:, 1]
@@ -400,7 +400,7 @@ def block_errors(method: str, blocks: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
-def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
+def test_cross_validation_predicts_held_out_blocks(method):
     held, trained = block_errors(method, 5)
     whole, spans = examined(method, "scara", by="instants")[0], examined(method, "scara")[0]
     for fit, rel in ((whole, 1e-6), (spans, REL[method])):
@@ -410,7 +410,7 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
         assert [name for name, *_ in told.figures] == [f"block {k}" for k in range(1, 6)]
 
 
-def test_a_fit_that_does_not_generalise_is_a_caution():
+def test_overfitted_fit_is_caution():
     """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive
     gains let them be found.
     """
@@ -423,7 +423,7 @@ def test_a_fit_that_does_not_generalise_is_a_caution():
     assert "--consistent" not in unknown.line("held-out blocks").text
 
 
-def test_halves_differ_where_the_torque_changes_its_scale():
+def test_halves_differ_when_torque_scale_changes():
     signals = recorded("scara")
     later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
     changed = identify_ls(replace(signals, effort=signals.effort * later), Overrides())
@@ -471,7 +471,7 @@ def wald_of_halves(count: int) -> float:
     return off @ np.linalg.solve(total, off)
 
 
-def test_the_noise_of_an_end_sample_is_told():
+def test_end_sample_noise_reported():
     """MATLAB's edge rule leaves the last sample of the torque at full size in the end row."""
     signals = recorded("scara")
     stop = examined("wls", "scara")[0].settings.stop
@@ -487,7 +487,7 @@ def test_the_noise_of_an_end_sample_is_told():
     assert raw.value > 4 * smooth.value
 
 
-def test_noise_of_the_position_biases_least_squares_and_is_told():
+def test_position_noise_bias_of_ls_reported():
     """20 µm on the EMPS, with the controller in the loop: the mass is 20 to 40 % too low."""
     fit, _ = examined("wls", "emps", COARSE)
     told = fit.trust.line("position noise")
@@ -503,7 +503,7 @@ def test_noise_of_the_position_biases_least_squares_and_is_told():
         assert unseen.level == "cannot tell"
 
 
-def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
+def test_coloured_noise_seen_by_spectrum():
     """AR(0.9) from sample to sample: the noise above the low-pass is a small
     part of the noise below.
     """
@@ -512,7 +512,7 @@ def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
     assert fit.trust.line("position noise").level == "caution"
 
 
-def test_the_move_that_position_noise_is_told_by_grows_with_its_variance():
+def test_noise_bias_shift_grows_with_variance():
     """What moves the estimate with the noise itself would grow with its deviation."""
     fits = (
         examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (6e-6, 2e-5)
@@ -522,7 +522,7 @@ def test_the_move_that_position_noise_is_told_by_grows_with_its_variance():
     assert large / small == pytest.approx(100 / 9, rel=0.25)
 
 
-def test_without_noise_above_the_low_pass_nothing_moves(monkeypatch):
+def test_no_noise_above_low_pass_no_shift(monkeypatch):
     """The lag is that of the described law, which the recording is also fitted with."""
     noise = "identification.methods.position_noise._noise_like"
     monkeypatch.setattr(noise, lambda problem: np.zeros((1, 1)))
@@ -534,14 +534,14 @@ def test_without_noise_above_the_low_pass_nothing_moves(monkeypatch):
     )
 
 
-def test_weak_instruments_and_those_that_are_w():
+def test_weak_instruments_and_instruments_equal_w():
     _, evidence = examined("iv", "scara")
     lines = [instruments_test(replace(evidence, first_stage_F=F)) for F in (5.0, 50.0, 4e16)]
     assert [line.level for line in lines] == ["caution", "ok", "cannot tell"]
     assert "W itself" in lines[-1].text
 
 
-def test_an_autoregression_is_found_despite_gaps():
+def test_autoregression_found_despite_gaps():
     rng = np.random.default_rng(2)
     rho = lfilter([1.0], [1.0, -0.7, 0.2], rng.standard_normal(20_000))
     used = (rng.random(20_000) > 0.001).astype(float)
@@ -552,7 +552,7 @@ def test_an_autoregression_is_found_despite_gaps():
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
-def test_tests_of_spans_are_near_those_of_instants(method):
+def test_block_tests_close_to_row_tests(method):
     (fit, evidence), (whole, of_instants) = (
         examined(method, "scara"),
         examined(method, "scara", by="instants"),
@@ -582,7 +582,7 @@ def test_tests_of_spans_are_near_those_of_instants(method):
     np.testing.assert_allclose(fit.intervals.sigma, whole.intervals.sigma, rtol=0.15)
 
 
-def test_sums_over_spans_are_those_of_their_rows():
+def test_block_sums_match_row_sums():
     (_, evidence), (fit, by_spans) = (
         examined("wls", "scara", by="instants"),
         examined("wls", "scara"),
@@ -615,7 +615,7 @@ def test_sums_over_spans_are_those_of_their_rows():
 
 
 @pytest.mark.parametrize("by", ["spans", "instants"])
-def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(by):
+def test_resting_half_determines_nothing(by):
     signals = recorded("scara")
     q, middle = signals.q.copy(), len(signals.q) // 2
     q[:middle, 1] = q[middle, 1]
@@ -627,7 +627,7 @@ def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(by):
 # Tests that cannot be made
 
 
-def test_a_short_recording_has_no_halves():
+def test_short_recording_has_no_halves():
     short = cut(recorded("tx40", fault="tilt of gravity"), 2000, 2350)
     told = identify_ls(short, Overrides(cutoff_hz=0.0)).trust.line("halves")
     assert (told.level, "record longer" in told.text) == ("not made", True)
@@ -636,7 +636,7 @@ def test_a_short_recording_has_no_halves():
 # Real recordings
 
 
-def test_the_real_axis_has_asymmetric_friction(emps):
+def test_real_axis_has_asymmetric_friction(emps):
     for fit in (iv_of(emps), ls_of(emps)):
         told = fit.trust.line("added columns")
         assert fit.trust.verdict == "caution"

@@ -34,7 +34,7 @@ def verdict(tracking, errors, first_stage_F=500.0):
     return status_of(none, settled, (settled, (robot,)), first_stage_F, None)
 
 
-def test_every_joint_has_to_track():
+def test_every_joint_must_track():
     assert verdict(1.0, [1.0, 2.0]) == ("converged", None)
     status, reason = verdict(2.3, [0.5, 59.3])
     assert (status, reason) == (
@@ -45,7 +45,7 @@ def test_every_joint_has_to_track():
     assert verdict(1.0, [float("nan")])[0] == "not_confirmed"
 
 
-def test_instruments_that_explain_nothing_are_not_converged():
+def test_useless_instruments_not_converged():
     assert verdict(1.0, [1.0], 0.5)[0] == "diverged"
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     slow = msgspec.structs.replace(signals.robot.controller, sample_rate_hz=50.0)

@@ -47,7 +47,7 @@ NEGATIVE = {
 
 
 @pytest.mark.parametrize("doubt", [{"physical": LOW}, {"consistent": FAR}])
-def test_far_from_a_physical_robot_is_do_not_use_only_with_a_witness(monkeypatch, doubt):
+def test_inconsistent_do_not_use_needs_second_test(monkeypatch, doubt):
     alone = told(monkeypatch, **doubt)
     assert alone.verdict == "caution"
     for name, witness, named in (
@@ -61,7 +61,7 @@ def test_far_from_a_physical_robot_is_do_not_use_only_with_a_witness(monkeypatch
     assert told(monkeypatch, **doubt, held={"value": 19.5}).verdict == "caution"
 
 
-def test_a_sign_that_fits_better_turned_is_a_witness(monkeypatch):
+def test_flipped_sign_fit_is_second_test(monkeypatch):
     monkeypatch.setattr(
         verdict, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
     )
@@ -72,7 +72,7 @@ def test_a_sign_that_fits_better_turned_is_a_witness(monkeypatch):
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_two_wrong_signs_are_do_not_use_and_name_a_joint(seed):
+def test_two_wrong_signs_do_not_use_and_named(seed):
     setup = white("scara")
     wrong = two_signs(setup, np.random.default_rng(seed))
     fit = fit_by_least_squares(wrong.recording(3))
@@ -80,7 +80,7 @@ def test_two_wrong_signs_are_do_not_use_and_name_a_joint(seed):
     assert fit.trust.finding.endswith("has the wrong sign")
 
 
-def test_no_fixed_point_is_explained_by_what_else_is_found(monkeypatch):
+def test_no_convergence_explained_by_findings(monkeypatch):
     none = {"level": "do not use", "text": "status diverged: it ran away: check signs, gains"}
     rows = {"level": "caution", "text": "", "finding": "1.9 % of the rows missing"}
     both = told(monkeypatch, fixed=none, rows=rows)
@@ -103,7 +103,7 @@ def on_one_sine(setup: SetUp, path: Reference, hz: float) -> Reference:
     return Reference(q=q, dq=dq, ddq=np.gradient(dq, 1 / setup.controller.rate_hz, axis=1))
 
 
-def test_an_arm_on_a_single_sine_is_hardly_excited():
+def test_single_sine_hardly_excites_arm():
     setup = white("tx40")
     path = references(
         setup.body, range(1), duration_s=7.0, rate_hz=setup.controller.rate_hz, highest_hz=1.0
@@ -121,7 +121,7 @@ def with_torque(setup: SetUp, of):
     return setup.changed(lambda signals: replace(signals, effort=signals.effort + of(signals)))
 
 
-def test_a_spring_that_is_not_linear_and_a_limit_of_the_effort_are_named():
+def test_nonlinear_spring_and_effort_limit_named():
     setup = without = white("scara")
 
     def stop(signals):
@@ -148,7 +148,7 @@ def test_a_spring_that_is_not_linear_and_a_limit_of_the_effort_are_named():
     assert fit_by_least_squares(without.recording(3)).trust.line("added columns").level == "ok"
 
 
-def test_a_rotor_is_no_advice_where_a_ratio_explains_as_much():
+def test_rotor_not_advised_if_ratio_explains():
     """With the rotor allowed, the ratio is named all the same."""
     setup = white("scara")
     rotor = setup.body.rotor.copy()
