@@ -34,9 +34,7 @@ TRACKED = "identification.methods.solution.MAX_TRACKING_PERCENT"
         ("all", "all", 0.0),  # no simulated robot tracks: instruments along the reference
     ],
 )
-def test_two_recordings_are_fitted_with_what_they_have(
-    concerns, columns, tracked, tmp_path, monkeypatch
-):
+def test_two_recordings_fitted_with_their_data(concerns, columns, tracked, tmp_path, monkeypatch):
     monkeypatch.setattr(TRACKED, tracked)
     concerns = frozenset({"all": CONCERNS, "plain": ()}.get(concerns, (concerns,)))
     columns = frozenset(COLUMNS if columns == "all" else (columns,))
@@ -78,9 +76,7 @@ def test_two_recordings_are_fitted_with_what_they_have(
     ("count", "concerns", "columns"),
     [(2, CONCERNS, ["payload"]), (1, ["load"], COLUMNS), (1, [], ["known_torque"])],
 )
-def test_long_recordings_are_fitted_the_same_by_two_workers(
-    count, concerns, columns, tmp_path, monkeypatch
-):
+def test_two_workers_fit_long_recordings_alike(count, concerns, columns, tmp_path, monkeypatch):
     """Each of several, which is read again; the blocks of one, which end within spans of time."""
     if count == 1:
         monkeypatch.setattr(problem, "_SERIES_BLOCK", 4_000)
@@ -101,7 +97,7 @@ def test_long_recordings_are_fitted_the_same_by_two_workers(
     ("concerns", "tracked", "block", "tolerance"),
     [(CONCERNS, 20, None, 1e-9), (CONCERNS, 0, 20_000, 0.01), (["load"], 20, 20_000, 1e-9)],
 )
-def test_long_recordings_are_fitted_as_short_ones(
+def test_long_recordings_fitted_like_short(
     concerns, tracked, block, tolerance, tmp_path, monkeypatch
 ):
     """R factors of spans in place of the rows, and samples read again where they are needed; with a

@@ -19,7 +19,7 @@ def refused(*_: object) -> None:
     raise NoFitError("none")
 
 
-def test_a_recording_too_short_for_the_low_pass_of_the_rule():
+def test_recording_too_short_for_default_low_pass():
     whole = load_signals(REPLAY / "scara" / "session.mcap")
     part = slice(2000, 2400)
     signals = signals_from_arrays(
@@ -30,7 +30,7 @@ def test_a_recording_too_short_for_the_low_pass_of_the_rule():
 
 
 @pytest.mark.parametrize("near", [True, False])
-def test_a_payload_without_a_body(monkeypatch, near):
+def test_payload_without_body(monkeypatch, near):
     whole = load_signals(REPLAY / "scara" / "session.mcap")
     halves = tuple(
         replace(
@@ -52,7 +52,7 @@ def test_a_payload_without_a_body(monkeypatch, near):
     assert any("no body" in text for text in fit.warnings) != near
 
 
-def test_a_robot_that_no_consistent_one_is_near(monkeypatch):
+def test_no_consistent_model_nearby(monkeypatch):
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     part = replace(signals, **{name: getattr(signals, name)[:4000] for name in COLUMNS}, track=None)
     monkeypatch.setattr("identification.simulation.instruments.nearest_consistent", refused)
@@ -60,7 +60,7 @@ def test_a_robot_that_no_consistent_one_is_near(monkeypatch):
     assert all("no physically consistent robot is near" in one.reason for one in fit.passes)
 
 
-def test_an_unknown_payload_alone_has_no_scale(capsys):
+def test_unknown_payload_alone_has_no_scale(capsys):
     assert (
         main(["fit", str(REPLAY / "scara" / "session.mcap"), "--payload", "session=unknown"]) == 0
     )

@@ -63,7 +63,7 @@ def arm():
         ('friction = ["stribeck"]\nstribeck_speed_m_s = 5', "joint[0].stribeck_speed_m_s", "deg"),
     ],
 )
-def test_a_list_of_terms_that_means_nothing_is_refused(lines, key, expected):
+def test_meaningless_term_list_refused(lines, key, expected):
     text = (
         (REPLAY / "scara" / "robot.toml")
         .read_text()
@@ -78,7 +78,7 @@ def test_a_list_of_terms_that_means_nothing_is_refused(lines, key, expected):
 # --- the model
 
 
-def test_columns_and_units_are_those_of_the_formulas(arm):
+def test_columns_and_units_match_formulas(arm):
     """A coupled motor has its own root and Stribeck friction, at dq5 + dq6; |v|
     and load are of joints.
     """
@@ -108,7 +108,7 @@ def test_columns_and_units_are_those_of_the_formulas(arm):
     assert not {"mum6", "Fam6"} & {*units}
 
 
-def test_direct_and_inverse_model_agree_with_every_term():
+def test_direct_and_inverse_model_agree():
     """tau = W beta + mu |tau_rigid| sign(dq), tau_rigid the base columns whose own parameter
     is a link's, times beta.
     """
@@ -127,7 +127,7 @@ def test_direct_and_inverse_model_agree_with_every_term():
         )
 
 
-def test_slopes_of_the_terms_are_differences_of_their_columns():
+def test_term_slopes_match_differences():
     """Of friction with a sign, those of the rounded column; this is the
     column itself but near rest.
     """
@@ -155,7 +155,7 @@ def test_slopes_of_the_terms_are_differences_of_their_columns():
         np.testing.assert_allclose(slopes, expected, rtol=1e-6, atol=1e-8)
 
 
-def test_exact_motion_gives_every_term_back(arm):
+def test_exact_motion_recovers_every_term(arm):
     t = np.arange(0.0, 6.0, 1 / 250.0)  # of 3 s the first step cannot tell mu4
     problem, known = exact_problem(arm, fourier_reference(arm, period_s=6.0, seed=5).at(t))
     model = system_of(problem)
@@ -167,7 +167,7 @@ def test_exact_motion_gives_every_term_back(arm):
 # --- simulated motion
 
 
-def test_load_friction_is_the_same_where_a_term_beside_the_links_is_left_out():
+def test_load_friction_unaffected_by_dropped_term():
     """Root friction follows the links' columns: without it these stay where they are."""
     whole = upright([["load"], ["root", "load"]], "mu1 = 0.3\nmu2 = 0.3\n")
     more = dataclasses.replace(
@@ -205,7 +205,7 @@ def push(robot, force: float, v0: float, seconds: float = 0.4, rate_hz: float = 
     return np.arange(len(zero)) / rate_hz, done.q[:, 0], done.dq[:, 0]
 
 
-def test_root_friction_stops_a_mass_as_its_equation_says():
+def test_square_root_friction_stops_mass():
     """M dv/dt = -Fr sqrt(v): sqrt(v) = sqrt(v0) - Fr t / 2 M, and at rest it stays."""
     t, q, v = push(axis(["root"], Fr=120.0), 0.0, 0.05)
     left = np.maximum(np.sqrt(0.05) - 120.0 * t / (2 * 95.0), 0.0)
@@ -215,7 +215,7 @@ def test_root_friction_stops_a_mass_as_its_equation_says():
 
 
 @pytest.mark.parametrize(("share", "held"), [(1.31, False), (1.29, True), (0.69, False)])
-def test_load_friction_holds_a_weight_within_its_share(share, held):
+def test_load_friction_holds_weight_within_share(share, held):
     """M (a + g) (1 ± 0.3) = force: up where force > 1.3 M g, down where force <
     0.7 M g, held in between.
     """
@@ -247,9 +247,7 @@ def test_load_friction_holds_a_weight_within_its_share(share, held):
         ({"Fr": 30.0, "mu": 0.2}, True, [(4.0,), (4.0, (0.05, 0.15))], []),
     ],
 )
-def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(
-    values, vertical, motions, left_out
-):
+def test_unidentifiable_term_named_and_dropped(values, vertical, motions, left_out):
     kinds = [{"Fr": "root", "mu": "load", "Fs": "stribeck"}[name] for name in values]
     robot = axis(["viscous", "coulomb", *kinds], vertical=vertical, Fv=100.0, Fc=20.0, **values)
     made = [two_speeds(robot, *motion) for motion in motions]
@@ -268,7 +266,7 @@ def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(
     ("values", "told"),
     [({"Fv": 30.0, "Fc": 5.0, "Fa": 90.0}, True), ({"Fv": -30.0, "Fc": 10.0, "Fr": 80.0}, False)],
 )
-def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_not(values, told):
+def test_negative_friction_reported_signs_not(values, told):
     """|v| beyond viscous friction drives backward; viscous friction below zero beside
     a larger root does not.
     """
@@ -296,7 +294,7 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
 # --- several recordings
 
 
-def test_friction_of_its_own_is_judged_in_its_own_recording():
+def test_own_friction_judged_in_own_recording():
     """Viscous friction below zero that Coulomb friction makes up for, once; that of two
     recordings added up would drive.
     """
@@ -331,7 +329,7 @@ bandwidth_hz = 5
 """
 
 
-def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(tmp_path):
+def test_unidentifiable_terms_dropped_from_all(tmp_path):
     """Stribeck friction at a speed far beyond the motion is Coulomb friction; tasks in other
     processes know it too.
     """
@@ -370,7 +368,7 @@ def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(tmp_path)
         ({"c": {"speed": 1.0}}, None),
     ],
 )
-def test_values_in_tables_of_a_description_are_replaced_line_by_line(values, changed):
+def test_table_values_replaced_line_by_line(values, changed):
     if changed is None:
         with pytest.raises(BadInputError) as refused:
             replace_in_tables(TABLES, "joint", values, "robot.toml")
@@ -382,7 +380,7 @@ def test_values_in_tables_of_a_description_are_replaced_line_by_line(values, cha
         assert replace_in_tables(TABLES, "joint", values, "robot.toml") == expected
 
 
-def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
+def test_irreplaceable_description_unchanged(tmp_path, capsys):
     log, toml = REPLAY / "scara" / "session.mcap", tmp_path / "robot.toml"
     assert "--robot" in refused(capsys, "friction", log, "--write")
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("[[joint]]", "[['joint']]", 1)
@@ -395,7 +393,7 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
 # --- the real records
 
 
-def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
+def test_tx40_needs_root_and_load_friction(tx40):
     signals = signals_of(tx40)
     thin = {
         x: lowpass(getattr(signals, x), 200.0, signals.sample_rate_hz)[::10]
@@ -418,7 +416,7 @@ def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
     assert fit.trust.line("physical").level == "ok"
 
 
-def test_the_real_emps_needs_asymmetric_and_root_friction(emps):
+def test_emps_needs_asymmetric_and_root_friction(emps):
     choice = select_friction(signals_of(emps), Overrides())
     assert choice.recommended.terms == (frozenset({"asymmetric", "root"}),)
     assert choice.recommended.fitted_error_percent < 2.95

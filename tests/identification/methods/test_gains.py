@@ -66,7 +66,7 @@ def exact(observed, case):
 
 
 @pytest.mark.parametrize(("robot", "catalogue"), [("scara", True), ("axis", False), ("tx40", True)])
-def test_rows_made_by_the_model_give_gains_and_parameters_exactly(robot, catalogue, monkeypatch):
+def test_model_rows_recover_gains_exactly(robot, catalogue, monkeypatch):
     case = GainCase(robot=robot, catalogue=catalogue)
     monkeypatch.setattr(idim, "read_model", lambda *given: exact(read_model(*given), case))
     fit = fit_with_gains(*planned_pair(case))
@@ -75,7 +75,7 @@ def test_rows_made_by_the_model_give_gains_and_parameters_exactly(robot, catalog
     np.testing.assert_allclose(fit.estimate.beta, true, rtol=1e-6, atol=1e-6 * np.abs(true).max())
 
 
-def test_a_known_gain_tells_the_scale_without_a_payload():
+def test_known_gain_gives_scale_without_payload():
     recording = with_gains(planned(WHITE, None, 0), WHITE.gains * [1.0, 1.3], None)
     (gain,) = fitted(recording, gains=("motor_2",)).gains
     assert (gain.motor, gain.described) == ("motor_2", WHITE.gains[1] * 1.3)
@@ -83,7 +83,7 @@ def test_a_known_gain_tells_the_scale_without_a_payload():
 
 
 @pytest.mark.parametrize(("robot", "push"), [("scara", 1.0), ("emps", 20.0)])
-def test_a_known_torque_tells_the_scale_without_a_payload(robot, push):
+def test_external_torque_gives_scale_without_payload(robot, push):
     case = replace(WHITE, robot=robot)
     gains, half = gains_of(fitted(planned(case, None, 0, push=push), gains=("all",)))
     assert (np.abs(gains - case.gains) <= 1.5 * half).all()
@@ -133,7 +133,7 @@ STATED = "2@0.05,0.02,0"
     "options",
     ["--essential", "--essential --method ols", "--method ols", "--essential --consistent"],
 )
-def test_the_essential_parameters_of_loaded_recordings_are_true(folder, tmp_path, names, options):
+def test_loaded_essential_parameters_are_true(folder, tmp_path, names, options):
     """With a payload that is stated; alone, its inertia, which is not, is the arm's."""
     out = tmp_path / "fit.json"
     assert run_fit(folder, names, *options.split(), "--json", str(out)) == 0
@@ -165,7 +165,7 @@ def test_the_essential_parameters_of_loaded_recordings_are_true(folder, tmp_path
         ("blank_free blank_loaded", [], 3, "do not use: units: "),
     ],
 )  # fmt: skip
-def test_what_comes_out_of_wrong_pairs(folder, capsys, names, options, status, words):
+def test_wrong_pairs(folder, capsys, names, options, status, words):
     assert run_fit(folder, names, *options) == status
     printed = capsys.readouterr()
     assert words in printed.out
@@ -197,7 +197,7 @@ def test_what_comes_out_of_wrong_pairs(folder, capsys, names, options, status, w
          "--payload = 'loaded=': expected NAME=KG[@X,Y,Z]"),
     ],
 )  # fmt: skip
-def test_what_tells_no_scale_is_refused_in_one_line(folder, capsys, names, options, words):
+def test_data_without_scale_refused(folder, capsys, names, options, words):
     assert run_fit(folder, names, *options) == 1
     printed = capsys.readouterr()
     assert re.fullmatch(r"robot-identify: .+\n", printed.err), printed.err
@@ -215,7 +215,7 @@ def fit(pair):
     return fit_with_gains(*pair)
 
 
-def test_the_half_width_of_the_mass_adds_to_the_intervals(pair):
+def test_mass_half_width_adds_to_intervals(pair):
     """Seen by a second way: the fit of a mass that is heavier by its half-width."""
     free, loaded = (with_gains(one, WHITE.gains, None) for one in pair)
     stated = loaded.payload
@@ -229,7 +229,7 @@ def test_the_half_width_of_the_mass_adds_to_the_intervals(pair):
         np.testing.assert_allclose(half, np.hypot(value, of_mass), rtol=5e-3, atol=1e-9)
 
 
-def test_a_payload_is_weighed_with_gains_and_their_half_widths(fit):
+def test_payload_weighed_with_gain_half_widths(fit):
     """The half-widths seen by a second way: fits with one gain each moved by its half-width."""
     gains, half = gains_of(fit)
     free, loaded = planned_pair(replace(WHITE, mass_kg=1.4), 1)
@@ -248,7 +248,7 @@ def test_a_payload_is_weighed_with_gains_and_their_half_widths(fit):
     assert whole > 1.1 * without
 
 
-def test_free_and_loaded_share_the_arm_and_equal_payloads_their_parameters(pair):
+def test_free_and_loaded_share_arm_parameters(pair):
     free, loaded = (with_gains(one, WHITE.gains, None) for one in pair)
     fit = fitted(free, loaded, with_gains(planned(WHITE, loaded.payload, 9), WHITE.gains, None))
     assert fit.estimate.names == fit.base.names
@@ -261,7 +261,7 @@ def test_free_and_loaded_share_the_arm_and_equal_payloads_their_parameters(pair)
     )
 
 
-def test_a_lone_loaded_recording_says_whose_parameters_they_are(pair):
+def test_lone_loaded_recording_names_its_parameters(pair):
     """What is stated of the payload is taken off, the rest stays."""
     loaded = with_gains(pair[1], WHITE.gains, None)
     for stated, within in (
@@ -301,7 +301,7 @@ def validated(folder, name, out, *options):
         ("free loaded", ["--gains"]),
     ],
 )
-def test_a_payload_that_a_fit_found_is_that_of_its_recording(folder, tmp_path, names, options):
+def test_estimated_payload_belongs_to_recording(folder, tmp_path, names, options):
     out, name = tmp_path / "fit.json", names.split()[-1]
     run_fit(folder, names, *options, "--json", str(out))
     fit = json.loads(out.read_text())
@@ -318,9 +318,7 @@ def test_a_payload_that_a_fit_found_is_that_of_its_recording(folder, tmp_path, n
         assert validated(folder, name, out, "--payload", other)[0] > 1.5 * of_fit
 
 
-def test_a_payload_is_that_of_the_option_where_the_description_of_the_fit_is_used(
-    folder, tmp_path, capsys
-):
+def test_payload_option_with_fit_description(folder, tmp_path, capsys):
     toml, out = tmp_path / "offset.toml", tmp_path / "fit.json"
     text = with_gains(planned(WHITE, None, 0), WHITE.gains, None).robot.files["robot.toml"].decode()
     toml.write_text(text.replace('name = "shoulder"\n', 'name = "shoulder"\noffset = true\n'))
@@ -342,7 +340,7 @@ def test_a_payload_is_that_of_the_option_where_the_description_of_the_fit_is_use
     assert "payload = 'unknown mass, centre of mass not stated': expected its mass" in told
 
 
-def test_without_a_reference_the_gains_are_those_of_the_measured_motion(pair, fit):
+def test_gains_without_reference_use_measured_motion(pair, fit):
     assert (fit.status, fit.trust.verdict, fit.method, fit.passes) == (
         "solved",
         "caution",
@@ -354,7 +352,7 @@ def test_without_a_reference_the_gains_are_those_of_the_measured_motion(pair, fi
     assert (off_in_half_widths(fit, WHITE.gains) <= 1).all()
 
 
-def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
+def test_negative_gains_not_simulated(pair, monkeypatch):
     free, loaded = (replace(one, q_ref=one.q.copy()) for one in pair)
     monkeypatch.setattr(SimulatedRecording, "simulated", None)
     fit = fit_with_gains(replace(free, payload=loaded.payload), replace(loaded, payload=None))
@@ -366,7 +364,7 @@ def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
     assert (gains_of(fit)[0] < 0).all()
 
 
-def test_consistent_parameters_need_no_described_gain(folder, capsys, tmp_path):
+def test_consistent_parameters_need_no_given_gain(folder, capsys, tmp_path):
     out = tmp_path / "k.json"
     assert run_fit(folder, "blank_free blank_loaded", "--consistent") == 1
     assert "motor[0].drive_gain is missing" in capsys.readouterr().err
@@ -378,7 +376,7 @@ def test_consistent_parameters_need_no_described_gain(folder, capsys, tmp_path):
     assert found["ZZ2"]["value"] == pytest.approx(0.061, abs=0.01)
 
 
-def test_files_of_a_fit_with_gains(folder, tmp_path):
+def test_files_of_fit_with_gains(folder, tmp_path):
     out, toml = tmp_path / "k.json", tmp_path / "robot.toml"
     files = ["--json", str(out), "--rrd", str(tmp_path / "k.rrd")]
     assert run_fit(folder, "blank_free blank_loaded", "--gains", *files) == 0
@@ -408,7 +406,7 @@ def test_files_of_a_fit_with_gains(folder, tmp_path):
         ("axis", Payload(2.0, (0.3, 0.02, 0.0), center_half_width_m=0.0), ("ZZ",)),
     ],
 )
-def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, names):
+def test_inseparable_last_link_regrouped(robot, payload, names):
     """The planar arm feels ZZ, MX, MY and the mass; the EMPS the mass alone."""
     case = replace(WHITE, robot=robot)
     free, loaded = (with_gains(one, case.gains, None) for one in planned_pair(case))
@@ -437,7 +435,7 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
     [Payload(2.0, (0.05, 0.02, 0.1)), Payload(2.0), Payload(None), Payload(3.0, (0.0, 0.1, 0.0))],
     ids=str,
 )
-def test_the_simulated_robot_is_that_of_the_rows_where_nothing_of_a_payload_is_estimated(payload):
+def test_simulated_robot_matches_rows(payload):
     """Without a recording of the bare arm its parameters include what is not stated, and a ball
     beside them would count it twice.
     """

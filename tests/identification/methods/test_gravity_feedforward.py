@@ -85,7 +85,7 @@ def replayed(signals: Signals):
     return identify(signals, Overrides(), method="wls").trust.line("control law")
 
 
-def test_the_replay_subtracts_gravity_and_says_so():
+def test_recomputed_output_subtracts_gravity():
     line = replayed(described())
     assert line.level == "ok", line.text
     assert line.text.endswith("gravity that is fed forward is fitted and subtracted")
@@ -94,7 +94,7 @@ def test_the_replay_subtracts_gravity_and_says_so():
     assert (line.level, line.value) == ("caution", pytest.approx(1.1, abs=0.02))
 
 
-def test_the_law_adds_gravity_at_the_measured_position():
+def test_law_adds_gravity_at_measured_position():
     robot, q = described().robot, np.array([0.3, -1.0, 0.5, 0.2, 0.1, 0.0])
     dynamics = InverseModel(robot)
     model, still = direct_model(dynamics, known_parameters(dynamics)), np.zeros(6)
@@ -110,7 +110,7 @@ def test_the_law_adds_gravity_at_the_measured_position():
     )
 
 
-def test_computed_torque_has_gravity_by_itself(tmp_path):
+def test_computed_torque_includes_gravity(tmp_path):
     text = (REPLAY / "scara" / "robot.toml").read_text()
     law = 'structure = "computed_torque"\ngravity_feedforward = true'
     (tmp_path / "robot.toml").write_text(text.replace('structure = "pd_velocity_feedforward"', law))

@@ -69,7 +69,7 @@ def refusal(signals: Signals) -> str:
 
 
 @pytest.mark.parametrize("held", [0, 1])
-def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
+def test_held_joint_does_not_block_others(held):
     """The heavy shoulder hardly moves: its friction, which is not dry at 1 mrad/s, is not looked
     at. The elbow is pushed.
     """
@@ -93,7 +93,7 @@ def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
     )
 
 
-def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
+def test_saturated_reference_is_not_foreign():
     limits = (38.0, 100.0)
     signals = recorded(limits, saturates=True)
     fit = identify_iv(signals, Overrides(), Iteration())
@@ -124,13 +124,13 @@ NEVER_REACHED = (1000.0, 1000.0)  # saturation is no excuse
         (-1, lambda r: recorded(held=1).q_ref, None),
     ],
 )
-def test_a_foreign_reference_is_refused(held, changed, limits):
+def test_foreign_reference_refused(held, changed, limits):
     signals = recorded(limits, held=held)
     foreign = dataclasses.replace(signals, q_ref=np.array(changed(signals.q_ref)))
     assert "expected the reference of this recording" in refusal(foreign)
 
 
-def test_a_foreign_reference_of_a_joint_that_moves_little_is_refused():
+def test_foreign_reference_of_slow_joint_refused():
     """It goes by its own travel, a tenth of the shoulder's."""
     signals = recorded()
     q, q_ref = (x * [1.0, 0.1] for x in (signals.q, signals.q_ref))
@@ -138,7 +138,7 @@ def test_a_foreign_reference_of_a_joint_that_moves_little_is_refused():
     assert "reference of joint elbow" in refusal(dataclasses.replace(signals, q=q, q_ref=q_ref))
 
 
-def test_travel_is_compared_among_joints_of_a_type():
+def test_travel_compared_within_joint_type():
     first = robot_named("scara").joints[0]
     slide = Joint(name="slide", type="prismatic")
     joints = [first, slide, first, slide]

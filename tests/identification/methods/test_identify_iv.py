@@ -38,7 +38,7 @@ SCARA = REPLAY / "scara" / "session.mcap"
 # Real recordings
 
 
-def test_emps_converges_from_anywhere_to_the_same_answer(emps):
+def test_emps_converges_from_any_start(emps):
     light = Iteration(
         start="given", values=lambda base: np.array([1.0 * (name == "M1") for name in base.names])
     )
@@ -56,7 +56,7 @@ def test_emps_converges_from_anywhere_to_the_same_answer(emps):
     assert (half < [0.6, 20, 1.5, 0.7]).all()
 
 
-def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
+def test_tx40_converges_in_three_iterations(tx40):
     fit, ls = iv_of(tx40), ls_of(tx40)
     assert (fit.status, len(fit.beta)) == ("converged", 60)
     assert len(fit.passes) <= 4
@@ -73,7 +73,7 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     assert fit.data.first_stage_F > 10
 
 
-def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the_reference(tx40):
+def test_no_gain_update_uses_reference_instruments(tx40):
     fit, updated = (
         identify_iv(signals_of(tx40), Overrides(), Iteration(start="regular", gain_update=update))
         for update in (False, True)
@@ -105,7 +105,7 @@ def simulated(noise: Noise) -> Signals:
     return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=3)
 
 
-def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
+def test_scara_with_and_without_filter():
     """The wrong filter is none."""
     signals = simulated(Noise(position=1e-4, effort_percent=2.0))
     ls, iv = (
@@ -120,7 +120,7 @@ def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     assert error_percent(iv.beta, ls.beta) < 1
 
 
-def test_spans_of_time_let_little_position_noise_into_intervals(monkeypatch):
+def test_time_blocks_limit_position_noise(monkeypatch):
     """20 µm on the EMPS: half-widths by spans beside those by instants, in the mean of four."""
     signals, rng = load_signals(REPLAY / "emps" / "session.mcap"), np.random.default_rng(0)
     q, half = [signals.q + 20e-6 * rng.standard_normal(signals.q.shape) for _ in range(4)], []
@@ -134,7 +134,7 @@ def test_spans_of_time_let_little_position_noise_into_intervals(monkeypatch):
     assert np.mean(np.divide(*np.mean(half, axis=1))) < 1.2
 
 
-def test_recordings_of_few_samples_are_fitted():
+def test_recordings_of_few_samples_fitted():
     """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered
     are shorter than borders.
     """
@@ -154,7 +154,7 @@ def test_recordings_of_few_samples_are_fitted():
 # Where things go wrong
 
 
-def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_called_converged():
+def test_wrong_torque_sign_does_not_converge():
     signals, right = signals_of(SCARA), iv_of(SCARA)
     inertia = direct_model(right.problem.model, right.base.standard_parameters(right.beta)).inertia(
         signals.q[::500]
@@ -180,7 +180,7 @@ def test_a_torque_of_the_wrong_sign_gives_no_positive_inertia_matrix_and_is_not_
 @pytest.mark.parametrize(
     ("most", "tolerance", "settled"), [(1, 1.0, None), (2, 1e-9, False), (2, 30.0, True)]
 )
-def test_too_few_passes_are_called_what_they_are(most, tolerance, settled):
+def test_too_few_iterations_reported(most, tolerance, settled):
     """One pass on the parameters hardly change; held to a tolerance that nothing meets,
     they do not settle either.
     """
@@ -206,7 +206,7 @@ def test_too_few_passes_are_called_what_they_are(most, tolerance, settled):
         ("position_gain_ = 0", "controller: position_gain", None),
     ],
 )
-def test_a_controller_that_cannot_be_simulated_is_refused(line, key, value):
+def test_unsimulatable_controller_refused(line, key, value):
     text = (REPLAY / "scara" / "robot.toml").read_text()
     own = line.split(" =")[0].strip("_")
     text = re.sub(rf"(?m)^{own} = .*$", "" if value is None else line, text)
@@ -220,7 +220,7 @@ def test_a_controller_that_cannot_be_simulated_is_refused(line, key, value):
     assert (told.value.key, told.value.value) == (key, value)
 
 
-def test_inertias_are_those_of_a_regular_start():
+def test_inertias_of_regular_start():
     with pytest.raises(BadInputError, match="start = 'ls': expected regular, for inertias"):
         Iteration(inertias=np.ones(2))
 
@@ -252,7 +252,7 @@ def test_command_line(capsys, tmp_path):
         assert words in refused(capsys, "fit", SCARA, "--method", "iv", "--start", start)
 
 
-def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
+def test_study_without_convergence_says_so(capsys, tmp_path):
     out, robot = tmp_path / "study.json", str(REPLAY / "scara" / "robot.toml")
     command = ["study", robot, "--runs", "2", "--duration-s", "2", "--json", str(out)]
     assert main([*command, "--report", str(tmp_path / "s.html"), "--position-noise", "0.05"]) == 0
@@ -266,7 +266,7 @@ def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
     )
 
 
-def test_a_robot_whose_law_nobody_tells_is_simulated_with_a_surrogate(monkeypatch):
+def test_unknown_controller_uses_default_pd(monkeypatch):
     monkeypatch.setattr("identification.methods.model.law_of", lambda problem: None)
     robot = robot_named("scara")
     law = dict.fromkeys(("structure", "position_gain", "velocity_gain", "sample_rate_hz"))

@@ -36,7 +36,7 @@ def exact_motion(
         ("tx40", 60, weighted_least_squares),
     ],
 )
-def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
+def test_exact_motion_recovers_parameters(name, count, solve):
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=50.0, seed=4)
@@ -55,13 +55,13 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     assert estimate.residual_norm < 1e-8 * np.linalg.norm(motion.tau * estimate.weights)
 
 
-def test_the_shipped_recording_gives_the_truth_it_was_made_from():
+def test_shipped_recording_recovers_truth():
     fit = ls_of(REPLAY / "scara" / "session.mcap")
     assert (off(fit) < 1.75).all()
     assert fit.errors[-1].moving_relative_error_percent < 1.0
 
 
-def test_parameters_that_cannot_be_told_apart_are_named():
+def test_inseparable_parameters_named():
     rng = np.random.default_rng(2)
     W = rng.normal(size=(200, 4))
     W[:, 2] = 2 * W[:, 0]
@@ -82,7 +82,7 @@ def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
     return dataclasses.replace(signals, recording="made.mcap")
 
 
-def test_signals_that_are_not_finite_are_refused():
+def test_non_finite_signals_refused():
     signals = synthetic_signals(seconds=5.0)
     broken = signals.effort.copy()
     broken[70, 1] = np.inf
@@ -95,11 +95,11 @@ def test_signals_that_are_not_finite_are_refused():
     ("rate_hz", "bandwidth_hz", "n_d"),
     [(1000, 20, 10), (5000, 10, 100), (1000, 10, 20), (100, 40, 1), (3400, 20, 33)],
 )
-def test_decimation_follows_the_rule(rate_hz, bandwidth_hz, n_d):
+def test_decimation_follows_default(rate_hz, bandwidth_hz, n_d):
     assert decimation_rule(rate_hz, bandwidth_hz) == n_d
 
 
-def test_a_cutoff_below_five_bandwidths_warns_and_options_override():
+def test_low_cutoff_warns_and_options_override():
     signals = synthetic_signals()
     assert make_settings(signals, Overrides()).cutoff_hz == 25.0
     assert make_settings(signals, Overrides()).warnings == ()
@@ -115,7 +115,7 @@ def test_a_cutoff_below_five_bandwidths_warns_and_options_override():
         make_settings(signals, Overrides(decimation=2000))
 
 
-def test_the_default_span_is_that_of_motion_and_a_tracking_phase_goes_before_it():
+def test_default_segment_is_motion_after_tracking():
     signals = synthetic_signals()
     still = np.repeat(signals.q[:1], 2000, axis=0)
     padded = dataclasses.replace(

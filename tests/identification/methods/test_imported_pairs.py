@@ -60,7 +60,7 @@ def validated(folder: Path, recording: Path, *options: str) -> dict:
     return json.loads(out.read_text())
 
 
-def test_the_lag_of_a_fit_is_that_of_another_table(early):
+def test_fit_delay_belongs_to_other_table(early):
     lag = json.loads((early / "fit.json").read_text())["lag"]
     assert lag["value_s"] == pytest.approx(LATE_S, abs=1e-4)
     other = early / "pulses.mcap"
@@ -81,7 +81,7 @@ def test_the_lag_of_a_fit_is_that_of_another_table(early):
         ("", "its effort object is N at the joint, that of the fit V at the motor"),
     ],
 )
-def test_a_lag_that_is_not_used_is_said(early, tmp_path, changed, said):
+def test_unused_delay_reported(early, tmp_path, changed, said):
     table = np.loadtxt(early / "pulses.csv", delimiter=",", skiprows=1)
     text = changed + EMPS_MAP
     if not changed:

@@ -68,7 +68,7 @@ def fits(runs: Runs, robot: Robot) -> Iterator[Fit]:
         yield identify_iv(runs.signals(without_parameters(robot), run), Overrides(), Iteration())
 
 
-def test_a_loop_unknown_to_the_description_and_noise_in_it(whole):
+def test_unknown_loop_with_noise(whole):
     """TX40, recorded reference, 50 µrad of noise in a PI loop, a disturbance of 5 %: settles,
     within five half-widths.
     """
@@ -95,7 +95,7 @@ def from_sample(signals: Signals, first: int) -> Signals:
     )
 
 
-def test_a_real_record_settles_wherever_it_is_cut(tx40, whole):
+def test_real_record_converges_for_any_cut(tx40, whole):
     """Its start moved through 20 positions by 0 to 5 % of the whole, and of its half, and
     without `[parameters]`.
 
@@ -124,7 +124,7 @@ def test_a_real_record_settles_wherever_it_is_cut(tx40, whole):
         assert max(moves) < 1
 
 
-def test_the_distance_to_the_nearest_robot_is_told():
+def test_distance_to_consistent_model_reported():
     """A torque of the wrong sign at the SCARA's elbow: no robot is near, and that is said."""
     path = REPLAY / "scara" / "session.mcap"
     signals, right = signals_of(path), iv_of(path)

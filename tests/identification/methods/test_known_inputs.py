@@ -76,7 +76,7 @@ def without(column: str) -> Signals:
     return replace(records()[0], **{column: None})
 
 
-def test_with_both_the_truth_is_in_the_intervals():
+def test_truth_in_intervals_with_both():
     fit = fitted(records()[0], "iv")
     assert (off(fit) < 1).all()
     assert "caution" not in [line.level for line in fit.trust.lines]
@@ -89,7 +89,7 @@ def test_with_both_the_truth_is_in_the_intervals():
     assert fit.direct[0].torque_error_percent < 3.0
 
 
-def test_without_the_spring_the_fit_says_caution():
+def test_missing_spring_gives_caution():
     fit = fitted(without("known_torque"), "iv")
     assert not (off(fit) < 1).all()
     assert fit.trust.verdict == "caution"
@@ -101,7 +101,7 @@ def test_without_the_spring_the_fit_says_caution():
     assert "record its torque" in found.text
 
 
-def test_without_the_pulses_the_fit_says_caution():
+def test_missing_pulses_give_caution():
     fit = fitted(without("feedforward"), "iv")
     assert fit.trust.verdict == "caution"
     found = fit.trust.line("control law")
@@ -113,14 +113,14 @@ def test_without_the_pulses_the_fit_says_caution():
     )
 
 
-def test_a_validation_counts_the_known_torque():
+def test_validation_counts_external_torque():
     stored, signals = fit_file(fitted(records()[0], "wls")), (records()[1], without("known_torque"))
     errors = [validate_all([(one, Overrides())], stored, "the fit")[1][-1] for one in signals]
     assert errors[0].moving_relative_error_percent < 2.0
     assert errors[1].moving_relative_error_percent > 30.0
 
 
-def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
+def test_columns_pass_through_map_and_fit(tmp_path, capsys):
     """A table with all columns, through both command lines, gives the fit of the arrays."""
     signals, path = (
         records()[0],
@@ -185,7 +185,7 @@ def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
     assert float(row.split(",")[5]) == pytest.approx(signals.known_torque[0, 0], rel=1e-12)
 
 
-def test_another_description_of_the_robot(tmp_path):
+def test_fit_with_other_description(tmp_path):
     """Twice the ratio halves speeds; torques on the joint stay; without a gain torques
     cannot be added to volts.
     """
@@ -222,7 +222,7 @@ def test_another_description_of_the_robot(tmp_path):
         ("velocity", "w", '"m/s"', " of joint axis = -1 x the derivative of its position"),
     ],
 )
-def test_columns_that_cannot_be(tmp_path, capsys, key, column, unit, message):
+def test_impossible_columns_refused(tmp_path, capsys, key, column, unit, message):
     t = np.arange(300) / 1000
     table = np.stack([0.02 * np.sin(9 * t), np.cos(t), np.cos(t), -0.18 * np.cos(9 * t)], axis=1)
     np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="q,u,k,w", comments="")
@@ -243,7 +243,7 @@ def test_columns_that_cannot_be(tmp_path, capsys, key, column, unit, message):
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_speeds_of_joints_that_stand_are_not_judged():
+def test_speeds_of_resting_joints_not_judged():
     """The elbow creeps by 0.4 mrad in text of four digits, or stands in noise; one that moves
     by 60 digits is judged.
     """
@@ -269,7 +269,7 @@ def test_speeds_of_joints_that_stand_are_not_judged():
 
 
 @pytest.mark.parametrize("count", [1001, 1010, 1020])
-def test_a_velocity_is_compared_with_the_steps_of_its_position(count):
+def test_velocity_compared_with_position_steps(count):
     """Of a constant acceleration, whose speed is summed up without an error, times 1.5."""
     t, scara = np.arange(count)[:, None] / 400, robot_named("scara")
     told = check_recorded_velocities(scara, 0.01 * t**2 * [1, 2], 0.03 * t * [1, 2], 400.0, "")
@@ -278,7 +278,7 @@ def test_a_velocity_is_compared_with_the_steps_of_its_position(count):
         assert text == f"{start}, off by 50 %"
 
 
-def test_a_spring_has_to_take_more_than_other_terms():
+def test_spring_must_explain_more_than_others():
     def found(kind, taken_percent, least_percent=2.0):
         numbers = {
             "value": 1.0,
@@ -312,7 +312,7 @@ def flat_arm() -> Signals:
     return runs.signals(robot_named("scara"), 0)
 
 
-def test_a_gain_is_that_of_the_drive_and_not_of_the_known_torque():
+def test_gain_of_drive_not_external_torque():
     """A drive whose torque is recorded 10 % too large, beside a known torque that
     is larger than its own.
     """
@@ -324,7 +324,7 @@ def test_a_gain_is_that_of_the_drive_and_not_of_the_known_torque():
     assert float(found.text.split("elbow ")[1].split(" %")[0]) == pytest.approx(10.0, abs=0.5)
 
 
-def test_torques_without_the_weight_of_the_robot_are_told():
+def test_torques_without_gravity_reported():
     """As some drivers take it out."""
     (signals,) = moved(upright([["viscous", "coulomb"]] * 2), 2, noise=0.2).sources
     dynamics = InverseModel(signals.robot)
@@ -343,7 +343,7 @@ def test_torques_without_the_weight_of_the_robot_are_told():
     assert left < 0.6 * against
 
 
-def test_a_robot_of_vertical_axes_has_no_weight_to_miss():
+def test_vertical_axes_have_no_missing_gravity():
     signals = flat_arm()
     assert "gravity" not in identify_ls(signals, Overrides()).trust.line("physical").text
     # a description that lays it on its side

@@ -29,7 +29,7 @@ SCARA = GainCase(robot="scara", white=5.0)
     ("off_m", "mass_kg", "told"),
     [((0.003, 0, 0), 2.0, None), ((0, 0, 0.015), 2.0, "centre of mass"), ((0, 0, 0), 1.0, "gains")],
 )
-def test_what_is_stated_wrongly_of_a_payload_is_told(off_m, mass_kg, told):
+def test_wrong_payload_value_reported(off_m, mass_kg, told):
     """Taken as exact, 3 mm would move the last gain by 2.8 half-widths.
 
     The gains of the catalogue scatter by 15 %.
@@ -51,7 +51,7 @@ def test_what_is_stated_wrongly_of_a_payload_is_told(off_m, mass_kg, told):
     assert max(abs(value - 1e3 * np.linalg.norm(off_m)), 0.03) <= 2 * half < 1.0
 
 
-def test_a_stated_value_is_combined_by_variances():
+def test_given_value_combined_by_variances():
     """The minimum of both sums of squares, and the intervals of both."""
     rng = np.random.default_rng(0)
     W, names = rng.standard_normal((2, 300, 3)) @ np.triu(np.ones((3, 3))), ("a", "b", "c")
@@ -73,7 +73,7 @@ def test_a_stated_value_is_combined_by_variances():
     assert combined(system, free, {"b": (2.5, 0.02)}) is free  # the rows contradict it
 
 
-def test_a_narrow_statement_is_an_exact_one():
+def test_narrow_given_value_is_exact():
     free, loaded = planned_pair(SCARA)
     exact, narrow, wide = (
         gains_of(
@@ -89,7 +89,7 @@ def test_a_narrow_statement_is_an_exact_one():
     assert (wide[1] > exact[1]).all()
 
 
-def test_one_motor_of_the_wrong_sign_is_named():
+def test_one_motor_of_wrong_sign_named():
     turned = []
     for one in planned_pair(SCARA):
         current = one.robot.motor_effort(one.effort) * [1.0, -1.0]
@@ -99,7 +99,7 @@ def test_one_motor_of_the_wrong_sign_is_named():
     assert line.text.startswith("wrong sign of motor_2: its drive gain is negative")
 
 
-def test_friction_terms_of_a_pair_are_chosen_by_parts_of_both():
+def test_pair_friction_terms_by_cross_validation():
     found = identification.select_friction(
         Recordings(sources=planned_pair(SCARA)), Overrides(gains=("all",))
     )
@@ -108,7 +108,7 @@ def test_friction_terms_of_a_pair_are_chosen_by_parts_of_both():
     assert (np.abs(found.robot.gain / SCARA.gains - 1) < 0.05).all()
 
 
-def test_arrays_of_a_pair_give_its_gains():
+def test_arrays_of_pair_give_gains():
     free, loaded = planned_pair(SCARA)
     both, rate_hz, payload = (free, loaded), free.sample_rate_hz, (None, "2@0.05,0.02,0")
     arrays = [one.q for one in both], [one.effort for one in both], rate_hz, free.robot

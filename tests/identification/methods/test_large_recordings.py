@@ -25,7 +25,7 @@ def is_on_disk(x: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize("held", [0, 5, 10, 10**6])
-def test_bytes_are_those_appended_wherever_they_are(monkeypatch, held):
+def test_appended_bytes_read_back(monkeypatch, held):
     monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", held)
     grown = GrowingBytes()
     for part in (b"ab", b"", b"cdefgh", b"ij"):
@@ -33,7 +33,7 @@ def test_bytes_are_those_appended_wherever_they_are(monkeypatch, held):
     assert (grown.tell(), bytes(grown.whole())) == (10, b"abcdefghij")
 
 
-def test_what_is_let_go_is_read_again(everything_on_disk):
+def test_released_samples_read_again(everything_on_disk):
     x = allocate((500, 3))
     x[:] = np.arange(1500.0).reshape(500, 3)
     assert is_on_disk(x)
@@ -47,7 +47,7 @@ def test_what_is_let_go_is_read_again(everything_on_disk):
     assert (held == 1.0).all()
 
 
-def test_stamps_on_disk_keep_all_their_digits(everything_on_disk):
+def test_timestamps_on_disk_keep_digits(everything_on_disk):
     rows = np.zeros(3000, [("stamp_ns", "<i8"), ("position", "<f8", (2,))])
     rows["stamp_ns"] = 1_700_000_000_000_000_001 + np.arange(3000)
     rows["position"] = np.arange(6000.0).reshape(3000, 2)
@@ -57,7 +57,7 @@ def test_stamps_on_disk_keep_all_their_digits(everything_on_disk):
         assert found.tolist() == rows[name].tolist()
 
 
-def test_a_fit_of_samples_on_disk_is_that_of_samples_in_memory(request):
+def test_fit_on_disk_matches_memory(request):
     path = REPLAY / "scara" / "session.mcap"
     wanted = load_signals(path)
     fitted = identify_iv(wanted, Overrides(), Iteration())

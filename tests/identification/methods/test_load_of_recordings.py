@@ -49,7 +49,7 @@ def fit_of(method: str, own: str = ""):
 
 
 @pytest.mark.parametrize(("method", "own"), [("wls", ""), ("iv", "Off")])
-def test_the_truth_is_inside_and_no_test_warns(method, own):
+def test_truth_in_intervals_without_warnings(method, own):
     fit = fit_of(method, own)
     assert fit.status == ("converged" if method == "iv" else "solved")
     assert {"mu1", "mu2"} < set(fit.estimate.names)
@@ -63,7 +63,7 @@ def test_the_truth_is_inside_and_no_test_warns(method, own):
     assert levels["physical"] == levels["held-out blocks"] == "ok"
 
 
-def test_consistent_parameters_take_the_same_terms():
+def test_consistent_parameters_use_same_terms():
     made = with_consistent(fit_of("wls"))
     assert {"mu1", "mu2"} < {p.name for p in made.standard_parameters}
     assert made.consistent_set.relative_error_percent == pytest.approx(
@@ -71,7 +71,7 @@ def test_consistent_parameters_take_the_same_terms():
     )
 
 
-def test_held_out_is_predicted_by_the_fit_of_the_others():
+def test_held_out_predicted_by_others():
     """Its load friction is linearised about the fit of all: nearly the error of a fit that
     knows the others alone.
     """
@@ -93,7 +93,7 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
         assert told == pytest.approx(error, rel=within)
 
 
-def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
+def test_negative_load_friction_found_in_loaded_rows():
     """Coulomb friction of 20 N against 0.3 of the weight: in the recording of a fast motion,
     whose load is the largest.
     """

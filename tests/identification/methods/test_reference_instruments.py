@@ -72,7 +72,7 @@ def fits():
         return [identify(signals, HELD) for signals in axis_signals()]
 
 
-def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(fits):
+def test_ls_biased_by_loop_noise_iv_not(fits):
     assert {fit.status for fit in fits} == {"converged"}
     assert all(map(stands_alone, fits))
     true = description(REPLAY / "emps" / "robot.toml").parameters["M1"]
@@ -83,7 +83,7 @@ def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(fits):
     assert np.mean([off(fit) < 1 for fit in fits]) > 0.85
 
 
-def test_the_reason_is_told_and_no_law_is_assumed(fits):
+def test_reason_reported_no_law_assumed(fits):
     fit, alone = fits[0], "instruments: reference"
     assert fit.solution.reason.startswith(alone)
     assert alone in fit_document(fit_file(fit)).title
@@ -101,9 +101,7 @@ def test_the_reason_is_told_and_no_law_is_assumed(fits):
 
 
 @pytest.mark.parametrize("reference", [True, False])
-def test_without_a_reference_or_with_a_law_that_is_not_followed_nothing_is_confirmed(
-    unconfirmed, reference
-):
+def test_nothing_confirmed_without_usable_reference(unconfirmed, reference):
     signals = axis_signals(law=reference)[0]
     fit = identify(
         signals if reference else dataclasses.replace(signals, q_ref=None), HELD, method="iv"
@@ -112,7 +110,7 @@ def test_without_a_reference_or_with_a_law_that_is_not_followed_nothing_is_confi
     assert fit.trust.line("fixed point").level == "caution"
 
 
-def test_a_lag_of_the_torque_is_found_with_them(unconfirmed, fits):
+def test_torque_delay_found(unconfirmed, fits):
     signals = axis_signals()[0]
     found = identify(
         dataclasses.replace(signals, effort=np.roll(signals.effort, 3, axis=0)), Overrides()
@@ -124,7 +122,7 @@ def test_a_lag_of_the_torque_is_found_with_them(unconfirmed, fits):
 
 
 @pytest.mark.parametrize("most", [50_000, 700])
-def test_an_error_made_of_the_terms_is_predicted_whole(monkeypatch, most):
+def test_error_within_terms_fully_predicted(monkeypatch, most):
     """q - r = -c(r) late, of two joints; the span does not end with the recording."""
     monkeypatch.setattr("identification.simulation.simulated_recording.MOST_SAMPLES", most)
     monkeypatch.setattr("identification.simulation.simulated_recording.DESIGN_SAMPLES", 640)

@@ -14,7 +14,7 @@ from identification.results import identify
 
 
 @pytest.mark.parametrize(("name", "method"), [("emps", "iv"), ("scara", "iv"), ("tx40", "wls")])
-def test_samples_moved_by_one_unit_in_their_last_place_move_no_estimate(name, method):
+def test_last_digit_changes_move_no_estimate(name, method):
     rng, path = np.random.default_rng(0), REPLAY / name / "session.mcap"
     signals = signals_of(path)
     series = ((key, getattr(signals, key)) for key in ("q", "q_ref", "effort"))

@@ -71,7 +71,7 @@ def fitted(method: str = "wls", seeds: tuple[int, ...] = (1, 2, 3)):
     return identify(several(*map(recorded, seeds)), Overrides(), method=method)
 
 
-def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
+def test_least_squares_matches_stacked_rows():
     fit = fitted()
     ramps = Overrides(ramp_rows=fit.settings.ramp_rows)
     problems = with_common_band([make_problem(recorded(k), ramps) for k in (1, 2, 3)])
@@ -102,14 +102,14 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         )
 
 
-def test_the_truth_is_inside_and_the_verdict_is_trust():
+def test_truth_in_intervals_verdict_trust():
     fit = fitted("iv")
     assert off(fit).max() < 2.0
     assert (fit.status, fit.trust.verdict) == ("converged", "trust")
     assert {line.level for line in fit.trust.lines} == {"ok"}
 
 
-def test_held_out_is_predicted_by_the_fit_of_the_others():
+def test_held_out_predicted_by_others():
     fit, others = fitted(), identify_ls(several(recorded(1), recorded(2)), Overrides())
     last, problem = (
         fit.recordings[2],
@@ -124,7 +124,7 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     assert [name for name, *_ in figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
 
-def test_a_recording_that_the_others_do_not_predict_is_doubted():
+def test_unpredicted_recording_is_caution():
     other = recorded(2)
     fit = identify_ls(
         several(recorded(1), replace(other, effort=1.3 * other.effort, sha256="e" * 64)),
@@ -148,7 +148,7 @@ def bits(fit) -> list[bytes]:
 
 
 @pytest.mark.parametrize("method", ["wls", "iv"])
-def test_the_same_bits_in_any_order(method):
+def test_same_bits_in_any_order(method):
     recordings = several(*map(recorded, (3, 1, 2)), work=LastFirst())
     assert bits(identify(recordings, Overrides(), method=method)) == bits(fitted(method))
 
@@ -173,7 +173,7 @@ def with_a_joint_held(seed: int, still: int) -> Signals:
     return replace(like, q=q, q_ref=None, effort=tau + noise, recording=f"r{seed}.mcap")
 
 
-def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
+def test_recordings_excite_half_each(tmp_path, capsys):
     halves = with_a_joint_held(4, still=1), with_a_joint_held(5, still=0)
     for one in halves:
         with pytest.raises(NoFitError):
@@ -196,7 +196,7 @@ def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
     )
 
 
-def test_the_lowest_rate_of_rows_and_cutoff_is_common():
+def test_lowest_row_rate_and_cutoff_shared():
     slow, fast = recorded(6, rate_hz=500.0), recorded(1)
     wide = replace(
         fast.robot, controller=msgspec.structs.replace(fast.robot.controller, bandwidth_hz=12.0)
@@ -212,7 +212,7 @@ def test_the_lowest_rate_of_rows_and_cutoff_is_common():
     assert rates == {500.0 / make_problem(slow, Overrides()).settings.decimation}
 
 
-def test_several_recordings_are_validated(tmp_path, capsys):
+def test_several_recordings_validated(tmp_path, capsys):
     files, out = [tmp_path / f"r{seed}.mcap" for seed in (2, 3)], tmp_path / "v.json"
     for seed, path in zip((2, 3), files, strict=True):
         write_signals(path, recorded(seed), source="test")
@@ -268,7 +268,7 @@ STRIBECK = {"friction": ("viscous", "stribeck"), "stribeck_speed_deg_s": 10.0}
         ("joints", 1, {}, {"friction": USUAL[::-1]}, None),
     ],
 )
-def test_recordings_of_another_robot_are_refused(part, at, first, other, key):
+def test_recordings_of_other_robot_refused(part, at, first, other, key):
     both = [with_part(recorded(k), part, at, **values) for k, values in ((1, first), (2, other))]
     if key is None:
         check_one_robot(both)
@@ -299,7 +299,7 @@ def with_offsets(
     return found
 
 
-def test_offsets_of_their_own():
+def test_per_recording_offsets():
     def fit(kinds, offsets=(0.2, -0.1, 0.05)):
         return identify_ls(several(*with_offsets(kinds, offsets)), Overrides())
 
@@ -322,7 +322,7 @@ def test_offsets_of_their_own():
     assert alike.own.p_effective > 0.01
 
 
-def test_a_file_of_own_parameters_is_exported(tmp_path):
+def test_per_recording_parameters_exported(tmp_path):
     text = (
         robot_named("scara")
         .files["robot.toml"]
@@ -358,7 +358,7 @@ def test_a_file_of_own_parameters_is_exported(tmp_path):
     )
 
 
-def test_own_parameters_by_hand():
+def test_per_recording_parameters_by_hand():
     """F of the sums of squares of two systems, one with a column of the offset for each recording,
     one with a single one.
     """
@@ -384,7 +384,7 @@ def test_own_parameters_by_hand():
     assert fit.own.p_value == pytest.approx(stats.f.sf(F, 4, freedom), rel=1e-4)
 
 
-def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused():
+def test_unidentifiable_own_offsets_refused():
     robot = replace(
         recorded(1).robot, identification=with_offsets(("Off",))[0].robot.identification
     )
@@ -416,7 +416,7 @@ dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
     )
 
 
-def test_lags_are_in_samples_of_the_first_recording():
+def test_delays_in_samples_of_first_recording():
     """Both torques 4 ms late: four samples at 1 kHz, whatever the other's rate."""
     slow, fast = recorded(6, rate_hz=500.0), recorded(1)
     late = [
@@ -430,7 +430,7 @@ def test_lags_are_in_samples_of_the_first_recording():
     assert fit.trust.line("lag").value == pytest.approx(4.0, abs=0.3)
 
 
-def test_the_replay_is_that_of_the_worst_recording():
+def test_worst_recording_gives_recomputed_output():
     loud = replace(recorded(2), effort=1.2 * recorded(2).effort)
     line = identify_ls(several(recorded(1), loud, recorded(3)), Overrides()).trust.line(
         "control law"
@@ -439,7 +439,7 @@ def test_the_replay_is_that_of_the_worst_recording():
     assert line.value == pytest.approx(1.2, abs=0.02)
 
 
-def test_each_recording_is_simulated_with_its_own_parameters():
+def test_each_simulated_with_own_parameters():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
         model = one.simulated.motion.tau.mean(axis=0) - fit.tau[one.rows].mean(axis=0)

@@ -85,7 +85,7 @@ def worst_percent(arm, fit):
 
 @pytest.mark.parametrize("weights", WEIGHTS)
 @pytest.mark.parametrize("loss", LOSSES)
-def test_a_fit_is_as_good_as_without_the_loss(arm, robot, measured, loss, weights):
+def test_fit_as_good_as_without_loss(arm, robot, measured, loss, weights):
     change, lost = LOSSES[loss]
     signals = signals_from_arrays(*change(*measured), RATE_HZ, robot)
     np.testing.assert_array_equal(signals.measured, ~lost)
@@ -100,7 +100,7 @@ def test_a_fit_is_as_good_as_without_the_loss(arm, robot, measured, loss, weight
 
 
 @pytest.mark.parametrize("loss", ["efforts in bursts", "a gap"])
-def test_instruments_pass_over_what_was_lost(arm, robot, driven, loss):
+def test_instruments_skip_lost_rows(arm, robot, driven, loss):
     """The reference goes on where efforts are lost; in a gap it is missing too."""
     change, lost = LOSSES[loss]
     q, u, reference = driven
@@ -116,7 +116,7 @@ def test_instruments_pass_over_what_was_lost(arm, robot, driven, loss):
     )
 
 
-def test_rows_of_a_gap_are_those_of_two_recordings(arm, robot, measured):
+def test_gap_rows_match_two_recordings(arm, robot, measured):
     """The fit of a recording with a gap, and that of its two parts."""
     signals = signals_from_arrays(*(without(x, GAP) for x in measured), RATE_HZ, robot)
     parts = [
@@ -134,7 +134,7 @@ def test_rows_of_a_gap_are_those_of_two_recordings(arm, robot, measured):
     assert one.estimate.rows == pytest.approx(two.estimate.rows, rel=0.03)
 
 
-def test_errors_and_counts_are_of_measured_rows(robot, measured):
+def test_errors_and_counts_use_measured_rows(robot, measured):
     change, _ = LOSSES["efforts in bursts"]
     signals = signals_from_arrays(*change(*measured), RATE_HZ, robot)
     fit, clean = (
@@ -149,7 +149,7 @@ def test_errors_and_counts_are_of_measured_rows(robot, measured):
     assert errors[-1].relative_error_percent == pytest.approx(whole.relative_error_percent, rel=0.2)
 
 
-def test_the_law_is_found_beside_lost_efforts(robot, driven):
+def test_law_estimated_despite_lost_efforts(robot, driven):
     """Its gains are those of the recording without a loss."""
     change, _ = LOSSES["efforts in bursts"]
     q, u, reference = driven
@@ -173,7 +173,7 @@ def recording_with_gaps(path, robot, measured, there):
     return path
 
 
-def test_a_recording_with_gaps_is_fitted(arm, robot, measured, tmp_path):
+def test_recording_with_gaps_fitted(arm, robot, measured, tmp_path):
     signals = load_signals(recording_with_gaps(tmp_path / "a.mcap", robot, measured, ~GAPS))
     assert len(signals.q) == N
     np.testing.assert_array_equal(signals.measured, ~GAPS)
@@ -181,7 +181,7 @@ def test_a_recording_with_gaps_is_fitted(arm, robot, measured, tmp_path):
     assert worst_percent(arm, identify_ls(signals, Overrides())) < 0.1
 
 
-def test_weights_are_zero_wherever_a_sample_was_not_measured(robot, measured):
+def test_unmeasured_samples_have_zero_weight(robot, measured):
     for overrides in WEIGHTS.values():
         signals = signals_from_arrays(*(without(x, GAPS) for x in measured), RATE_HZ, robot)
         w = sample_weights(make_problem(signals, overrides)).between(0, N)
@@ -189,7 +189,7 @@ def test_weights_are_zero_wherever_a_sample_was_not_measured(robot, measured):
         assert (w[:, 3200:4700] > 0).any()
 
 
-def test_losses_that_leave_no_row_are_named(robot, measured):
+def test_losses_leaving_no_row_named(robot, measured):
     q, u = measured
     lost = np.where(ROW[:, None] % 10 == 0, 0.0, u)
     with pytest.raises(NoFitError, match="800 have lost efforts, of 8000 rows"):
@@ -197,7 +197,7 @@ def test_losses_that_leave_no_row_are_named(robot, measured):
 
 
 @pytest.mark.parametrize("stands", [2, 3, 5])
-def test_arrays_of_a_log_faster_than_its_robot_are_thinned(arm, robot, measured, stands):
+def test_oversampled_arrays_thinned(arm, robot, measured, stands):
     """Without a stated bandwidth, too, which is then found from the rows that are new."""
     unstated = replace(robot, controller=Controller())
     held = [x[ROW // stands * stands] for x in measured]
@@ -208,7 +208,7 @@ def test_arrays_of_a_log_faster_than_its_robot_are_thinned(arm, robot, measured,
     assert f"each row stands {stands} times" in told.text
 
 
-def test_positions_of_a_recording_keep_its_rate(robot, measured, tmp_path):
+def test_positions_keep_recording_rate(robot, measured, tmp_path):
     """Another rate is told and not taken; a correction of a clock, and any of a copy, is."""
     log = load_signals(recording_with_gaps(tmp_path / "a.mcap", robot, measured, ROW < 2000))
     signals = signals_from_arrays(log.q, log.effort, 1000, robot)

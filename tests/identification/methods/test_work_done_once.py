@@ -23,7 +23,7 @@ from identification.model import InverseModel
         (["--cutoff-hz", "40"], 4, 4),
     ],
 )
-def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solutions):
+def test_fit_with_all_files(tmp_path, monkeypatch, options, filters, solutions):
     calls = {"model": 0, "filter": 0, "least squares": 0}
 
     def counted(name, function):
