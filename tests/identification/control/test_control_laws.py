@@ -168,7 +168,7 @@ def test_gain_update_leaves_motion_unchanged(structure):
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_directional_viscous_friction_decay(way):
+def test_directional_viscous_decay(way):
     """M dv/dt = -Fv v - Fc of the side it moves to: v = (v0 + Fc/Fv) exp(-Fv t/M) - Fc/Fv."""
     dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
     values = {"M1": 95.0, "Fvp1": 160.0, "Fcp1": 15.0, "Fvn1": 240.0, "Fcn1": 25.0}
@@ -189,7 +189,7 @@ def test_directional_viscous_friction_decay(way):
     )
 
 
-def test_coupled_gain_matrix_acts_at_motors():
+def test_coupled_gains_act_at_motors():
     R, e = np.array([[2.0, 0.0], [3.0, -4.0]]), np.array([0.01, 0.02])
     model = direct_model(
         dynamics := InverseModel(load_robot(REPLAY / "scara" / "robot.toml")),

@@ -145,7 +145,7 @@ def test_real_axis_law_matches_published(emps):
 
 
 @pytest.mark.parametrize("times", [np.nan, -1.0])
-def test_law_without_positive_gains_rejected(times, monkeypatch):
+def test_law_needs_positive_gains(times, monkeypatch):
     """What the simulated robot, the file and [controller] would have:
     refused before any of them.
     """

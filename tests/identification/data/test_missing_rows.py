@@ -62,7 +62,7 @@ def test_no_loss_finds_nothing(q, name):
     ("what", "step"),
     [("12 bit over the range", None), ("slow motion", 1e-5), ("Stribeck 50 %", 1e-5)],
 )
-def test_coarse_or_slow_motion_finds_nothing(what, step):
+def test_coarse_slow_motion_finds_none(what, step):
     """Counts of 10 µm beside those of the kind."""
     setup = KINDS[what].change(short("emps", 3), np.random.default_rng(3))
     setup = setup if step is None else setup.in_cell(encoder_step=step, encoder_noise=0.0)
@@ -98,7 +98,7 @@ def test_real_axis_complete_real_arm_slow_encoder(emps, tx40):
     assert max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0
 
 
-def test_lost_rows_in_arrays_give_caution():
+def test_lost_array_rows_give_caution():
     signals = short("scara", 1).recording(1)
     lossy = with_lost_rows(signals, drawn(len(signals.q), 1.0))
     arrays = signals_from_arrays(

@@ -81,7 +81,7 @@ def test_killed_worker_ends_run_in_one_line(tmp_path):
     assert list(Work(2).run(killed, tasks)) == list(range(6)), "new workers do it"
 
 
-def test_killed_dask_worker_replaced_broken_named(cluster, tmp_path, monkeypatch):
+def test_killed_dask_worker_replaced(cluster, tmp_path, monkeypatch):
     """joblib's own backend of Dask waits forever for what its workers cannot do."""
     assert list(Work(cluster).run(killed, [(tmp_path / "once", k, 1) for k in range(6)])) == list(
         range(6)

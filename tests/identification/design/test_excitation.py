@@ -237,7 +237,7 @@ def tx40_excitation():
     return robot, excite(robot, settings, prior_information(robot), "here", said.append), said
 
 
-def test_reference_beats_plain_in_all_parameters(tx40_excitation):
+def test_reference_beats_plain_design(tx40_excitation):
     _, found, said = tx40_excitation
     smaller = found.plain / found.sigma
     assert np.median(smaller) > 1.7
@@ -263,7 +263,7 @@ def test_limits_hold_between_samples(tx40_excitation):
     assert names["effort of joint joint_1"] >= torque / 60 - 1e-3
 
 
-def test_infeasible_start_is_scaled_into_limits():
+def test_infeasible_start_is_scaled():
     """The position at the ends is a hair beyond its limit: drawn to rest there nothing would
     be left of the motion.
     """
@@ -434,7 +434,7 @@ def test_earlier_recordings_add_information(earlier):
         earlier_information(base_parameters(InverseModel(TX40)), np.ones(6), knowledge.recordings)
 
 
-def test_command_writes_trackable_reference(tmp_path, capsys):
+def test_command_writes_reference(tmp_path, capsys):
     out, toml, after = (
         tmp_path / "ref.csv",
         REPLAY / "scara" / "robot.toml",
@@ -677,7 +677,7 @@ def test_payload_reference_keeps_both_effort_limits():
     ]
 
 
-def test_gain_errors_match_normal_equations():
+def test_gain_errors_by_normal_equations():
     """Of the rows of both runs, what is not stated of the payload, and the gains; a stated
     centre of mass tells more.
     """

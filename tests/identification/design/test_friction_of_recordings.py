@@ -152,7 +152,7 @@ def test_insignificant_terms_removed_per_joint():
     assert abs(t["Fr2"]) < limit < min(t["Fr1"], t["mu1"], t["mu2"])
 
 
-def test_smallest_set_within_one_standard_error():
+def test_smallest_set_within_one_error():
     def trial(count, *scores):
         terms = tuple(frozenset({"root"} if k < count else ()) for k in range(3))
         errors = {"fitted_error_percent": 1.0, "held_out_percents": np.ones(4)}

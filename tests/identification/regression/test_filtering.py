@@ -119,7 +119,7 @@ def test_filter_support_follows_slowest_pole():
 
 
 @pytest.mark.parametrize("samples", [40000, 40007])
-def test_every_tenth_sample_decimates_alike(samples):
+def test_tenth_samples_decimate_alike(samples):
     decimation, rate_hz = Decimation(factor=100), 5000.0
     x = lowpass(np.random.default_rng(1).normal(size=(samples, 3)), 50.0, rate_hz).T
     stride = decimation.stride_behind(50.0, rate_hz)

@@ -19,7 +19,7 @@ def test_resting_joints_do_not_set_band(noise):
     assert 0.1 < motion_band_hz(replace(signals, q=q)) <= motion_band_hz(signals)
 
 
-def test_resting_joint_keeps_torque_error_filters():
+def test_resting_joint_keeps_filters():
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     q = signals.q.copy()
     q[:, 1] = q[0, 1]

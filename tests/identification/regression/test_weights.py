@@ -151,7 +151,7 @@ def test_zero_threshold_disables_weights():
     assert [one.low_speed_percent for one in by_method] == [0.0, 10.0]
 
 
-def test_short_moves_shorten_taper_or_refused():
+def test_short_moves_shorten_taper():
     t = SCARA.t_s
     quick = np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 4 * t)], axis=1)
     ramps = sample_weights(scara(q=quick)).ramps
