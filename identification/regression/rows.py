@@ -71,9 +71,8 @@ class Equation:
     @property
     def apart(self) -> "Equation":
         """The same for tasks of other processes, without samples; itself if there are none."""
-        return (
-            self if self.work.workers == 1 else replace(self, problem=self.problem.without_samples)
-        )
+        alone = self.work.workers == 1
+        return self if alone else replace(self, problem=self.problem.without_samples)
 
     def by_block(
         self, task: Callable[..., Any], x: Array, along: Iterable[MotionBlock | None] | None = None
@@ -102,10 +101,9 @@ class Equation:
         return self.arm, self.drives, *self.load, *self.stated
 
     def residual(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the residual (n, rows), N m or N, about x (p,): the known torque that no term
-        explains.
+        """Return the residual (n, rows) about x (p,): the known torque that no term explains.
 
-            r(x) = F[w (known + drives(x) - arm(x) - load(x))]                           (C)
+        r(x) = F[w (known + drives(x) - arm(x) - load(x))]                           (C)
         """
         return np.asarray(
             motion.weighted(motion.known_torque.T)
@@ -118,9 +116,7 @@ class Equation:
 
 
 def equation_of(problem: Problem, unknowns: Unknowns, k: int, work: Work = HERE) -> Equation:
-    """Put together the equation of motion of recording k: its arm, its drives, and load friction
-    and what is stated if there is any.
-    """
+    """Make the equation of motion of recording k: arm, drives, and load friction and the stated."""
     arm, motors = unknowns.arms[k], problem.signals.robot.motors
     places = {motor_of(name): i for i, name in enumerate(unknowns.all) if is_gain(name)}
     return Equation(

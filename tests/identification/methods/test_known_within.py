@@ -113,4 +113,4 @@ def test_arrays_of_pair_give_gains():
     both, rate_hz, payload = (free, loaded), free.sample_rate_hz, (None, "2@0.05,0.02,0")
     arrays = [one.q for one in both], [one.effort for one in both], rate_hz, free.robot
     fit = identification.fit(*arrays, payload=payload, gains=("all",), torque_lag_s=0.0)
-    assert (off_in_half_widths(fit, SCARA.gains) <= 1.5).all()
+    assert (off_in_half_widths(fit.evidence, SCARA.gains) <= 1.5).all()

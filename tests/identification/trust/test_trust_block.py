@@ -191,7 +191,7 @@ def test_held_out_error_and_negative_m_do_not_use(monkeypatch):
         assert ("--consistent" in judged.text) == (level == "do not use")
 
 
-def test_a_test_has_a_row_of_words_and_the_guide_counts_the_spans():
+def test_tests_have_words_and_guide_counts_spans():
     names = {one.__name__.removesuffix("_test").replace("_", " ") for one in TESTS}
     made = {"fixed point", "control law", "position noise", "held-out blocks"}
     assert names - {"<lambda>"} | made == set(WORDS)
@@ -269,7 +269,7 @@ def test_signs_by_weighted_rows_if_ols_sees_none():
     assert found == [("do not use", True), ("do not use", False), ("ok", False)]
 
 
-def test_the_ways_an_iteration_ends():
+def test_iteration_outcomes():
     none = fixed_point_line("diverged", "M", gains=False)
     assert (none.level, none.text[:18]) == ("do not use", "status diverged: M")
     ends = ("not_confirmed", "joint 2", False), ("not_confirmed", "M", True), ("converged", None, 0)
