@@ -30,7 +30,7 @@ emps = idim.load_signals(HERE / "emps" / "session.mcap")
 
 def mass(fit: idim.Fit) -> str:
     """The mass of the axis with the half-width of its 95 % interval."""
-    value, half = fit.beta[0], fit.intervals.half[0]
+    value, half = fit.parameters[0].value, fit.parameters[0].half
     return f"{value:8.3f} ± {half:6.3f} kg"
 
 

@@ -143,7 +143,7 @@ def test_from_arrays(arm):
     truth = arm_of(Path("arm.urdf").read_text(), described(ARMS[arm]))
     q, torque, q_ref = truth.driven(1, 6.0, 500.0)
     fit = identification.fit(q, torque, 500.0, "robot.toml", q_ref)
-    assert (fit.verdict, fit.status, fit.method) == ("trust", "converged", "iv")
+    assert (fit.verdict, fit.status, fit.file.method) == ("trust", "converged", "iv")
     fit.write_report("report.html")
     fit.export(mjcf="robot.xml")
     assert "<html" in Path("report.html").read_text()

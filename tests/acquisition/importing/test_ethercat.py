@@ -384,7 +384,7 @@ def test_real_capture_fit(tmp_path):
     imported(tmp_path, real().read_bytes(), robot_of(robot_text(1, drive="station = 1002\n")))
     fit = identify_iv(load_signals(tmp_path / "a.mcap"), Overrides(), Iteration())
     values = dict(zip(fit.base.names, fit.beta, strict=True))
-    half = dict(zip(fit.base.names, fit.intervals.half, strict=True))["ZZ1R"]
+    half = dict(zip(fit.base.names, fit.evidence.intervals.half, strict=True))["ZZ1R"]
     assert values["ZZ1R"] == pytest.approx(0.016689, abs=half)
     assert half < 0.012 * values["ZZ1R"]
     assert values["Fv1"] == pytest.approx(0.083443, rel=0.02)

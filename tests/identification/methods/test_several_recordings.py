@@ -143,7 +143,7 @@ class LastFirst(Work):
 
 
 def bits(fit) -> list[bytes]:
-    arrays = fit.estimate.beta, fit.intervals.covariance, fit.intervals.low, fit.tau_predicted
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.intervals.low, fit.data.predicted
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
 
 
@@ -442,5 +442,5 @@ def test_worst_recording_gives_recomputed_output():
 def test_each_simulated_with_own_parameters():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
-        model = one.simulated.motion.tau.mean(axis=0) - fit.tau[one.rows].mean(axis=0)
+        model = one.simulated.motion.tau.mean(axis=0) - one.tau.mean(axis=0)
         assert abs(model[0]) < 0.3, offset

@@ -145,7 +145,7 @@ def test_errors_and_counts_use_measured_rows(robot, measured):
     # of a sixth of the rows
     assert whole.relative_error_percent == pytest.approx(of_all.relative_error_percent, rel=0.15)
     assert 100 < whole.moving_rows < 0.5 * of_all.moving_rows
-    _, errors = validate_all([(signals, Overrides())], identification.Fit.file.func(fit), "fit")
+    _, errors = validate_all([(signals, Overrides())], identification.Fit.of(fit).file, "fit")
     assert errors[-1].relative_error_percent == pytest.approx(whole.relative_error_percent, rel=0.2)
 
 

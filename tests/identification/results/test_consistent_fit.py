@@ -269,7 +269,7 @@ def test_validate_judges_consistent_set(tmp_path, capsys, monkeypatch):
 
     integrated = []
     monkeypatch.setattr(
-        "identification.methods.parameters.errors_ahead", lambda *of: integrated.append(of)
+        "identification.results.parameters.errors_ahead", lambda *of: integrated.append(of)
     )
 
     def judged() -> tuple[float, float]:

@@ -131,7 +131,7 @@ def test_do_not_use_result_written_with_status_3(tmp_path, capsys):
     assert written["verdict"] == "do not use"
     assert [doubt["severe"] for doubt in written["doubts"]] == [True]
     severe = [line for line in written["trust"] if line["level"] == "do not use"]
-    assert all(set(line) == {"test", "level", "value", "text"} for line in severe)
+    assert all({"test", "level", "value", "text"} <= {*line} for line in severe)
     assert "physical" in [line["test"] for line in severe]
     status, printed, _ = run(capsys, "validate", out, SCARA)
     assert (status, "of joint elbow" in printed) == (0, True)

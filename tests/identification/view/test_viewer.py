@@ -90,7 +90,7 @@ def test_unsimulated_robot_has_no_ghost(written):
     file = written(made_up(), fit)
     assert file.is_complete()
     assert not any("simulated" in path for path in [*file.curves, *file.moving])
-    assert fit.reason in file.static["/report"]["TextDocument:text"][0]
+    assert fit.solution.reason in file.static["/report"]["TextDocument:text"][0]
 
 
 def test_titles_have_joint_and_unit(written):
