@@ -78,7 +78,7 @@ for start_kg, gain_update in ((1e-3, True), (1.0, True), (1e3, True), (1.0, Fals
         start="regular", inertias=np.array([start_kg]), gain_update=gain_update
     )
     iv = idim.identify_iv(emps, idim.Overrides(), iteration)
-    first, last = iv.passes[0], iv.passes[-1]
+    first, last = iv.evidence.passes[0], iv.evidence.passes[-1]
     print(
         f"{start_kg:8g} kg  {'on' if gain_update else 'off':>5}   {first.kind:>17}   "
         f"{last.change_sigma:5.2f} sigma   {mass(iv)}"
@@ -94,8 +94,8 @@ tx40 = idim.identify_iv(
 true = idim.read_fit(HERE / "tx40" / "truth.json")
 inside = sum(p.low <= true.parameters[k].value <= p.high for k, p in enumerate(tx40.parameters))
 print(
-    f"TX40: {len(tx40.beta)} parameters, {tx40.status} in {len(tx40.passes)} passes; {inside} "
-    "true values inside"
+    f"TX40: {len(tx40.beta)} parameters, {tx40.status} in {len(tx40.evidence.passes)} passes; "
+    f"{inside} true values inside"
 )
 
 # %% [markdown]
@@ -116,6 +116,6 @@ if len(sys.argv) > 1:
         published = load_robot(HERE / "emps" / "robot_published.toml")
         fit = idim.identify_ls(idim.load_signals(recording, published), idim.Overrides())
     digits = ", ".join(f"{value:.4f}" for value in fit.beta)
-    tau = fit.data.observed.tau  # all rows, behind the filters of the fit
-    error = 100 * np.linalg.norm(tau - fit.data.predicted) / np.linalg.norm(tau)
+    tau = fit.evidence.data.observed.tau  # all rows, behind the filters of the fit
+    error = 100 * np.linalg.norm(tau - fit.evidence.data.predicted) / np.linalg.norm(tau)
     print(f"real EMPS: {digits}, {error:.4f} %")
