@@ -26,7 +26,7 @@ from .report import (
     Number,
     Parameter,
     TorqueResidual,
-    TrustLineFile,
+    TrustLine,
     ValidationFile,
     Verdict,
 )
@@ -86,7 +86,7 @@ class Fit:
         return tuple(self.file.assumed or ())
 
     @property
-    def trust(self) -> tuple[TrustLineFile, ...]:
+    def trust(self) -> tuple[TrustLine, ...]:
         """The tests, worst first: `test`, `level`, `value`, `text`."""
         return tuple(self.file.trust or ())
 

@@ -16,8 +16,8 @@ from ..regression import (
     rows_of_recording,
     sample_weights,
 )
-from ..report import FTest, Method, base_name
-from ..trust import TrustLine, judge, part_of
+from ..report import FTest, Method, TrustLine, base_name
+from ..trust import judge, part_of
 from .passes import Pass
 from .start import solver_of
 

@@ -41,7 +41,7 @@ from .fit_file import (
     RecordingOfFit,
     Status,
     TorqueResidual,
-    TrustLineFile,
+    TrustLine,
     ValidationFile,
     Verdict,
     known,

@@ -100,28 +100,40 @@ class LagFile(msgspec.Struct, frozen=True, kw_only=True):
     effort_provenance: str = ""  # of a file of an earlier version, in place of the object
 
 
-class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A test of the fit; `finding` and `figures`, for a plot, are missing in a file of an earlier
-    version. Figures are name, value, half-width of the 95 % interval, expected value, in `unit`.
-    """
-
-    test: str
-    level: Level
-    value: float | None
-    text: str
-    finding: str = ""
-    figures: list[tuple[str, float | None, float | None, float | None]] = msgspec.field(
-        default_factory=list
-    )
-    unit: str = ""
-
-
 class Assumed(msgspec.Struct, frozen=True):
     """An assumption: its value, and why no test covers it."""
 
     what: str
     value: str
     why: str
+
+
+class TrustLine(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One test of a fit.
+
+    Attributes:
+        test: its name, such as `lag`.
+        level: `not made` where the test could not be made, `cannot tell` where it is inconclusive.
+        value: its figure, None where there is none.
+        text: one sentence with the figure, and what to do.
+        finding: the same in a few words, for the first line of a report.
+        figures: by joint, motor or block its name, value, half-width of the 95 % interval, and
+            expected value, for a plot, in `unit`.
+        case: which of its cases in the table of words holds.
+        assumed: what the test cannot check; a file has all assumptions in one place.
+
+    A file of an earlier version has the first four alone.
+    """
+
+    test: str
+    level: Level
+    value: float | None = None
+    text: str
+    finding: str = ""
+    figures: tuple[tuple[str, float | None, float | None, float | None], ...] = ()
+    unit: str = ""
+    case: str = ""
+    assumed: tuple[Assumed, ...] = ()
 
 
 class PassFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -258,7 +270,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     method_reason: str | UnsetType = UNSET
     assumed: list[Assumed] | UnsetType = UNSET
     lag: LagFile | UnsetType = UNSET
-    trust: list[TrustLineFile] | UnsetType = UNSET
+    trust: list[TrustLine] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
     prior_source: str | UnsetType = UNSET
     prior_held_out_error_percent: float | UnsetType | None = UNSET
@@ -291,7 +303,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         return len(self.parameters) + len(self.left_out or ())
 
     @property
-    def line_of(self) -> dict[str, TrustLineFile]:
+    def line_of(self) -> dict[str, TrustLine]:
         """The tests by name, worst first."""
         return {line.test: line for line in self.trust or ()}
 

@@ -82,12 +82,12 @@ class Fit:
         """Of the base parameters, fewer than `base` has if only the essential ones were asked for;
         without those of gains and payloads.
         """
-        return self.of_base(self.data.estimate, self.data.estimate.names)
+        return self._of_base(self.data.estimate, self.data.estimate.names)
 
     @cached_property
     def intervals(self) -> Intervals:
         """Of the estimate."""
-        return self.of_base(self.data.intervals, self.data.estimate.names)
+        return self._of_base(self.data.intervals, self.data.estimate.names)
 
     @cached_property
     def least_squares(self) -> Pass:
@@ -95,10 +95,10 @@ class Fit:
         its base parameters.
         """
         found, names = self.solution.least_squares, self.solution.least_squares.estimate.names
-        estimate = self.of_base(found.estimate, names)
-        return replace(found, estimate=estimate, intervals=self.of_base(found.intervals, names))
+        estimate = self._of_base(found.estimate, names)
+        return replace(found, estimate=estimate, intervals=self._of_base(found.intervals, names))
 
-    def of_base(self, found: Found, names: Sequence[str]) -> Found:
+    def _of_base(self, found: Found, names: Sequence[str]) -> Found:
         """The part of the base parameters, of those `names`."""
         return found.part(base_places(names)) if self.gains or self.payloads else found
 
@@ -178,7 +178,7 @@ class Fit:
     @cached_property
     def full(self) -> Estimate:
         """Least squares of all base parameters."""
-        return self.of_base(self.data.least_squares, self.data.least_squares.names)
+        return self._of_base(self.data.least_squares, self.data.least_squares.names)
 
     @property
     def beta(self) -> Array:

@@ -51,18 +51,7 @@ def _trust_keys(fit: Fit) -> dict[str, Any]:
     lines, signals = fit.trust.lines, fit.problem.signals
     return {
         "verdict": fit.trust.verdict,
-        "trust": [
-            report.TrustLineFile(
-                test=one.test,
-                level=one.level,
-                value=one.value,
-                text=one.text,
-                finding=one.finding,
-                figures=list(one.figures),
-                unit=one.unit,
-            )
-            for one in lines
-        ],
+        "trust": list(lines),
         "assumed": list(fit.trust.assumed),
         "doubts": [
             report.PhysicalWarning(text=line.text, severe=line.level == "do not use")

@@ -26,10 +26,10 @@ import numpy as np
 
 from ..arrays import Array, Bools
 from ..estimation import Estimate, deviations_of_sums, orthonormal, release_memory
-from ..report import Assumed
+from ..report import Assumed, TrustLine
 from . import kinds
 from .candidates import MIN_T, MissingTerm
-from .evidence import FitData, TrustLine, judge
+from .evidence import FitData, judge
 from .kinds import KINDS
 from .words import assume
 

@@ -8,16 +8,16 @@ nothing is judged by it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
 from ..arrays import Array
 from ..control import MAX_LAW_PERCENT, FoundLaw
 from ..estimation import by_rows_alone, differs, intervals_of
 from ..regression import LAG_ORDERS, Lag, Problem
-from ..report import Assumed, gain_name
-from .evidence import LEVELS, FitData, TrustLine, figures_of, judge, part_of, worst_of
+from ..report import Assumed, TrustLine, gain_name
+from .evidence import LEVELS, FitData, figures_of, judge, part_of, worst_of
 from .words import assume
 
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
@@ -126,7 +126,9 @@ def control_law_line(
     if len(names) == 1:
         return worst
     reason = worst.text.removeprefix("not made: ")
-    return replace(worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}")
+    return structs.replace(
+        worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}"
+    )
 
 
 def law_line(problem: Problem, law: FoundLaw | None) -> TrustLine | None:
@@ -143,7 +145,7 @@ def law_line(problem: Problem, law: FoundLaw | None) -> TrustLine | None:
     line = _line_of_law(law, [motor.name for motor in signals.robot.motors])
     if line is None or not controller.gravity_feedforward:
         return line
-    return replace(line, text=part_of(LAW, "fed", text=line.text))
+    return structs.replace(line, text=part_of(LAW, "fed", text=line.text))
 
 
 def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:

@@ -17,9 +17,10 @@ from acquisition.robot import RADIANS_AS_DEGREES
 from ..arrays import Array, Bools, Ints
 from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
+from ..report import TrustLine
 from ..simulation import unstated_limits
 from .drives import LAW
-from .evidence import LEVELS, FitData, TrustLine, judge, part_of
+from .evidence import LEVELS, FitData, judge, part_of
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it

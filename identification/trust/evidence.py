@@ -12,7 +12,7 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools, Ints
 from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
-from ..report import Assumed, Level, Method, Verdict, is_gain
+from ..report import Assumed, Level, Method, TrustLine, Verdict, is_gain
 from .candidates import Candidates
 from .words import Words, written
 from .words_of_data import OF_DATA
@@ -38,33 +38,6 @@ class HeldOut:
 
     error_percent: float | None
     undetermined: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class TrustLine:
-    """One test of a fit.
-
-    Attributes:
-        test: its name, such as `lag`.
-        level: `not made` where the test could not be made, `cannot tell` where it is inconclusive.
-        text: one sentence with the figure, and what to do.
-        value: its figure, None where there is none.
-        finding: the same in a few words, for the first line of a report.
-        figures: by joint, motor or block its name, value, half-width of the 95 % interval, and
-            expected value, for a plot, in `unit`.
-        case: which of its cases in the table of words holds.
-        assumed: what the test cannot check.
-    """
-
-    test: str
-    level: Level
-    text: str
-    value: float | None = None
-    finding: str = ""
-    figures: tuple[Figure, ...] = ()
-    unit: str = ""
-    case: str = ""
-    assumed: tuple[Assumed, ...] = ()
 
 
 def judge(

@@ -18,15 +18,16 @@ from functools import cache, partial
 from itertools import product
 
 import numpy as np
+from msgspec import structs
 
 from .. import estimation
 from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
-from ..report import is_own
+from ..report import TrustLine, is_own
 from .efforts import sign_may_be_wrong
-from .evidence import LEVELS, FitData, TrustLine, judge, part_of
+from .evidence import LEVELS, FitData, judge, part_of
 
 PHYSICAL = "physical"
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
@@ -52,14 +53,14 @@ def physical_test(evidence: FitData) -> TrustLine | None:
         within = estimation.intervals_of(system, weighted)
         again, _ = _findings(replace(evidence, estimate=weighted, intervals=within), check)
         found += [
-            replace(line, text=part_of(PHYSICAL, "weighted", text=line.text))
+            structs.replace(line, text=part_of(PHYSICAL, "weighted", text=line.text))
             for line in again
             if line.level == LEVELS[0]
         ]
     if not found:
         return judge(PHYSICAL, {"ok": True}, value=lowest)
     found.sort(key=lambda line: LEVELS.index(line.level))
-    return replace(found[0], text="; ".join(line.text for line in found), value=lowest)
+    return structs.replace(found[0], text="; ".join(line.text for line in found), value=lowest)
 
 
 def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:

@@ -28,9 +28,9 @@ from ..estimation import (
     spans_at,
     undetermined_parameters,
 )
-from ..report import base_name
+from ..report import TrustLine, base_name
 from .causes import MIN_LEFT, cause_by_prior
-from .evidence import BY_PRIOR, FitData, HeldOut, Part, TrustLine, figures_of, judge, part_of
+from .evidence import BY_PRIOR, FitData, HeldOut, Part, figures_of, judge, part_of
 
 HELD_OUT, PRIOR = "held-out blocks", "prior"
 BLOCKS = 5

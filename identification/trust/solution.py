@@ -14,7 +14,8 @@ from ..data import position_steps
 from ..errors import NoFitError
 from ..model import JointTerm
 from ..regression import Problem, standing_joints
-from .evidence import FitData, Part, TrustLine, judge, part_of
+from ..report import TrustLine
+from .evidence import FitData, Part, judge, part_of
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined

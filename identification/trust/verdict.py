@@ -1,15 +1,15 @@
 """The whole trust block: every test, what was assumed, and witnesses of a sign that is wrong."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
-from ..report import Assumed, is_own
+from ..report import Assumed, TrustLine, is_own
 from . import columns, drives, efforts, physical, predictions, solution
 from .drives import LAW, payload_assumptions
 from .efforts import turned_sign
-from .evidence import LEVELS, FitData, Trust, TrustLine, part_of
+from .evidence import LEVELS, FitData, Trust, part_of
 from .predictions import HELD_OUT
 from .words import assume
 
@@ -102,10 +102,10 @@ def trust_in(evidence: FitData) -> Trust:
     held, of_robot = lines[HELD_OUT], lines["physical"]
     if held.case == "far off" and (of_robot.value or 0.0) <= 0:
         text = part_of(HELD_OUT, "not positive", text=held.text)
-        lines[HELD_OUT] = replace(held, level=LEVELS[0], text=text)
+        lines[HELD_OUT] = structs.replace(held, level=LEVELS[0], text=text)
     if of_robot.level != LEVELS[0] and (found := _witness(evidence, lines)):
         text = part_of("physical", "far", text=of_robot.text, witness=found)
-        lines["physical"] = replace(
+        lines["physical"] = structs.replace(
             of_robot, level=LEVELS[0], text=text, finding=of_robot.finding or found
         )
     fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
@@ -113,10 +113,11 @@ def trust_in(evidence: FitData) -> Trust:
     if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
         why = fixed.text.partition(": check")[0]
         text = part_of("fixed point", "caused", text=why, cause=cause)
-        lines["fixed point"] = replace(fixed, text=text, finding=cause)
+        lines["fixed point"] = structs.replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
     assumed = *list_assumptions(evidence, lines), *of_lines
-    return Trust(lines=worst_first(lines.values()), assumed=assumed)
+    each = [structs.replace(line, assumed=()) for line in lines.values()]
+    return Trust(lines=worst_first(each), assumed=assumed)
 
 
 def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
@@ -128,7 +129,7 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     if (lines["physical"].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
         return ""
     held = lines[HELD_OUT].value or 0.0
-    if prior is not None and any(factor + half < 0 for _, factor, half, _ in prior.figures):
+    if prior is not None and any((x or 0.0) + (half or 0.0) < 0 for _, x, half, _ in prior.figures):
         return prior.finding
     ratio, mistake = turned_sign(evidence, range(evidence.robot.n))
     if ratio < MAX_WITNESS_RATIO:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..design import Excitation
-from ..report import Level, ParameterSet, TrustLineFile, differences
+from ..report import Level, ParameterSet, TrustLine, differences
 from ..study import Run, VariedFit, moves_of
 from .axes import Axis, decades, linear, logarithmic
 from .colors import COMPARED, GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color
@@ -108,12 +108,12 @@ def _look(known: bool) -> tuple[Color, Shape]:
     return (ORANGE, "dot") if known else (GREY, "ring")
 
 
-def trust_charts(tests: Sequence[TrustLineFile]) -> list[Rows]:
+def trust_charts(tests: Sequence[TrustLine]) -> list[Rows]:
     """Figures of the tests by joint or block, with expected values."""
     return [_trust_chart(line) for line in tests if line.figures]
 
 
-def _trust_chart(line: TrustLineFile) -> Rows:
+def _trust_chart(line: TrustLine) -> Rows:
     color = LEVEL_COLORS.get(line.level, GREY)
     marks = [
         *(

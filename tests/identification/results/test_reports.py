@@ -123,7 +123,11 @@ def test_table_has_essential_parameters_or_all(everything):
 def test_short_report_has_ten_largest_and_findings():
     fit = ls_of(SCARA)
     finding, *others = fit.trust.lines
-    lines = (replace(finding, level="caution"), replace(others[0], level="not made"), *others[1:])
+    lines = (
+        msgspec.structs.replace(finding, level="caution"),
+        msgspec.structs.replace(others[0], level="not made"),
+        *others[1:],
+    )
     fit = replace(
         fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6))
     )

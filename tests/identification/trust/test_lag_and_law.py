@@ -23,8 +23,9 @@ from identification.methods.iteration import with_lags_found
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
 from identification.regression.lag import LagFilters
 from identification.regression.states import LAG_ORDERS
+from identification.report import TrustLine
 from identification.results import Fit, identify, identify_ls
-from identification.trust import TrustLine, trust_in
+from identification.trust import trust_in
 
 
 @cache

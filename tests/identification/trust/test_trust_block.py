@@ -40,13 +40,13 @@ from identification.regression import (
     torque_of_recording,
     weights_at,
 )
+from identification.report import TrustLine
 from identification.results import Fit, identify, identify_ls
 from identification.trust import (
     LEVELS,
     WORDS,
     FitData,
     Trust,
-    TrustLine,
     candidates,
     kinds,
     trust_in,
@@ -124,7 +124,7 @@ REL = {"iv": 1e-4, "wls": 1e-6}
 
 
 def line(level: str, test: str = "a test", finding: str = "") -> TrustLine:
-    return TrustLine(test, level, "", finding=finding)
+    return TrustLine(test=test, level=level, text="", finding=finding)
 
 
 def test_worst_line_is_verdict():
@@ -177,13 +177,13 @@ def test_shared_parameters_in_unknown_units_rejected():
 def test_held_out_error_and_negative_m_do_not_use(monkeypatch):
     _, evidence = examined("wls", "scara")
     held, law = (trust_in(evidence).line(test) for test in ("held-out blocks", "control law"))
-    far = replace(held, level="caution", case="far off")
+    far = msgspec.structs.replace(held, level="caution", case="far off")
     for value, line_, level in (
         (-0.1, far, "do not use"),
         (0.1, far, "caution"),
         (-0.1, held, "ok"),
     ):
-        physical = TrustLine("physical", "caution", "", value)
+        physical = TrustLine(test="physical", level="caution", text="", value=value)
         tests = tuple(lambda _, made=made: made for made in (physical, law, line_))
         monkeypatch.setattr("identification.trust.verdict.TESTS", tests)
         judged = trust_in(evidence).line("held-out blocks")

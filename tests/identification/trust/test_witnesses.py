@@ -9,8 +9,10 @@ import pytest
 from hunt import fit_by_default, fit_by_least_squares
 from hunt_kinds import SetUp, sound, two_signs
 from independent_simulator import Imperfections, Reference, references, simulate
+from msgspec import structs
 
-from identification.trust import TrustLine, verdict
+from identification.report import TrustLine
+from identification.trust import verdict
 from identification.trust.verdict import TESTS, trust_in
 
 
@@ -32,7 +34,8 @@ def told(monkeypatch, **changed):
     lines = {of.test: of for test in TESTS if (of := test(evidence())) is not None}
     for name, changes in changed.items():
         name = {"held": "held-out blocks", "fixed": "fixed point"}.get(name, name)
-        lines[name] = replace(lines.get(name, TrustLine(name, "ok", "")), **changes)
+        plain = TrustLine(test=name, level="ok", text="")
+        lines[name] = structs.replace(lines.get(name, plain), **changes)
     tests = tuple((lambda _, of=of: of) for of in lines.values())
     monkeypatch.setattr(verdict, "TESTS", tests)
     return trust_in(evidence())
