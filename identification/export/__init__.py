@@ -16,7 +16,6 @@ from .description import (
     robot_of_chain,
 )
 from .exported_model import split_parameters
-from .exporting import export_model, replace_parameters, write_models
+from .exporting import export_fit, export_model, model_of_fit, write_models
 from .formats import make_urdf, quaternion, roll_pitch_yaw
-from .stored_model import distrust, export_fit, model_of_fit
-from .tables import replace_in_tables
+from .tables import replace_in_tables, replace_parameters

@@ -1,35 +1,131 @@
-"""Build models in the requested formats before writing any, and report what
-each cannot represent.
+"""Export a fit: read it as a robot with all standard parameters, make it consistent if it is not,
+build models in the requested formats before writing any, and report what each cannot represent.
 """
 
 import os
-import re
 import tomllib
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from msgspec import UNSET
 
 from acquisition.errors import one_line
-from acquisition.files import atomic_write, format_numbers
+from acquisition.files import atomic_write, refuse_clash
 
-from ..report import Document, Number, Row, Section, Table, columns
-from .exported_model import STATES, ExportedModel, Losses, representable
+from ..arrays import Array
+from ..errors import BadInputError
+from ..model import SHAPES, InverseModel, base_parameters
+from ..report import Document, FitFile, Number, Row, Section, Table, base_name, columns
+from ..results import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
+from .exported_model import STATES, ExportedModel, Losses, representable, split_parameters
 from .formats import mjcf_text, servo_loop, urdf_text
-from .tables import checked_toml
+from .tables import replace_parameters, with_findings
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # the default of URDF readers: a URDF has no gravity
 SOFT_FRICTION = (
     "MuJoCo's frictionloss is a soft constraint: a moving joint has dry friction, a joint near "
     "rest creeps"
 )
-_TABLE_HEADER = re.compile(
-    r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?"
-)
-_ANY_HEADER = re.compile(r"[ \t]*\[")
-_INLINE_TABLE = re.compile(r"[ \t]*parameters[ \t]*[.=]")
+
+
+def export_fit(
+    stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None
+) -> Document:
+    """Write a fit as `urdf`, `mjcf` or `toml`, and report what each format cannot represent.
+
+    Raises `BadInputError`: the fit is not to be used and not allowed as
+        `untrusted`; as of `model_of_fit`.
+    """
+    refuse_clash((), of_kinds=outputs)
+    reasons = [f"{place}: verdict {stored.verdict}"] * (stored.verdict == "do not use")
+    if stored.verdict is UNSET:  # in files of earlier versions
+        reasons = stored.warnings_of(place)
+    if reasons and not untrusted:
+        raise BadInputError(
+            f"not exported: {'; '.join(reasons)}",
+            expected="a fit to be trusted, or --allow-untrusted",
+        )
+    mechanism, lines = model_of_fit(stored, place)
+    texts, document = export_model(mechanism, Path(place).name, lines=lines, **outputs)
+    write_models(texts)
+    return document.followed_by(Section(warnings=tuple(reasons))) if reasons else document
+
+
+def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
+    """The robot of a fit, by its own description and drive gains, with all standard parameters;
+    lines on their origin.
+    """
+    stored, lines = with_findings(stored, place)
+    robot = stored_robot(stored, place)
+    refuse_unknown_gain(robot)
+    model = InverseModel(robot)
+    if stored.standard_parameters is UNSET:
+        chi, line = _make_consistent(stored, model, place)
+        return split_parameters(model, chi, place), (*lines, line)
+    parameters, names = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
+    if [(p.name, p.unit) for p in parameters] != names:
+        raise BadInputError(
+            place=place,
+            key="standard_parameters",
+            value=next(
+                (f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None
+            ),
+            expected=f"the {len(names)} of the description",
+        )
+    if (c := stored.consistent) is not UNSET:
+        lines.append(
+            f"the consistent parameters of {place}: prior {c.prior}, weight "
+            f"{c.prior_weight:g}; chi² {c.chi2:.3g}, largest move {c.largest_move:.2g} "
+            f"half-widths of the 95 % interval, of {c.moved_most}"
+        )
+    return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
+
+
+def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, str]:
+    left_out = {p.name: p.sigma for p in stored.left_out or ()}
+    given, base = {base_name(p.name) for p in stored.parameters}, base_parameters(model)
+    # Further friction terms may be left out altogether, which is not to estimate them as zero.
+    shapes = {term.name for term in model.terms.values() if term.kind in SHAPES}
+    base = base.without(shapes - given - left_out.keys())
+    beta = stored_beta(stored, base, place)
+    if stored.covariance is UNSET:
+        raise BadInputError(
+            "the fit is not consistent, and cannot be made so without it",
+            place=place,
+            key="covariance",
+            value=None,
+            expected="a new fit, preferably with --consistent",
+        )
+    names, values = stored.covariance.names, np.array(stored.covariance.values)
+    shared = [base_name(name) for name in names]
+    missing = [name for name in base.names if name not in shared and name not in left_out]
+    if missing or values.shape != (len(names), len(names)):
+        raise BadInputError(
+            place=place,
+            key="covariance",
+            value=", ".join(missing[:5]) or None,
+            expected="one row per parameter",
+        )
+    # of parameters of single recordings the mean, as in `stored_beta`
+    mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
+    covariance = (
+        np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T
+    )
+    sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
+    reach = float(
+        np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0])
+    )
+    c, parameters = consistent_set(
+        model, base, Known(beta=beta, covariance=covariance, reach=reach)
+    )
+    return np.array([p.value for p in parameters]), (
+        f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
+        f"added chi² {c.chi2:.3g} on {base.b} parameters, largest move "
+        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; certificate "
+        f"{c.certificate:.1e}"
+    )
 
 
 def write_models(texts: Mapping[Path, str]) -> None:
@@ -129,58 +225,4 @@ def _make_toml(
     remark = f"Physically consistent values identified in {one_line(source)}."
     return replace_parameters(text, values, remark, named), tuple(
         f"it names {name}, which is missing in its folder: copy it there" for name in missing
-    )
-
-
-def replace_parameters(
-    text: str, values: Mapping[str, float], remark: str, urdf: str | None = None
-) -> str:
-    """Replace the values (SI) of `[parameters]` in a description, or append the
-    table; all other lines stay.
-
-    The remark, on the origin of the values, replaces the remarks directly above the table; the name
-    `urdf` replaces the URDF's. Raises `BadInputError`: the table cannot be replaced line by line.
-    """
-    was, written = (
-        tomllib.loads(text),
-        {name: format_numbers(value) for name, value in values.items()},
-    )
-    lines = text.splitlines()
-    start = next((i for i, line in enumerate(lines) if _TABLE_HEADER.fullmatch(line)), None)
-    if start is None:
-        before = [line for line in lines if not ("parameters" in was and _INLINE_TABLE.match(line))]
-        after = list[str]()
-    else:
-        stop = next(
-            (i for i in range(start + 1, len(lines)) if _ANY_HEADER.match(lines[i])), len(lines)
-        )
-        while stop > start + 1 and not lines[stop - 1].strip().partition("#")[0]:
-            stop -= 1  # blank lines and remarks above the next table belong to that table
-        while start and lines[start - 1].lstrip().startswith("#"):
-            start -= 1
-        before, after = lines[:start], lines[stop:]
-    while before and not before[-1].strip():
-        before.pop()
-    now: dict[str, Any] = was | {
-        "parameters": {name: float(value) for name, value in written.items()}
-    }
-    if urdf is not None:
-        now["urdf"], quoted = urdf, '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
-        before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
-    return checked_toml(
-        "\n".join(
-            [
-                *before,
-                "",
-                f"# {remark}",
-                "[parameters]",
-                *map(" = ".join, written.items()),
-                *after,
-            ]
-        )
-        + "\n",
-        now,
-        "the fit's robot.toml",
-        "[parameters]",
-        "one line per value under a line [parameters]",
     )

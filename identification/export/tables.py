@@ -1,5 +1,5 @@
-"""Values in the tables of a description, such as its [[joint]]s, and those of a fit; all other
-lines stay as they are.
+"""Values in tables of a description: its [[joint]]s, its [parameters], and what a fit found; all
+other lines stay as they are.
 """
 
 import json
@@ -12,8 +12,14 @@ from typing import Any
 import msgspec
 from msgspec import UNSET
 
+from acquisition.files import format_numbers
+
 from ..errors import BadInputError
 from ..report import DriveGain, FitFile
+
+_TABLE_HEADER = re.compile(
+    r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?"
+)
 
 
 def replace_in_tables(
@@ -56,59 +62,94 @@ def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, expect
     raise BadInputError("cannot be replaced line by line", place=place, key=key, expected=expected)
 
 
-def with_gains(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
-    """The fit with its drive gains in its description, and lines on them.
+def replace_parameters(
+    text: str, values: Mapping[str, float], remark: str, urdf: str | None = None
+) -> str:
+    """Replace the values (SI) of `[parameters]` in a description, or append the
+    table; all other lines stay.
+
+    The remark, on the origin of the values, replaces the remarks directly above the table; the name
+    `urdf` replaces the URDF's. Raises `BadInputError`: the table cannot be replaced line by line.
+    """
+    was, shown = tomllib.loads(text), {name: format_numbers(x) for name, x in values.items()}
+    lines, after = text.splitlines(), list[str]()
+    start = next((i for i, line in enumerate(lines) if _TABLE_HEADER.fullmatch(line)), None)
+    if start is None:
+        inline = r"[ \t]*parameters[ \t]*[.=]"
+        before = [line for line in lines if not ("parameters" in was and re.match(inline, line))]
+    else:
+        headers = (
+            i for i in range(start + 1, len(lines)) if lines[i].lstrip(" \t").startswith("[")
+        )
+        stop = next(headers, len(lines))
+        while stop > start + 1 and not lines[stop - 1].strip().partition("#")[0]:
+            stop -= 1  # blank lines and remarks above the next table belong to that table
+        while start and lines[start - 1].lstrip().startswith("#"):
+            start -= 1
+        before, after = lines[:start], lines[stop:]
+    while before and not before[-1].strip():
+        before.pop()
+    now: dict[str, Any] = was | {"parameters": {name: float(x) for name, x in shown.items()}}
+    if urdf is not None:
+        now["urdf"], quoted = urdf, '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
+    table = ["", f"# {remark}", "[parameters]", *map(" = ".join, shown.items())]
+    return checked_toml(
+        "\n".join([*before, *table, *after, ""]),
+        now,
+        "the fit's robot.toml",
+        "[parameters]",
+        "one line per value under a line [parameters]",
+    )
+
+
+def with_findings(stored: FitFile, place: str) -> tuple[FitFile, list[str]]:
+    """The fit with what it found in its description, and lines on that: its drive gains, and the
+    control law of its recording where none is described.
 
     A gain that is not determined is left as described; without a described one it is written with
-    its wide interval. Raises `BadInputError` where a [[motor]] cannot be replaced line by line.
+    its wide interval. Raises `BadInputError` where a table cannot be replaced line by line.
     """
-    if stored.gains is UNSET or "robot.toml" not in stored.description:
-        return stored, ()
-    known = {
-        gain.motor: _keys(gain)
-        for gain in stored.gains
-        if gain.determined or gain.described is None
-    }
-    text = replace_in_tables(
-        stored.description["robot.toml"], "motor", known, f"the robot.toml in {place}"
-    )
-    lines = list[str]()
-    for gain in stored.gains:
-        done = "as identified" if gain.motor in known else "as described"
-        if not gain.determined:
-            done += ", since none is described" * (gain.described is None) + "; not determined"
-        lines.append(
-            f"drive gain of {gain.motor} {done}: {gain.value:.4g} ± {gain.half_width:.2g} "
-            f"{gain.unit}"
-        )
-    return msgspec.structs.replace(
-        stored, description={**stored.description, "robot.toml": text}
-    ), tuple(lines)
-
-
-def with_law(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
-    """The fit with the control law of its recording in its description, which has
-    none, and a line on it.
-    """
-    text = stored.description.get("robot.toml", "")
+    text, lines = stored.description.get("robot.toml", ""), list[str]()
+    place = f"the robot.toml in {place}"
+    if text and stored.gains is not UNSET:
+        written = {
+            gain.motor: _keys(gain)
+            for gain in stored.gains
+            if gain.determined or gain.described is None
+        }
+        text = replace_in_tables(text, "motor", written, place)
+        lines += [_gain_line(gain, written=gain.motor in written) for gain in stored.gains]
     described = (whole := tomllib.loads(text)).get("controller", {})
-    if not text or stored.law is UNSET or stored.law.controller is None or "structure" in described:
-        return stored, ()
-    keys = {key: value for key, value in stored.law.controller.items() if key not in described}
-    lines = "".join(f"\n{key} = {json.dumps(value)}" for key, value in keys.items())
-    header = r"(?m)^[ \t]*\[[ \t]*controller[ \t]*\].*$"  # also above nothing but remarks
-    made, found = re.subn(header, rf"\g<0>{lines}", text, count=1)
-    text = checked_toml(
-        made if found else f"{text}\n[controller]{lines}\n",
-        whole | {"controller": described | keys},
-        f"the robot.toml in {place}",
-        "[controller]",
-        "a line [controller], then a line per key",
-    )
-    law = msgspec.structs.replace(stored, description={**stored.description, "robot.toml": text})
-    return law, (f"control law of the recording: {stored.law.structure}",)
+    law = None if stored.law is UNSET or "structure" in described else stored.law
+    if text and law is not None and law.controller is not None:
+        keys = {key: value for key, value in law.controller.items() if key not in described}
+        table = "".join(f"\n{key} = {json.dumps(value)}" for key, value in keys.items())
+        header = r"(?m)^[ \t]*\[[ \t]*controller[ \t]*\].*$"  # also above nothing but remarks
+        made, found = re.subn(header, rf"\g<0>{table}", text, count=1)
+        text = checked_toml(
+            made if found else f"{text}\n[controller]{table}\n",
+            whole | {"controller": described | keys},
+            place,
+            "[controller]",
+            "a line [controller], then a line per key",
+        )
+        lines.append(f"control law of the recording: {law.structure}")
+    if lines:
+        description = {**stored.description, "robot.toml": text}
+        stored = msgspec.structs.replace(stored, description=description)
+    return stored, lines
 
 
 def _keys(gain: DriveGain) -> dict[str, object]:
     values: dict[str, object] = {"drive_gain_unit": gain.unit, "drive_gain": gain.value}
     return {"drive_gain_half_width": gain.half_width} | values if gain.half_width > 0 else values
+
+
+def _gain_line(gain: DriveGain, *, written: bool) -> str:
+    done = "as identified" if written else "as described"
+    if not gain.determined:
+        done += ", since none is described" * (gain.described is None) + "; not determined"
+    return (
+        f"drive gain of {gain.motor} {done}: {gain.value:.4g} ± {gain.half_width:.2g} {gain.unit}"
+    )
