@@ -17,7 +17,6 @@ from ..errors import BadInputError
 from .urdf_tree import MOVABLE, UrdfTree, attribute_of, finite_number
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_SUFFIXES = (".urdf", ".xacro", ".xml")
 _JOINT_NAME = re.compile(r"[A-Za-z0-9_.\- ]{1,64}")  # as in robot.toml
 _MAX_ROUNDING = 1e-6  # relative to the largest principal moment: CAD programs write few digits
 _NUMBERS = {
@@ -26,9 +25,9 @@ _NUMBERS = {
     "damping": ("dynamics", "damping"),
     "friction": ("dynamics", "friction"),
 }
-_PER_JOINT = ("speed", "acceleration", "following-error", "ratio", "drive-gain")
 _OPTION_FIELDS = {"--range": "position"} | {
-    f"--{name}": name.replace("-", "_") for name in _PER_JOINT
+    f"--{name}": name.replace("-", "_")
+    for name in ("speed", "acceleration", "following-error", "ratio", "drive-gain")
 }
 _OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
@@ -54,11 +53,6 @@ class UrdfJoint:
     ratio: float | None = None
     drive_gain: float | None = None
     effort_unit: str = ""
-
-    @property
-    def unit(self) -> str:
-        """Of the position."""
-        return "m" if self.type == "prismatic" else "rad"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,18 +127,14 @@ def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, 
     low, high = joint.position or (-side, side)
     narrowed = max(low, -side), min(high, side)
     if not narrowed[0] < narrowed[1]:
+        unit = "m" if joint.type == "prismatic" else "rad"
         raise BadInputError(
             place=f"{place}: joint {joint.name!r}",
             key="--range",
             value=side,
-            expected=f"a range that overlaps the URDF's, {low:g} to {high:g} {joint.unit}",
+            expected=f"a range that overlaps the URDF's, {low:g} to {high:g} {unit}",
         )
     return narrowed
-
-
-def is_urdf(path: Path) -> bool:
-    """Whether the file name ends in .urdf, .xacro or .xml."""
-    return path.suffix.lower() in _SUFFIXES
 
 
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:

@@ -14,7 +14,7 @@ from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
 
 from ..errors import BadInputError
 from ..model import LINK, InverseModel
-from .chain import Chain, UrdfJoint, is_urdf, read_chain
+from .chain import Chain, UrdfJoint, read_chain
 
 # what a marked line is needed for, behind the mark
 TO_FIT, TO_FIT_MOTORS, TO_MOVE = USES = " to fit", " to fit efforts of motors", " to move"
@@ -42,7 +42,7 @@ def read_robot(
     """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as
     of `Chain.with_options`.
     """
-    if is_urdf(path):
+    if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
         raise BadInputError(
@@ -88,9 +88,9 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
         [
             *_head(chain, urdf),
             *(line for j in range(len(chain.joints)) for line in _joint(chain, j)),
+            *_motors_and_controller(chain),
         ]
     )
-    head += "\n".join(_motors_and_controller(chain))
     drives = [f"# {FILL_IN}{TO_MOVE}: the drives. Replace every number by those of the real ones."]
     drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
     if not bus and any(joint.ratio or joint.effort_unit in _OF_GAINS for joint in chain.joints):
@@ -113,7 +113,7 @@ def describe_rows(chain: Chain, bus: str = "") -> str:
             *_joint(chain, j),
             f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}{TO_FIT}",
         ]
-    text = "\n".join([*lines, *_motors_and_controller(chain), "", bus or f"{_NO_BUS}\n"])
+    text = "\n".join([*lines, "", *_motors_and_controller(chain), "", bus or f"{_NO_BUS}\n"])
     return text.replace("the URDF has no ", "the ").replace(": not in a URDF", "")
 
 
@@ -124,8 +124,9 @@ def _load_robot(text: str, chain: Chain) -> Robot:
     )
 
 
-def _head(chain: Chain, urdf: str) -> Iterator[str]:
-    yield from (
+def _head(chain: Chain, urdf: str) -> list[str]:
+    locked = ["", "# Locked at zero, each as a part of the link that carries it:"]
+    return [
         f"# Made by robot-identify init from {one_line(urdf)}. {FILL_IN} marks what is not in "
         "a URDF.",
         "# Angles are in degrees, all other values in SI.",
@@ -136,11 +137,10 @@ def _head(chain: Chain, urdf: str) -> Iterator[str]:
         "# urdf_meshes = true # store the meshes in recordings, to draw the robot on any machine",
         "gravity_m_s2 = [0, 0, -9.81] # in the URDF's base frame; change it for a robot that "
         "hangs or is tilted",
-    )
-    if chain.locked:
-        yield from ("", "# Locked at zero, each as a part of the link that carries it:")
-        yield from (f"#     {one_line(text)}" for text in chain.locked)
-    yield from (f"# note: {one_line(note)}" for note in chain.notes)
+        *(locked if chain.locked else []),
+        *(f"#     {one_line(text)}" for text in chain.locked),
+        *(f"# note: {one_line(note)}" for note in chain.notes),
+    ]
 
 
 def _joint(chain: Chain, j: int) -> Iterator[str]:
@@ -170,13 +170,12 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
                 f"{FILL_IN}{TO_MOVE}: {remark}"
             )
     key = "effort_n" if joint.type == "prismatic" else "effort_nm"
-    if joint.effort is None:
-        yield (
-            f"# {key} = ... # {FILL_IN}: the URDF has no effort; without it torques are "
-            "checked against the drives only"
-        )
-    else:
-        yield f"{key} = {_number(joint.effort)} # at the joint"
+    yield (
+        f"# {key} = ... # {FILL_IN}: the URDF has no effort; without it torques are "
+        "checked against the drives only"
+        if joint.effort is None
+        else f"{key} = {_number(joint.effort)} # at the joint"
+    )
 
 
 def _number(x: float) -> str:
@@ -184,7 +183,7 @@ def _number(x: float) -> str:
 
 
 def _motors_and_controller(chain: Chain) -> Iterator[str]:
-    yield from ("", "")
+    yield ""
     if not all(joint.effort_unit for joint in chain.joints):
         yield from (
             f"# {FILL_IN}{TO_FIT_MOTORS}: for each motor",
@@ -196,25 +195,23 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
         )
     for j, joint in enumerate(chain.joints):
         yield from ("[[motor]]", f'name = "motor_{j + 1}"', *_motor(chain, joint))
-    yield from ("", "[controller]")
-    if chain.bandwidth_hz is None:
-        yield (
-            f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, excite "
-            "needs it"
-        )
-    else:
-        yield (
-            f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; sets the filters"
-        )
     yield from (
+        "",
+        "[controller]",
+        f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, excite needs it"
+        if chain.bandwidth_hz is None
+        else f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; sets the "
+        "filters",
         f"# {FILL_IN}, for iv fits and realistic simulations: the drives' control law, in "
         "recorded effort per motor rad",
         '# structure = "cascade_p_pi" # or pd, pd_velocity_feedforward, cascade_p_p, pid, '
         "computed_torque",
         "# sample_rate_hz = 1000",
+        *(
+            f"# {gain} = [{', '.join(['...'] * len(chain.joints))}]"
+            for gain in ("position_gain", "velocity_gain", "integral_gain")
+        ),
     )
-    for gain in ("position_gain", "velocity_gain", "integral_gain"):
-        yield f"# {gain} = [{', '.join(['...'] * len(chain.joints))}]"
 
 
 def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
@@ -224,7 +221,6 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
     """
     torque = "N" if joint.type == "prismatic" else "N m"
     unit = joint.effort_unit or torque
-    gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
     known = None not in (joint.ratio, joint.drive_gain) and unit in _OF_GAINS
     if joint.ratio is not None:
         yield f"ratio = {_number(joint.ratio)}"
@@ -234,13 +230,10 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
             "sign included; none for efforts at the joint"
         )
     if unit in _OF_GAINS:
-        mark = (
-            ""
-            if known
-            else f" # {FILL_IN} to fit in {torque}: replaces effort_unit, together with ratio"
-        )
-        yield f"{'' if known else '# '}drive_gain = {gain}{mark}"
-        yield f'{"" if known else "# "}drive_gain_unit = "{torque}/{unit}"'
+        gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
+        mark = f" # {FILL_IN} to fit in {torque}: replaces effort_unit, together with ratio"
+        lines = (f"drive_gain = {gain}", f'drive_gain_unit = "{torque}/{unit}"')
+        yield from lines if known else (f"# {lines[0]}{mark}", f"# {lines[1]}")
     if not known:
         yield f'effort_unit = "{unit}"'
 
@@ -271,18 +264,18 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
         ):
             if abs(value) > _MAX_ROUNDING:
                 yield f"{name}{j + 1} = {value:.15g}"
-        # the first is the rotor's
-        yield from list(_example_terms(joint, j + 1))[chain.torque_sensors :]
-
-
-def _example_terms(joint: UrdfJoint, number: int) -> Iterator[str]:
-    """Example values that the URDF does not have, scaled by the joint's effort and speed."""
-    effort, speed = joint.effort or _DEFAULT_EFFORT, joint.speed or _DEFAULT_SPEED
-    yield f"{_EXAMPLE}Ia{number} = {_EFFORT_SHARE * effort / (speed / _RISE_S):.3g}"
-    if not joint.damping:
-        yield f"{_EXAMPLE}Fv{number} = {_EFFORT_SHARE * effort / speed:.3g}"
-    if not joint.friction:
-        yield f"{_EXAMPLE}Fc{number} = {_EFFORT_SHARE * effort:.3g}"
+        # examples of what the URDF does not have, scaled by the joint's effort and speed
+        effort, speed = joint.effort or _DEFAULT_EFFORT, joint.speed or _DEFAULT_SPEED
+        small = _EFFORT_SHARE * effort
+        yield from (
+            f"{_EXAMPLE}{name}{j + 1} = {value:.3g}"
+            for name, value, known in (
+                ("Ia", small / (speed / _RISE_S), chain.torque_sensors),
+                ("Fv", small / speed, joint.damping),
+                ("Fc", small, joint.friction),
+            )
+            if not known
+        )
 
 
 def _drives(chain: Chain) -> Iterator[str]:
@@ -295,15 +288,13 @@ def _drives(chain: Chain) -> Iterator[str]:
         f"sync_period_s = {_number(period_ms / 1000)}",
     )
     for j, joint in enumerate(chain.joints):
+        slides = joint.type == "prismatic"
+        rated, counts = ("force_n", "m") if slides else ("torque_nm", "turn")
         yield from (
             "[[bus.drive]]",
             f"node = {j + 1}",
             'reference = "6074" # target torque or force',
-        )
-        if joint.type == "prismatic":
-            yield 'reference_rule = "per mille of rated force"'
-        rated, counts = ("force_n", "m") if joint.type == "prismatic" else ("torque_nm", "turn")
-        yield from (
+            *(['reference_rule = "per mille of rated force"'] if slides else []),
             f"rated_{rated} = {_number(_RATED_SHARE * (joint.effort or _DEFAULT_EFFORT))}",
             f"counts_per_{counts} = {_COUNTS}",
         )

@@ -5,12 +5,9 @@ each motor that turns with several joints; none is negative. Other terms are lef
 their torque is reported.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-
-from acquisition.robot import Joint
 
 from .. import model as dynamics
 from ..arrays import Array
@@ -55,8 +52,7 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
     together dissipate energy. Raises `BadInputError`, with the parameters' file `place`, since
     simulators do not check: impossible links, negative rotors, friction that generates energy.
     """
-    links = chi[dynamics.link_columns(model)]
-    for j, link in enumerate(links):
+    for j, link in enumerate(chi[dynamics.link_columns(model)]):
         if not dynamics.is_a_body(link, MIN_EIGENVALUE):
             raise BadInputError(
                 "impossible inertia for a body of positive density",
@@ -75,10 +71,10 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
                 shown=f"{lowest:.4g} {first.unit}",
                 expected="0 or more: a new fit with --consistent",
             )
-    return _of_axes(model, chi, links)
+    return _of_axes(model, chi)
 
 
-def _of_axes(model: dynamics.InverseModel, chi: Array, links: Array) -> ExportedModel:
+def _of_axes(model: dynamics.InverseModel, chi: Array) -> ExportedModel:
     """The terms of joints and motors in chi (p,), by axis; one-sided friction is that of the
     mean of both directions.
     """
@@ -98,7 +94,7 @@ def _of_axes(model: dynamics.InverseModel, chi: Array, links: Array) -> Exported
     return ExportedModel(
         model=model,
         chi=chi,
-        links=links,
+        links=chi[dynamics.link_columns(model)],
         names=(
             *(joint.name for joint in model.robot.joints),
             *(model.robot.motors[motor].name for motor in shared),
@@ -115,23 +111,16 @@ def _coupled(term: dynamics.JointTerm) -> bool:
     return term.kind in ("viscous", "coulomb") and int(np.count_nonzero(term.row)) > 1
 
 
-def random_states(joints: tuple[Joint, ...]) -> Iterator[Array]:
-    """Positions, speeds and accelerations (N, n), uniform within the limits of the joints,
-    by default ±pi, ±1, ±5.
+def random_regressor(m: ExportedModel) -> Array:
+    """The regressor (N, n, p) at states that are uniform within the limits of the joints, by
+    default ±pi, ±1, ±5; its columns of load friction use the links' torque of these parameters.
     """
-    rng = np.random.default_rng(SEED)
+    rng, joints, motion = np.random.default_rng(SEED), m.model.robot.joints, list[Array]()
     for quantity, default in DEFAULT_LIMITS.items():
         limits = [joint.si(quantity) or default for joint in joints]
-        low, high = np.array(
-            [limit if isinstance(limit, tuple) else (-limit, limit) for limit in limits]
-        ).T
-        yield low + (high - low) * rng.random((STATES, len(joints)))
-
-
-def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:
-    """The regressor (N, n, p); its columns of load friction use the links'
-    torque of these parameters.
-    """
+        low, high = np.array([x if isinstance(x, tuple) else (-x, x) for x in limits]).T
+        motion.append(low + (high - low) * rng.random((STATES, len(joints))))
+    q, dq, ddq = motion
     W, base = m.model.regressor(q, dq, ddq), dynamics.base_parameters(m.model)
     links = W[:, :, base.columns] @ np.where(base.links, base.K @ m.chi, 0.0)
     for c, term in m.model.terms.items():
@@ -148,8 +137,7 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
     a motor that turns with it too is at least 0.
     """
     n, losses, terms = m.model.robot.n, Losses(), m.model.terms
-    q, dq, ddq = random_states(m.model.robot.joints)
-    W = whole_regressor(m, q, dq, ddq)
+    W = random_regressor(m)
     whole = np.sqrt(np.mean((W @ m.chi) ** 2, axis=0))
 
     def add_loss(what: str, missing: Array) -> None:
@@ -179,7 +167,7 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
                 if (x.joint, x.kind, abs(x.side)) == (term.joint, term.kind, 1)
             ]
             written[c] = chi[ways].mean()
-    axes = _of_axes(m.model, written, m.links)
+    axes = _of_axes(m.model, written)
     below = {
         "viscous": np.minimum(axes.damping, 0.0),
         "coulomb": np.minimum(axes.frictionloss, 0.0),
@@ -189,7 +177,7 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
             written[c] -= below[term.kind][term.joint]
     names = [m.model.names[c] for c in np.flatnonzero(written != chi)]
     add_loss(f"friction ({', '.join(names)})", W @ (chi - written))
-    return _of_axes(m.model, written, m.links), losses
+    return _of_axes(m.model, written), losses
 
 
 def about_com(link: Array) -> tuple[float, Array, Array]:

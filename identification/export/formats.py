@@ -28,18 +28,15 @@ from .chain import INERTIA
 from .exported_model import MIN_EIGENVALUE, ExportedModel, about_com
 
 UNLIMITED = 1e9  # effort and velocity, which a URDF must have, if the description has none
-_BASE = "base_link"
 _THICKNESS = 0.02  # of drawn links, m
 # m, of a box at the end of a link: unequal, so that any rotation is visible
 _TIP = "0.12 0.08 0.04"
 _MUJOCO = [0, 3, 5, 1, 2, 4]  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ
 
 
-def link_names(robot: Robot, *, made: bool = False) -> tuple[str, ...]:
-    """Names of the links that the joints move: those of the URDF, or
-    `link_1`, ... in a `made` one.
-    """
-    if robot.urdf is None or made:
+def link_names(robot: Robot) -> tuple[str, ...]:
+    """Names of the links that the joints move: those of the URDF, or `link_1`, ... of a new one."""
+    if robot.urdf is None:
         return tuple(f"link_{j + 1}" for j in range(robot.n))
     joints = {
         joint.get("name"): joint.find("child")
@@ -320,13 +317,13 @@ def make_urdf(model: InverseModel) -> str:
     """A URDF for a robot that has none, or none with shapes: joints with limits, links drawn as
     cylinders, no inertials.
     """
-    robot, names = model.robot, [_BASE, *link_names(model.robot, made=True)]
+    robot = model.robot
+    names = ["base_link", *(f"link_{j + 1}" for j in range(robot.n))]
     origins, rotations, axes = model.joint_frames
-    links, joints = [], []
+    found, root = effort_limits(robot), _element("robot", {"name": robot.name})
     for k, name in enumerate(names):
         ends = [x for x, parent in zip(origins, model.parents, strict=True) if parent == k]
-        links.append(_element("link", {"name": name}, *map(_drawn, ends or [np.zeros(3)])))
-    found = effort_limits(robot)
+        root.append(_element("link", {"name": name}, *map(_drawn, ends or [np.zeros(3)])))
     # N m or N
     efforts = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
     for j, joint in enumerate(robot.joints):
@@ -341,7 +338,7 @@ def make_urdf(model: InverseModel) -> str:
             "xyz": format_numbers(*origins[j]),
             "rpy": format_numbers(*roll_pitch_yaw(rotations[j])),
         }
-        joints.append(
+        root.append(
             _element(
                 "joint",
                 {"name": joint.name, "type": kind},
@@ -352,7 +349,6 @@ def make_urdf(model: InverseModel) -> str:
                 _element("limit", {key: format_numbers(x) for key, x in stated.items()}),
             )
         )
-    root = _element("robot", {"name": robot.name}, *links, *joints)
     ET.indent(root)
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
