@@ -5,13 +5,7 @@ imports pinocchio and coal. It may use the robot's description of `acquisition` 
 but no recordings and no fits.
 """
 
-from .base import (
-    BaseParameters,
-    base_parameters,
-    described_parameters,
-    known_parameters,
-    load_parameters,
-)
+from .base import BaseParameters, base_parameters, load_parameters
 from .derivatives import regressor_gradient, torque_of_links, torque_without_sliding
 from .direct import (
     DirectModel,
@@ -24,18 +18,23 @@ from .direct import (
 from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, SLIDING, JointTerm, corner_speeds, inertia_unit
 from .obstacles import Obstacles, obstacles_of
-from .payload import add_payload, payload_parameters
 from .physical import (
     RESISTING,
-    base_prior,
-    expected_links,
     friction_alone,
     friction_power,
-    is_a_body,
-    link_columns,
     nearest_consistent,
     own_shares,
     physical_parameters,
     requirements,
     shaped_states,
+)
+from .prior import (
+    add_payload,
+    base_prior,
+    described_parameters,
+    expected_links,
+    is_a_body,
+    known_parameters,
+    link_columns,
+    payload_parameters,
 )

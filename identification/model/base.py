@@ -24,7 +24,6 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from ..errors import BadInputError
 from ..report import is_load
 from .inverse import InverseModel
 from .joint_terms import SHAPES
@@ -167,29 +166,3 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
             term = f"{size:.6g} ({inside})" if len(members) > 1 else f"{size:.6g} {inside}"
         text += (" - " if coefficient < 0 else " + " if text else "") + term
     return text
-
-
-def known_parameters(dynamics: InverseModel) -> Array:
-    """Standard parameters chi (p,) of the description's `[parameters]`, zero if not stated."""
-    values, names, place = dynamics.robot.parameters, dynamics.names, f"robot {dynamics.robot.name}"
-    if not values:
-        raise BadInputError(
-            "no [parameters] to simulate with",
-            place=place,
-            expected="inertials in the URDF when `init` read it, or `export --toml` of a fit",
-        )
-    for name, value in values.items():
-        if name not in names:
-            raise BadInputError(
-                "not a standard parameter of this robot",
-                place=place,
-                key=f"parameters.{name}",
-                value=value,
-                expected=f"such as {', '.join(names[:3])} ... {names[-1]}",
-            )
-    return np.array([values.get(name, 0.0) for name in names])
-
-
-def described_parameters(dynamics: InverseModel, base: BaseParameters) -> Array:
-    """Base parameters (b,) of the description's `[parameters]`: K chi."""
-    return np.asarray(base.K @ known_parameters(dynamics))

@@ -22,13 +22,12 @@ import pinocchio as pin
 
 from ..arrays import Array
 from .base import BaseParameters
-from .direct import DirectModel
+from .direct import MASS, DirectModel, symmetric
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import JointTerm
 
 # mass added to each link, times the sum of masses and first moments: no sum of masses is then zero
 _DUMMY = 2.0
-_MASS = FROM_PINOCCHIO[LINK.index("M")]
 _MOMENTS = [FROM_PINOCCHIO[LINK.index(name)] for name in ("M", "MX", "MY", "MZ")]
 
 
@@ -42,7 +41,7 @@ def regressor_gradient(
     links, out = _split(model, base, dq, G)
     dummy = (_DUMMY * np.abs(links[..., _MOMENTS]).sum(axis=(2, 3)))[..., None]  # (N, n, 1)
     dummy[dummy == 0] = 1.0
-    links[..., _MASS] += dummy
+    links[..., MASS] += dummy
     slopes = _slopes_of_robots(model, (q, dq, ddq), links)
     for j in range(model.robot.n):
         out += slopes[j, :, :, j] - dummy[:, j] * slopes[-1, :, :, j]
@@ -83,7 +82,7 @@ def _slopes_of_robots(
                 rigid.inertias[link] = inertia
             pin.computeRNEADerivatives(rigid, data, *state)
             slopes[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
-    slopes[:, 2] = _symmetric(slopes[:, 2])
+    slopes[:, 2] = symmetric(slopes[:, 2])
     return slopes
 
 
@@ -91,14 +90,13 @@ def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> t
     """tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q,
     dq, ddq: the last axis.
     """
-    q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
-    rigid, data, n = model.rigid, model.data, q.shape[1]
-    tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))
-    for k in range(len(q)):
-        pin.computeRNEADerivatives(rigid, data, q[k], dq[k], ddq[k])
+    shape, data = motion[0].shape, model.data
+    tau, slopes = np.empty(shape), np.empty((3, *shape, shape[1]))
+    for k, state in enumerate(zip(*map(np.ascontiguousarray, motion), strict=True)):
+        pin.computeRNEADerivatives(model.rigid, data, *state)
         tau[k] = data.tau
         slopes[:, k] = data.dtau_dq, data.dtau_dv, data.M
-    slopes[2] = _symmetric(slopes[2])
+    slopes[2] = symmetric(slopes[2])
     return tau, slopes
 
 
@@ -113,8 +111,3 @@ def torque_without_sliding(
     slopes[2] += model.rotor
     slopes[1] += model.viscous + (dq > 0)[:, None] * up + (dq < 0)[:, None] * down
     return of_links[0] + model.without_sliding(dq, ddq), slopes
-
-
-def _symmetric(M: Array) -> Array:
-    """Full matrices (..., n, n) from the upper triangles that pinocchio fills."""
-    return np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)

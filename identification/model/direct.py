@@ -18,7 +18,7 @@ from .joint_terms import SHAPES, SIZES, JointTerm, Kind
 _POSES = 300  # positions of a trajectory at which M is checked
 # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
 _ONE_BY_ONE = 150
-_MASS = FROM_PINOCCHIO[LINK.index("M")]
+MASS = FROM_PINOCCHIO[LINK.index("M")]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,12 +55,8 @@ class DirectModel:
 
     def inertia(self, q: Array) -> Array:
         """Inertia matrices (N, n, n) at the positions q (N, n)."""
-        M = np.empty((len(q), *self.rotor.shape))
-        for k, qk in enumerate(np.ascontiguousarray(q)):
-            M[k] = pin.crba(self.rigid, self.data, qk)
-        lower = np.tril(np.ones(self.rotor.shape, dtype=bool), -1)
-        M[:, lower] = M.transpose(0, 2, 1)[:, lower]  # pinocchio fills the upper triangle
-        return M + self.rotor
+        M = [pin.crba(self.rigid, self.data, qk) for qk in np.ascontiguousarray(q)]
+        return symmetric(np.reshape(M, (-1, *self.rotor.shape))) + self.rotor
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Upper triangle of M (n, n) without rotors, and h (n,) without friction, at one state."""
@@ -160,13 +156,15 @@ class DirectModel:
 
     def largest_shape(self, u: Array) -> Array:
         """Maximum (c,) of the resisting shapes up to the speeds u (c,), without load friction."""
-        largest = np.zeros_like(u)
-        for kind, (factor, u_s) in self.shapes.items():
-            size = SIZES[kind]
-            largest += np.maximum(
-                factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0
-            )
-        return largest
+        return sum(
+            (
+                np.maximum(
+                    x * np.maximum(SIZES[kind](u, u_s, 0.0), SIZES[kind](0.0 * u, u_s, 0.0)), 0.0
+                )
+                for kind, (x, u_s) in self.shapes.items()
+            ),
+            np.zeros_like(u),
+        )
 
     @property
     def load_friction(self) -> Array:
@@ -183,7 +181,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
-    rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
+    rotor, viscous = np.zeros((n, n)), np.zeros((3, n, n))  # in both directions, up, down
     directions, offset = dynamics.coulomb_directions, np.zeros(n)
     up, down = np.zeros((2, len(directions)))
     shapes = dict[Kind, tuple[Array, Array]]()
@@ -193,13 +191,12 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         elif source.kind == "rotor":
             rotor += value * source.matrix
         elif source.kind == "viscous":
-            target = (viscous, viscous_up, viscous_down)[source.side]
-            target += value * source.matrix
+            viscous[source.side] += value * source.matrix
         elif source.kind == "offset":
             offset += value * source.direction
         elif source.kind == "asymmetric":  # |v| is v forwards, -v backwards
-            viscous_up += value * np.diag(source.direction)
-            viscous_down -= value * np.diag(source.direction)
+            viscous[1] += value * np.diag(source.direction)
+            viscous[-1] -= value * np.diag(source.direction)
         else:
             at = int((directions == source.direction).all(axis=1).argmax())
             if source.kind == "coulomb":
@@ -210,7 +207,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
                     source.kind, (np.zeros(len(directions)), np.full(len(directions), np.inf))
                 )
                 factor[at], speed[at] = value, source.speed
-    values[values[:, _MASS] == 0.0, _MASS] = 1e-6  # pinocchio divides by the masses
+    values[values[:, MASS] == 0.0, MASS] = 1e-6  # pinocchio divides by the masses
     for j in range(n):
         rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
     return DirectModel(
@@ -219,15 +216,20 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         rigid=rigid,
         data=rigid.createData(),
         rotor=rotor,
-        viscous=viscous,
-        viscous_up=viscous_up,
-        viscous_down=viscous_down,
+        viscous=viscous[0],
+        viscous_up=viscous[1],
+        viscous_down=viscous[-1],
         directions=directions,
         up=up,
         down=down,
         shapes={kind: shapes[kind] for kind in SHAPES if kind in shapes and shapes[kind][0].any()},
         offset=offset,
     )
+
+
+def symmetric(M: Array) -> Array:
+    """Full matrices (..., n, n) from the upper triangles that pinocchio fills."""
+    return np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)
 
 
 def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:

@@ -19,7 +19,7 @@ import pinocchio as pin
 from acquisition.errors import listed
 from acquisition.robot import Robot
 
-from ..arrays import Array, Bools, Ints
+from ..arrays import Array, Ints
 from ..errors import BadInputError
 from .joint_terms import SLIDING, JointTerm, joint_terms
 
@@ -69,7 +69,10 @@ class InverseModel:
             len(self.names),
             np.array([not isinstance(s, JointTerm) for s in self.sources]),
         )
-        self.nonzero = self._structure()
+        # joint j carries link i
+        self.nonzero = np.zeros((n, self.p), dtype=bool)
+        for c, s in enumerate(self.sources):
+            self.nonzero[s.rows if isinstance(s, JointTerm) else self._carriers[s[0]], c] = True
         along = [tuple(term.direction) for term in self.terms.values() if term.kind in SLIDING]
         self.coulomb_directions = np.array(list(dict.fromkeys(along))).reshape(-1, n)
 
@@ -81,14 +84,18 @@ class InverseModel:
         """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n)."""
         entries = self.entries(columns)
         out = np.empty((len(entries), len(q)))
-        places: dict[tuple[int, int], list[int]] = {}
+        rows: dict[int, dict[int, list[int]]] = {}  # of out, by link and place in LINK
         for e, (j, c) in enumerate(entries):
             source = self.sources[columns[c]]
             if isinstance(source, JointTerm):
                 out[e] = source.entry(int(j), dq, ddq)
             else:
-                places.setdefault(source, []).append(e)
-        self._link_series((q, dq, ddq), places, out)
+                rows.setdefault(source[0], {}).setdefault(source[1], []).append(e)
+        links, gravity = 1 + max(rows, default=-1), np.array(self.robot.gravity)
+        for block, twists in self._twists((q, dq, ddq), links, gravity):
+            for i, own in rows.items():
+                torques = _link_torques(twists[i + 1], _FORCES[[*own]], _MOMENTS[[*own]])
+                out[np.concatenate([*own.values()]), block] = torques
         return out
 
     def regressor(self, q: Array, dq: Array, ddq: Array, columns: Ints | None = None) -> Array:
@@ -140,31 +147,6 @@ class InverseModel:
             for j, placement in enumerate(list(self._data.oMi)[1:]):
                 origins[k, j], rotations[k, j] = placement.translation, placement.rotation
         return origins, rotations
-
-    def _link_series(
-        self,
-        motion: tuple[Array, Array, Array],
-        places: dict[tuple[int, int], list[int]],
-        out: Array,
-    ) -> None:
-        """Fill out[places[link, place in LINK]], one row for each joint that carries the
-        link, in ascending order.
-
-        The torque of a joint is v·f + w·n, with the link's velocities v, w at unit joint speed, and
-        the force f and moment n that accelerate the link (Khalil2002).
-        """
-        by_link = {
-            i: [place for link, place in places if link == i]
-            for i in sorted({link for link, _ in places})
-        }
-        rows = {
-            i: np.concatenate([places[i, place] for place in own]) for i, own in by_link.items()
-        }
-        for block, twists in self._twists(
-            motion, 1 + max(by_link, default=-1), np.array(self.robot.gravity)
-        ):
-            for i, own in by_link.items():
-                out[rows[i], block] = _link_torques(twists[i + 1], _FORCES[own], _MOMENTS[own])
 
     def torques_of_links(
         self, motion: tuple[Array, Array, Array], parameters: Array, gravity: Array
@@ -245,18 +227,13 @@ class InverseModel:
             [joint - 1 for joint in joints if joint > 0] for joints in list(self.model.supports)[1:]
         ]
 
-    def _structure(self) -> Bools:
-        """Which entries (n, p) of the regressor can be non-zero: joint j carries link i."""
-        nonzero = np.zeros((self.robot.n, self.p), dtype=bool)
-        for c, source in enumerate(self.sources):
-            rows = source.rows if isinstance(source, JointTerm) else self._carriers[source[0]]
-            nonzero[rows, c] = True
-        return nonzero
-
 
 def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
     """Torques (P * joints, N) of the joints that carry a link, for P forces and moments (P, 3, 12)
     as of `_unit_wrenches`.
+
+    The torque of a joint is v·f + w·n, with the link's velocities v, w at unit joint speed, and
+    the force f and moment n that accelerate the link (Khalil2002).
     """
     (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
     # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); torque v·f + w·n.

@@ -10,78 +10,23 @@ exact. With further friction terms, the power at recorded speeds must be positiv
 """
 
 import numpy as np
-import pinocchio as pin
 
 from ..arrays import Array, Ints
-from ..errors import BadInputError
 from ..estimation import (
     Consistent,
     PhysicalParameters,
     consistent_parameters,
-    link_parameters,
     pseudo_inertia,
 )
 from .base import BaseParameters
-from .inverse import FROM_PINOCCHIO, LINK, InverseModel
+from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
+from .prior import expected_links, link_columns
 
-DENSITY = 1000.0  # kg/m³ of a plausible link, including motor and cavities
-SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius over its length, and limits of the radius
-ROUNDING = 1e-12  # of the largest a-priori value: smaller ones are rounding
-MIN_EIGENVALUE = 1e-4  # of a physical pseudo-inertia, scaled to a diagonal of ones
 ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: of the link's ZZ, and in N m or N m s
-MAX_FRAME_DIFFERENCE = 1e-6  # m and rotation entries, of two descriptions of one robot
-POSES, SEED = 4, 11  # to compare the frames of two descriptions
 DISSIPATING = ("viscous", "coulomb", *SHAPES)  # constant offsets do not dissipate
 RESISTING = ("rotor", "viscous", "coulomb")  # terms that simulators have
 MIN_SPEED = 0.04  # of a joint's peak speed, for the power of its friction to be checked
-
-
-def expected_links(
-    idm: InverseModel, prior: InverseModel | None = None
-) -> tuple[Array, tuple[str, ...]]:
-    """A-priori links of `prior`, another description of the robot, or of the
-    model's own description.
-
-    Returns parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the model's link frames, and
-    the source of each link.
-
-    A link is from the description's `[parameters]`, else its `URDF`, else `plausible`: a rod from
-    its joint to the next. The link frames of `prior` may differ, as those of a URDF from DH rows.
-    Raises `BadInputError` if it has other joints or its links move differently.
-    """
-    of = idm if prior is None else prior
-    values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
-    of_urdf = of.link_parameters()
-    found = [
-        _expected_link(of, j, values[columns], of_urdf[j])
-        for j, columns in enumerate(link_columns(of))
-    ]
-    links = np.array([link for link, _ in found])
-    if prior is not None:
-        T = _frames_of(idm, prior)
-        links = link_parameters(T @ pseudo_inertia(links) @ T.transpose(0, 2, 1))
-    return links, tuple(source for _, source in found)
-
-
-def base_prior(
-    idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None
-) -> tuple[dict[str, float], str]:
-    """A-priori base parameters K chi of links alone, by name, as `expected_links` without
-    plausible values; their source.
-    """
-    (links, sources), chi = expected_links(idm, prior), np.full(idm.p, np.nan)
-    chi[link_columns(idm)] = np.where((np.array(sources) == "plausible")[:, None], np.nan, links)
-    known, beta = base.links & ~((base.K != 0) @ np.isnan(chi)), base.K @ np.nan_to_num(chi)
-    beta[np.abs(beta) < ROUNDING * np.abs(beta).max()] = 0.0
-    found = {name: float(x) for name, x, k in zip(base.names, beta, known, strict=True) if k}
-    return found, "URDF" if "URDF" in sources else "[parameters]"
-
-
-def link_columns(idm: InverseModel) -> Ints:
-    """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
-    place = {source: c for c, source in enumerate(idm.sources) if not isinstance(source, JointTerm)}
-    return np.array([[place[j, i] for i in range(len(LINK))] for j in range(idm.robot.n)])
 
 
 def friction_power(idm: InverseModel, columns: Ints, dq: Array, load: Array) -> Array:
@@ -268,67 +213,6 @@ def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
         for x, term in zip(row[row != 0], terms, strict=True)
     ).removeprefix("+ ")
     return row[None, None], terms[0], text
-
-
-def _expected_link(
-    idm: InverseModel, j: int, described: Array, of_urdf: Array
-) -> tuple[Array, str]:
-    """Ten parameters of link j, described, from the URDF, or of a rod to the next
-    joint; and their source.
-    """
-    for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
-        if is_a_body(parameters):
-            return np.array(parameters), source
-    after = [k for k in range(len(idm.model.parents)) if k > 0 and idm.model.parents[k] == j + 1]
-    along = np.array(idm.model.jointPlacements[after[0]].translation) if after else np.zeros(3)
-    length = float(np.linalg.norm(along))
-    radius = float(np.clip(SLENDERNESS * length, *RADIUS_M))
-    mass = DENSITY * np.pi * radius**2 * (length + 2 * radius)
-    # second moments over the mass, about the middle
-    spread = np.outer(along, along) / 12 + radius**2 / 4 * np.eye(3)
-    about_middle = mass * (np.trace(spread) * np.eye(3) - spread)
-    rod = pin.Inertia(mass, along / 2, about_middle)
-    return np.asarray(rod.toDynamicParameters())[list(FROM_PINOCCHIO)], "plausible"
-
-
-def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
-    """T (n, 4, 4) from the prior's link frames to the model's; it must be the
-    same at all positions.
-    """
-    joints, others = idm.robot.joints, prior.robot.joints
-    if [j.type for j in joints] != [j.type for j in others]:
-        raise BadInputError(
-            place=f"prior {prior.robot.name}",
-            key="joints",
-            value=", ".join(j.type for j in others),
-            expected=", ".join(j.type for j in joints),
-        )
-    q = np.random.default_rng(SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
-    (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)
-    back, T = turned.transpose(0, 1, 3, 2), np.zeros((POSES, idm.robot.n, 4, 4))
-    T[..., :3, :3], T[..., 3, 3] = back @ turned_prior, 1.0
-    T[..., :3, 3] = np.einsum("knij,knj->kni", back, at_prior - at)
-    differs = np.abs(T - T[0]).max(axis=(0, 2, 3)) > MAX_FRAME_DIFFERENCE
-    if differs.any():
-        raise BadInputError(
-            "its link moves differently from the fit's",
-            place=f"prior {prior.robot.name}",
-            key="joint",
-            value=others[int(differs.argmax())].name,
-            expected="the same base frame, axes, lengths and zeros",
-        )
-    return np.asarray(T[0])
-
-
-def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
-    """Whether a body of positive density can have these ten parameters: eigenvalues of its scaled
-    pseudo-inertia > `least`.
-    """
-    P = pseudo_inertia(parameters)
-    diagonal = np.diag(P)
-    if not (diagonal > 0).all():
-        return False
-    return float(np.linalg.eigvalsh(P / np.sqrt(np.outer(diagonal, diagonal))).min()) > least
 
 
 def nearest_consistent(
