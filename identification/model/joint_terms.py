@@ -135,86 +135,60 @@ class JointTerm:
         return share * (sign + self.side) * size, share * (size * steepness + slope * sign)
 
 
-def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
-    """The described terms numbered j + 1: Ia, friction of the joint, Off,
-    friction of a coupled motor.
+def joint_terms(robot: Robot, j: int) -> Iterator[JointTerm]:
+    """The described terms numbered j + 1: Ia, friction of the joint, Off, and friction of a motor
+    that turns with several joints, at the speed row·dq.
     """
-    none, square = np.zeros(robot.n), np.zeros((robot.n, robot.n))
+    joint, own, motors = robot.joints[j], np.eye(robot.n)[j], _motor_rows(robot)
+    none, square, row = np.zeros(robot.n), np.zeros((robot.n, robot.n)), motors[j]
     blank = JointTerm(
         name="", joint=j, unit="", kind="offset", matrix=square, direction=none, given_away=none
     )
-    motors = _motor_rows(robot)
-    terms = list(_joint_friction(robot, blank))
-    if np.count_nonzero(motors[j]) > 1:
-        terms += _motor_friction(robot, blank, motors[j])
-    if not robot.joints[j].rotor_inertia:
-        return terms
-    single = np.count_nonzero(motors, axis=1) == 1  # motors that turn with one joint only
-    others = [i for i in range(robot.n) if i != j and single[i] and robot.joints[i].rotor_inertia]
-    return [
-        replace(
-            _through_matrix(blank, "Ia", "rotor", np.outer(motors[j], motors[j]), others),
-            unit=inertia_unit(robot, j),
-        ),
-        *terms,
-    ]
-
-
-def _joint_friction(robot: Robot, blank: JointTerm) -> Iterator[JointTerm]:
-    joint, own = robot.joints[blank.joint], np.eye(robot.n)[blank.joint]
+    if joint.rotor_inertia:
+        single = np.count_nonzero(motors, axis=1) == 1  # motors that turn with one joint only
+        others = [i for i, x in enumerate(robot.joints) if i != j and single[i] and x.rotor_inertia]
+        yield _through_matrix(robot, blank, "rotor", "Ia", row, others)
     for side, mark in ((1, "p"), (-1, "n")) if joint.one_sided else ((0, ""),):
+        one = replace(blank, side=side)
         if "viscous" in joint.terms:
-            yield replace(
-                _through_matrix(blank, f"Fv{mark}", "viscous", np.outer(own, own)),
-                unit=_viscous_unit(robot, blank.joint),
-                side=side,
-            )
+            yield _through_matrix(robot, one, "viscous", f"Fv{mark}", own)
         if "coulomb" in joint.terms:
-            yield replace(_along(robot, blank, "coulomb", f"Fc{mark}", own), side=side)
+            yield _along(robot, one, "coulomb", f"Fc{mark}", own)
     if "offset" in joint.terms:
-        yield replace(
-            blank, name=f"Off{blank.joint + 1}", unit=robot.effort_units[blank.joint], direction=own
-        )
+        yield replace(blank, name=f"Off{j + 1}", unit=robot.effort_units[j], direction=own)
     for kind in SHAPES:
         if kind in joint.terms:
             yield _along(robot, blank, kind, FRICTION[kind].name, own)
-
-
-def _motor_friction(robot: Robot, blank: JointTerm, row: Array) -> Iterator[JointTerm]:
-    """Friction of a motor that turns with several joints, at the speed row·dq."""
-    joint = robot.joints[blank.joint]
-    if "viscous" in joint.terms:
-        others = [
-            i
-            for i, other in enumerate(robot.joints)
-            if "viscous" in other.terms and not other.one_sided
-        ]
-        yield replace(
-            _through_matrix(blank, "Fvm", "viscous", np.outer(row, row), others),
-            unit=_viscous_unit(robot, blank.joint),
-        )
-    for kind, friction in FRICTION.items():
-        if friction.motor_name and kind in joint.terms:
-            yield _along(robot, blank, kind, friction.motor_name, row)
-
-
-def _viscous_unit(robot: Robot, j: int) -> str:
-    return f"{robot.effort_units[j]} s/{robot.joints[j].position_unit}"
+    if np.count_nonzero(row) > 1:
+        if "viscous" in joint.terms:
+            others = [
+                i for i, x in enumerate(robot.joints) if "viscous" in x.terms and not x.one_sided
+            ]
+            yield _through_matrix(robot, blank, "viscous", "Fvm", row, others)
+        for kind, friction in FRICTION.items():
+            if friction.motor_name and kind in joint.terms:
+                yield _along(robot, blank, kind, friction.motor_name, row)
 
 
 def _through_matrix(
+    robot: Robot,
     blank: JointTerm,
-    name: str,
     kind: Literal["rotor", "viscous"],
-    whole: Array,
+    name: str,
+    row: Array,
     others: Sequence[int] = (),
 ) -> JointTerm:
-    """A term of a matrix, whose diagonal at `others` belongs to parameters of these joints."""
+    """A term of the matrix rowᵀ row, whose diagonal at `others` belongs to parameters of these
+    joints.
+    """
+    j, whole = blank.joint, np.outer(row, row)
     matrix = whole.copy()
     matrix[list(others), list(others)] = 0.0
+    viscous = f"{robot.effort_units[j]} s/{robot.joints[j].position_unit}"
     return replace(
         blank,
-        name=f"{name}{blank.joint + 1}",
+        name=f"{name}{j + 1}",
+        unit=viscous if kind == "viscous" else inertia_unit(robot, j),
         kind=kind,
         matrix=matrix,
         given_away=np.diag(whole - matrix),
@@ -270,7 +244,6 @@ def _motor_rows(robot: Robot) -> Array:
     """Motor matrix (n, n) with each row divided by its entry at the motor's own joint,
     or else by its largest.
     """
-    own = np.diag(robot.R).copy()
-    for m in np.flatnonzero(own == 0):
-        own[m] = robot.R[m, np.argmax(np.abs(robot.R[m]))]
-    return np.asarray(robot.R / own[:, None])
+    largest = np.take_along_axis(robot.R, np.abs(robot.R).argmax(axis=1)[:, None], axis=1)
+    own = np.diag(robot.R)[:, None]
+    return np.asarray(robot.R / np.where(own != 0, own, largest))

@@ -94,14 +94,12 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     geometry.addAllCollisionPairs()
     every = Obstacles(model=dynamics.model, geometry=geometry, near=(), missing=tuple(missing))
     is_near = every.distances(poses).max(axis=0) <= margin_m
-    near, pairs = list[str](), [(pair.first, pair.second) for pair in geometry.collisionPairs]
-    for pair, name, near_always in zip(pairs, every.names, is_near, strict=True):
-        adjacent = _are_adjacent(dynamics, geometry, *pair)
-        if near_always and not adjacent:
-            near.append(name)
-        if adjacent or near_always:
-            geometry.removeCollisionPair(pin.CollisionPair(*pair))
-    return replace(every, near=tuple(dict.fromkeys(near)))
+    names, pairs = every.names, [(pair.first, pair.second) for pair in geometry.collisionPairs]
+    adjacent = np.array([_are_adjacent(dynamics, geometry, *pair) for pair in pairs], dtype=bool)
+    for k in np.flatnonzero(adjacent | is_near):
+        geometry.removeCollisionPair(pin.CollisionPair(*pairs[k]))
+    near = dict.fromkeys(names[k] for k in np.flatnonzero(is_near & ~adjacent))
+    return replace(every, near=tuple(near))
 
 
 def _add_capsule(geometry: Any, link: int, name: str, capsule: Capsule) -> None:
@@ -115,10 +113,9 @@ def _add_capsule(geometry: Any, link: int, name: str, capsule: Capsule) -> None:
 
 def _are_adjacent(dynamics: InverseModel, geometry: Any, i: int, k: int) -> bool:
     """Whether a joint connects the links of two shapes, of which the first may be the ground."""
-    a, b = (geometry.geometryObjects[x].parentJoint for x in (i, k))
-    parents = dynamics.model.parents
-    is_ground = geometry.geometryObjects[i].name == "ground_0"
-    return not is_ground and bool(parents[a] == b or parents[b] == a)
+    shapes, parents = geometry.geometryObjects, dynamics.model.parents
+    a, b = shapes[i].parentJoint, shapes[k].parentJoint
+    return shapes[i].name != "ground_0" and bool(parents[a] == b or parents[b] == a)
 
 
 def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing: list[str]) -> None:

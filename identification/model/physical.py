@@ -63,11 +63,9 @@ def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Arr
 
     Joints that share motors move together as recorded, and each joint alone.
     """
-    moving, found = (
-        np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0),
-        [(dq[:0], load[:0])],
-    )
-    for joints in _groups(idm, shaped=True):
+    moving = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0)
+    found = [(dq[:0], load[:0])]
+    for joints in (group for group, shaped in _groups(idm).items() if shaped):
         for subset in dict.fromkeys([joints, *((j,) for j in joints)]):
             at, these = moving[:, subset].any(axis=1), np.isin(np.arange(idm.robot.n), subset)
             found.append((dq[at] * these, load[at]))
@@ -85,43 +83,31 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
     without these terms, also of a joint's or motor's own; else there is no condition
     here, and the power is checked.
     """
-    terms, A = own_shares(idm)
-    alone = {j for joints in _groups(idm, shaped=False) if len(joints) == 1 for j in joints}
-    alone |= {j for joints in _groups(idm, shaped=True) if shaped for j in joints}
+    groups, (terms, A) = _groups(idm), own_shares(idm)
+    alone = {
+        j
+        for joints, further in groups.items()
+        if (shaped if further else len(joints) == 1)
+        for j in joints
+    }
     found = [
         _single(idm, row)
         for term, row in zip(terms.values(), A, strict=True)
         if term.kind == "rotor" or alone.issuperset(term.rows.tolist())
     ]
-    for joints in _groups(idm, shaped=False):
-        if len(joints) > 1:
-            viscous, coulomb = (_terms(idm, (kind,), joints) for kind in ("viscous", "coulomb"))
-            if viscous:
-                across = spanning(np.array([term.row for term in viscous.values()]))
-                matrix = np.zeros((len(across), len(across), idm.p))
-                for c, term in viscous.items():
-                    matrix[..., c] = across @ term.matrix @ across.T
-                found.append(
-                    (
-                        matrix,
-                        next(iter(viscous.values())),
-                        "viscous friction of "
-                        + " and ".join(idm.robot.joints[j].name for j in joints),
-                    )
-                )
-            for speeds in (
-                corner_speeds(np.array([term.direction for term in coulomb.values()]))
-                if coulomb
-                else ()
-            ):
-                found.append(
-                    _single(
-                        idm,
-                        np.asarray(
-                            np.bincount(list(coulomb), speeds, minlength=idm.p), dtype=float
-                        ),
-                    )
-                )
+    for joints in (g for g, further in groups.items() if len(g) > 1 and not further):
+        viscous, coulomb = (_terms(idm, (kind,), joints) for kind in ("viscous", "coulomb"))
+        if viscous:
+            across = spanning(np.array([term.row for term in viscous.values()]))
+            matrix = np.zeros((len(across), len(across), idm.p))
+            for c, term in viscous.items():
+                matrix[..., c] = across @ term.matrix @ across.T
+            names = " and ".join(idm.robot.joints[j].name for j in joints)
+            found.append((matrix, next(iter(viscous.values())), f"viscous friction of {names}"))
+        if coulomb:
+            corners = corner_speeds(np.array([term.direction for term in coulomb.values()]))
+            sums = corners @ np.eye(idm.p)[list(coulomb)]
+            found += [_single(idm, row) for row in sums]
     return found
 
 
@@ -170,10 +156,8 @@ def _terms(
     }
 
 
-def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
-    """Groups of joints that share motors: if `shaped`, those with further friction
-    terms, else the others.
-    """
+def _groups(idm: InverseModel) -> dict[tuple[int, ...], bool]:
+    """Groups of joints that share motors, each with whether it has further friction terms."""
     joined = np.eye(idm.robot.n)
     for term in _terms(idm, DISSIPATING).values():
         joined[np.ix_(term.rows, term.rows)] = 1.0
@@ -182,10 +166,11 @@ def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
     )
     # If joints share motors, one-sided terms count as further terms.
     one_sided = {term.joint for term in idm.terms.values() if term.side}
-    further = {
-        g for g in groups if _terms(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))
+    return {
+        group: bool(_terms(idm, SHAPES, group))
+        or (len(group) > 1 and not one_sided.isdisjoint(group))
+        for group in groups
     }
-    return [joints for joints in groups if (joints in further) == shaped]
 
 
 def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
