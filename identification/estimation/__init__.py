@@ -52,10 +52,10 @@ from .estimators import (
     weighted_least_squares,
     weights_of,
 )
-from .spans import SpanRows
 from .system import (
     FINE_SPANS,
     SPANS,
+    SpanRows,
     System,
     by_joint,
     orthonormal,

@@ -6,7 +6,7 @@ Economic Statistics 36 (2018). Only the low-frequency part of the residual matte
 the cosines of the lowest frequencies measure it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -75,15 +75,22 @@ def intervals_of(
     Returns
     -------
     Intervals and `sigma` (b,) in the units of beta, with the degrees of freedom of Student's t:
-    the number B of cosines, summed over the recordings.
+    the number B of cosines, summed over the recordings, which are independent.
     """
     rho = system.Y - system.W @ estimate.values_of(system.names)
-    weighted, Q = rho * estimate.weights[system.joint_of_row], estimate.Q
-    found = list[Scores]()
+    weighted, Q, bread = rho * estimate.weights[system.joint_of_row], estimate.Q, estimate.bread
+    each, freedom = list[Array](), 0
     for B, spans in _by_span(system, among, most):
-        scores = np.array([Q[at].T @ weighted[at] for at in spans]) @ estimate.bread.T
-        found.append((scores, np.array([Q[at].T @ Q[at] for at in spans]), B))
-    sigma, freedom = estimate_deviations(estimate.bread, found)
+        # by span its share of beta - beta_true, and its QᵀQ
+        scores = np.array([Q[at].T @ weighted[at] for at in spans]) @ bread.T
+        grams, cosine = np.array([Q[at].T @ Q[at] for at in spans]), _family(B, len(spans))
+        sums = [np.tensordot(c, grams, axes=1) for c in (cosine, (cosine**2).mean(axis=0))]
+        lost, kept, whole = (bread @ x for x in (*sums, grams.sum(axis=0)))
+        kept, whole = ((x * bread).sum(axis=-1) for x in (kept, whole))
+        share = _share(kept - (lost**2).sum(axis=-1).mean(axis=0), whole)
+        each.append(deviations(scores, B) / np.sqrt(share))
+        freedom += B
+    sigma = np.hypot.reduce(each)
     return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
 
 
@@ -117,10 +124,8 @@ def combined(
         return estimate
     found, names = intervals_of(system, estimate), estimate.names
     value, half = np.array([stated[names[i]] for i in at]).T
-    off, both = (
-        value - estimate.beta[at],
-        found.covariance[np.ix_(at, at)] + np.diag((half / found.reach) ** 2),
-    )
+    off = value - estimate.beta[at]
+    both = found.covariance[np.ix_(at, at)] + np.diag((half / found.reach) ** 2)
     if differs(off, both, found.freedom):
         return estimate
     G, kept = np.linalg.solve(both, found.covariance[at]).T, np.eye(len(names))
@@ -154,11 +159,6 @@ def differs(off: Array, covariance: Array, freedom: int) -> bool:
     )
 
 
-# Of a recording: the scores (K, b) of its spans of time, whose sum is its share of beta -
-# beta_true; Q'Q (K, b, b) of the spans; the number of cosines.
-Scores = tuple[Array, Array, int]
-
-
 def _by_span(
     system: System, among: Bools | None = None, most: int = MAX_COSINES
 ) -> Iterator[tuple[int, list[Ints]]]:
@@ -173,24 +173,6 @@ def _by_span(
         spans = spans if among is None else spans[among[spans]]
         if (instants := int(np.diff(own)[spans - first].sum())) > 0:
             yield cosines(instants, most), [order[ends[k] : ends[k + 1]] for k in spans]
-
-
-def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:
-    """Standard deviations (b,) of an estimate with this `bread`, corrected for what it
-    removes from the residuals, and their degrees of freedom. Recordings are independent, so
-    variances and degrees add up.
-    """
-    each = []
-    for scores, grams, B in recordings:
-        cosine = _family(B, len(grams))
-        sums = [np.tensordot(c, grams, axes=1) for c in (cosine, (cosine**2).mean(axis=0))]
-        lost, found, whole = (bread @ x for x in (*sums, grams.sum(axis=0)))
-        found, whole = ((x * bread).sum(axis=-1) for x in (found, whole))
-        each.append(
-            deviations(scores, B)
-            / np.sqrt(_share(found - (lost**2).sum(axis=-1).mean(axis=0), whole))
-        )
-    return np.asarray(np.hypot.reduce(each)), sum(B for _, _, B in recordings)
 
 
 def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
@@ -237,7 +219,7 @@ def deviations_of_sums(
     """Standard deviations (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
 
     rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The
-    deviations are corrected for what the two remove, as in `estimate_deviations`. `common` (r, m):
+    deviations are corrected for what the two remove, as in `intervals_of`. `common` (r, m):
     orthonormal directions beside Q that all columns together remove, in place of one each.
     """
     own, each = z - Q @ (Q.T @ z), []  # the direction that a column adds to Q, none in its span
@@ -275,8 +257,7 @@ def deviations(scores: Array, B: int) -> Array:
     """Standard deviations (b,) of the sums of scores (K, b) in order of time, by the B
     cosines of lowest frequency.
     """
-    L = _family(B, len(scores)) @ scores
-    return np.asarray(np.sqrt((L**2).mean(axis=0)))
+    return np.asarray(np.sqrt(((_family(B, len(scores)) @ scores) ** 2).mean(axis=0)))
 
 
 def _share(found: Array, whole: Array) -> Array:

@@ -204,10 +204,13 @@ class _Objective:
 
     def value(self, chi: Array) -> float:
         """Infinite outside."""
-        x, roots = self._x @ chi, self._roots(chi)
-        if roots is None or not (x > 0).all():
+        x, rho = self._x @ chi, self._A @ chi - self._target
+        try:
+            roots = self._roots(chi)
+        except np.linalg.LinAlgError:
             return np.inf
-        rho = self._A @ chi - self._target
+        if not (x > 0).all():
+            return np.inf
         sizes = [np.log(np.diagonal(L, axis1=1, axis2=2)).sum() for L in roots]
         log_det = sum(
             2 * weight * size for (_, _, weight), size in zip(self._cones, sizes, strict=True)
@@ -218,10 +221,8 @@ class _Objective:
         """Gradient (p,), and J (r, p) of the Hessian J'J, whose own
         condition is that of J squared.
         """
-        g, roots = self._A.T @ (self._A @ chi - self._target) + self._pull, self._roots(chi)
-        assert roots is not None
-        parts = [self._A]
-        for (columns, basis, weight), L in zip(self._cones, roots, strict=True):
+        g, parts = self._A.T @ (self._A @ chi - self._target) + self._pull, [self._A]
+        for (columns, basis, weight), L in zip(self._cones, self._roots(chi), strict=True):
             back = np.linalg.inv(L)[:, None]
             E = back @ basis @ back.transpose(0, 1, 3, 2)  # (L, c, s, s): L⁻¹ E_i L⁻ᵀ
             J = np.zeros((len(columns), L[0].size, len(chi)))
@@ -239,26 +240,21 @@ class _Objective:
 
     def reach(self, chi: Array, step: Array) -> float:
         """The multiple of a step at which a P_j, an X_k or an x_i becomes singular or zero."""
-        roots = self._roots(chi)
-        assert roots is not None
         lowest = float(((self._x @ step) / (self._x @ chi)).min(initial=0.0))
-        for (columns, basis, _), L in zip(self._cones, roots, strict=True):
+        for (columns, basis, _), L in zip(self._cones, self._roots(chi), strict=True):
             back = np.linalg.inv(L)
             change = back @ np.tensordot(step[columns], basis, axes=1) @ back.transpose(0, 2, 1)
             lowest = min(lowest, float(np.linalg.eigvalsh(change).min()))
         return float(-1.0 / lowest) if lowest < 0 else np.inf
 
-    def _roots(self, chi: Array) -> list[Array] | None:
-        """Cholesky factors (L, s, s) of the P_j and X_k, None where one is
-        not positive definite.
+    def _roots(self, chi: Array) -> list[Array]:
+        """Cholesky factors (L, s, s) of the P_j and X_k; an error where one is not positive
+        definite.
         """
-        try:
-            matrices = (
-                np.tensordot(chi[columns], basis, axes=1) for columns, basis, _ in self._cones
-            )
-            return [np.asarray(np.linalg.cholesky(P)) for P in matrices]
-        except np.linalg.LinAlgError:
-            return None
+        return [
+            np.asarray(np.linalg.cholesky(np.tensordot(chi[columns], basis, axes=1)))
+            for columns, basis, _ in self._cones
+        ]
 
 
 def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float]:
@@ -283,9 +279,8 @@ def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float]:
     """Newton steps from chi: the end and the decrement there."""
     step, decrement = _newton_step(*objective.derivatives(chi))
     for _ in range(MAX_STEPS):
-        if not MAX_DECREMENT < decrement < np.inf:
-            break
-        length = _length(objective, chi, step, decrement)
+        going = MAX_DECREMENT < decrement < np.inf
+        length = _length(objective, chi, step, decrement) if going else 0.0
         if length == 0.0:
             break
         chi = chi + length * step
@@ -311,7 +306,7 @@ def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
     d = np.linalg.norm(J, axis=0)
     d = np.where(d > 0, d, 1.0)
     try:
-        R: Array = np.asarray(np.linalg.qr(J / d, mode="r"))
+        R = np.asarray(np.linalg.qr(J / d, mode="r"))
         half = np.linalg.solve(R.T, g / d)
         return -np.linalg.solve(R, half) / d, float(np.linalg.norm(half))
     except np.linalg.LinAlgError:
@@ -325,7 +320,7 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
     sigma = np.sqrt(np.diag(covariance))
     own = np.where(sigma > 0, sigma, 1.0)
     R = covariance / own[:, None] / own
-    R[np.diag_indices_from(R)] = 1.0 + 1e-12
+    np.fill_diagonal(R, 1.0 + 1e-12)
     sigma = np.maximum(sigma, MIN_RELATIVE_DEVIATION * np.abs(beta))
     sigma = np.where(sigma > 0, sigma, MIN_RELATIVE_DEVIATION)
     try:
@@ -347,9 +342,8 @@ def link_parameters(P: Array) -> Array:
     """XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4): the
     inverse of `pseudo_inertia`.
     """
-    second = P[..., :3, :3]
+    second, (rows, columns) = P[..., :3, :3], np.triu_indices(3)
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
-    rows, columns = np.triu_indices(3)
     return np.concatenate([inertia[..., rows, columns], P[..., :3, 3], P[..., 3:, 3]], axis=-1)
 
 

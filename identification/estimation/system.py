@@ -1,10 +1,13 @@
-"""The over-determined system of the estimators: its rows by joint and span of time."""
+"""The over-determined system of the estimators: its rows by joint and span of time, one form for a
+short recording and for an hour, and their factors.
+"""
 
 import ctypes
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -20,19 +23,15 @@ SHORT = 12_000  # instants of a recording whose rows are kept as they are
 _BLOCK_ROWS, _BLOCKS = 1024, 16  # of a block that is factored; blocks at a time, as they are copied
 _MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
 _LARGE = 2**24  # bytes of an array beside which freed memory counts
+_RELEASED = 100  # factors that are copied before their memory is given back
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
-
-
-def is_short(instants: int) -> bool:
-    """Whether the rows of a recording of so many instants are kept as they are."""
-    return instants <= SHORT
 
 
 def equal_spans(instants: int) -> Ints:
     """The first instant (count + 1,) of each of the spans of so many instants, and the end of the
     last: instant t is in span t count // instants. A span has an instant at least.
     """
-    count = min(FINE_SPANS if is_short(instants) else SPANS, instants)
+    count = min(FINE_SPANS if instants <= SHORT else SPANS, instants)
     return np.asarray(-(-np.arange(count + 1) * instants // count))
 
 
@@ -107,6 +106,78 @@ class System:
         return self.W * w[:, None], self.Y * w
 
 
+class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
+    """Rows of a recording, such as [Z J r], by joint and span of time: by joint and place the rows,
+    and twice their span, one more for fast ones. Those of blocks are made apart, and then added.
+
+    Where a span has more rows than columns it keeps their R factor, A = Q R: it has the same
+    products of columns, hence the same least squares and instrumental variables, and avoids the
+    loss of digits of squared sums. A half of a recording is half of its spans; several recordings
+    stand one after the other.
+    """
+
+    @classmethod
+    def of_block(
+        cls, instants: int, first: int, A: Array, share: Array, fast: Bools | None = None
+    ) -> "SpanRows":
+        """The rows A (n, columns, K) of the instants from `first` on, of so many `instants` in all,
+        by their weights `share` (n, K), 0 for rows that do not count. Rows that are `fast` (n, K)
+        have factors of their own.
+        """
+        at, found = np.arange(first, first + A.shape[2]), cls()
+        span = np.searchsorted(equal_spans(instants), at, side="right") - 1
+        fast = np.zeros(share.shape, dtype=bool) if fast is None else fast
+        for j, (own, counts) in enumerate(zip(A, share > 0, strict=True)):
+            rows, kind = own[:, counts].T, 2 * span[counts] + fast[j, counts]
+            if instants <= SHORT:
+                found[j, first] = rows, kind
+                continue
+            found[j, 2 * int(span[0])] = rows[:0], kind[:0]  # where no row counts
+            for k in np.unique(kind).tolist():
+                R = _reduced(rows[kind == k])
+                found[j, k] = R, np.full(len(R), k)
+        return found
+
+    def add(self, block: "SpanRows") -> None:
+        """Add the rows of the next block."""
+        for key, (rows, kind) in block.items():
+            if key in self:
+                rows = _reduced(np.r_[self[key][0], rows])
+                kind = np.full(len(rows), key[1])
+            self[key] = rows, kind
+
+    def rows(self, share: Array) -> tuple[Array, Bools, dict[str, Any]]:
+        """The rows (r, columns), joint by joint in the order of time, which are fast (r,), and how
+        they follow: the further attributes of a `System`. Once only.
+        """
+        each = sorted(self)
+        lengths, columns = [len(self[key][1]) for key in each], self[each[0]][0].shape[1]
+        rows, kind = np.empty((sum(lengths), columns)), np.empty(sum(lengths), dtype=np.intp)
+        for key, at in zip(each, spans_of(lengths), strict=True):  # never twice in memory
+            rows[at], kind[at] = self.pop(key)
+            if len(self) % _RELEASED == 0:
+                release_memory(rows)
+        span, fast = np.divmod(kind, 2)
+        followed = {
+            "joint_of_row": np.repeat(np.array([j for j, _ in each], dtype=np.intp), lengths),
+            "span": span,
+            "rows": (share**2).sum(axis=0),
+            "spans": (equal_spans(len(share)),),
+        }
+        return rows, fast.astype(bool), followed
+
+
+def _reduced(rows: Array) -> Array:
+    """The rows (r, columns) of a joint, which depends on some columns only, or their R factor."""
+    own = rows.any(axis=0)
+    if len(rows) <= own.sum():
+        return rows
+    R = r_factor(rows[:, own])
+    found = np.zeros((len(R), rows.shape[1]))
+    found[:, own] = R
+    return found
+
+
 def spans_of(parts: Sequence[int]) -> list[slice]:
     """The instants of each recording within those of all."""
     return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *parts]))]
@@ -121,22 +192,19 @@ def stacked(systems: Sequence[System]) -> System:
     """The system of several recordings of the same parameters, rows stacked joint by
     joint, in the order given.
     """
-    order, before = by_joint(systems), 0
-    spans = list[Ints]()
-    for one in systems:
-        spans.append(one.span + before)
-        before += sum(len(own) - 1 for own in one.spans)
-    W, Y, joint_of_row = (
+    order, ends = by_joint(systems), np.cumsum([sum(len(x) - 1 for x in s.spans) for s in systems])
+    W, Y, joint_of_row, span = (
         np.concatenate([getattr(s, name) for s in systems])[order]
-        for name in ("W", "Y", "joint_of_row")
+        for name in ("W", "Y", "joint_of_row", "span")
     )
+    before = np.repeat([0, *ends[:-1]], [len(s.span) for s in systems])
     return replace(
         systems[0],
         W=W,
         Y=Y,
         joint_of_row=joint_of_row,
         rows=np.sum([s.rows for s in systems], axis=0),
-        span=np.concatenate(spans)[order],
+        span=span + before[order],
         spans=tuple(own for s in systems for own in s.spans),
     )
 
@@ -220,10 +288,6 @@ def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str
     excited = norms > 1e-12 * norms.max()
     _, singular, Vt = np.linalg.svd(R[:, excited] / norms[excited])
     involved = np.abs(Vt[singular < RANK_TOLERANCE * singular[:1]]).max(axis=0, initial=0.0) > 0.05
-    known = [name for name, s in zip(names, excited, strict=True) if s]
-    unexcited = [name for name, s in zip(names, excited, strict=True) if not s]
-    return (
-        unexcited,
-        [name for name, i in zip(known, involved, strict=True) if i],
-        np.asarray(singular),
-    )
+    every = np.array(names)
+    unexcited, collinear = every[~excited].tolist(), every[excited][involved].tolist()
+    return unexcited, collinear, np.asarray(singular)
