@@ -105,14 +105,14 @@ def consistent_parameters(
     """
     root, (kept, physical) = _inverse_root(beta, covariance), physical.within(K)
     K, p = K.take(kept, axis=1), K.shape[1]
-    objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
-    chi, decrement = _minimum(objective, physical.start)
+
+    def softened(softer: float) -> _Objective:
+        barrier = gamma * max(gamma_x, min(gamma_x * softer, 1.0))
+        return _Objective(beta, root / np.sqrt(softer), K, physical, gamma, barrier)
+
+    chi, decrement = _minimum(softened(1.0), physical.start)
     if not decrement <= MAX_DECREMENT:
         # For an estimate far from any robot, steps run along the boundary, where they are short.
-        def softened(softer: float) -> _Objective:
-            barrier = gamma * max(gamma_x, min(gamma_x * softer, 1.0))
-            return _Objective(beta, root / np.sqrt(softer), K, physical, gamma, barrier)
-
         chi, decrement = _along_path(softened, physical.start)
     if not decrement <= MAX_DECREMENT:
         raise NoFitError(
@@ -125,7 +125,7 @@ def consistent_parameters(
     return Consistent(
         chi=np.asarray(np.bincount(kept, chi, minlength=p), dtype=float),
         beta=K @ chi,
-        chi_squared=float(np.sum((objective.root @ moved) ** 2)),
+        chi_squared=float(np.sum((root @ moved) ** 2)),
         deviations=np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0),
         decrement=decrement,
     )
@@ -187,7 +187,7 @@ class _Objective:
         gamma_x: float,
     ) -> None:
         """`root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹ r."""
-        self.root, self._target, self._A = root, root @ beta, root @ K
+        self._target, self._A = root @ beta, root @ K
         self._x, self._gamma_x = physical.combinations, gamma_x
         # Matrices that are linear in some columns (L, c) of chi: these, what each multiplies (c, s,
         # s), weight of log det.

@@ -151,8 +151,7 @@ def joint_weights(system: System) -> Array:
 
     beta_j is the solution of the r_j rows of joint j alone, b_j the rank of its columns.
     """
-    rows = system.rows
-    W, Y = system.weighted(np.ones(len(rows)))
+    rows, W, Y = system.rows, system.W, system.Y
     s, least = np.empty(len(rows)), MIN_COLUMN_NORM * np.linalg.norm(W, axis=0)
     for j in range(len(rows)):
         W_j, Y_j = W[system.joint_of_row == j], Y[system.joint_of_row == j]
@@ -160,9 +159,9 @@ def joint_weights(system: System) -> Array:
         R = r_factor(np.c_[W_j / _norms(W_j), Y_j])  # with the same residual norm
         b_j, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=RANK_TOLERANCE)
         rho = R[:, -1] - R[:, :-1] @ b_j
-        s[j] = np.sqrt(rho @ rho / max(1, rows[j] - rank))
         # An exact model leaves only rounding, which must not set the weights.
-        s[j] = max(s[j], 1e-12 * np.sqrt(Y_j @ Y_j / rows[j]))
+        rounding = 1e-12 * np.sqrt(Y_j @ Y_j / rows[j])
+        s[j] = max(np.sqrt(rho @ rho / max(1, rows[j] - rank)), rounding)
     return _reciprocal(s)
 
 
@@ -202,20 +201,16 @@ def essential_parameters(
     # Columns are dropped from the R factor: each pass costs b³, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
 
-    def solved(kept: Ints) -> tuple[Array, Array, float, float]:
-        some = R[:, kept]
-        return _solve(orthonormal(some), some, R[:, -1])
-
     kept, nan = np.arange(b), math.nan
     tested = FTest(names=(), F=nan, p_value=nan, F_effective=nan, p_effective=nan)
-    beta, bread, norm, _ = solved(kept)
+    beta, bread, norm, _ = _solve(orthonormal(R[:, kept]), R[:, kept], R[:, -1])
     while len(kept) > 1:
         with np.errstate(divide="ignore", invalid="ignore"):
             percent = np.sqrt(np.diag(_covariance(bread, norm, r))) / np.abs(beta)
         if percent.max() < ratio * percent.min():
             break
         fewer = np.delete(kept, percent.argmax())
-        beta, bread, norm, _ = solved(fewer)
+        beta, bread, norm, _ = _solve(orthonormal(R[:, fewer]), R[:, fewer], R[:, -1])
         if full.residual_norm > 0:
             F = (
                 (norm**2 - full.residual_norm**2)

@@ -253,17 +253,13 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
         "[parameters]",
     )
     for j, joint in enumerate(chain.joints):
-        yield (
-            "# "
-            f"{one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"
+        known = (*values[j], joint.damping, joint.friction)
+        yield f"# {one_line(', '.join(chain.rigid[j][:8]))}{' ...' * (len(chain.rigid[j]) > 8)}"
+        yield from (
+            f"{name}{j + 1} = {value:.15g}"
+            for name, value in zip((*LINK, "Fv", "Fc"), known, strict=True)
+            if abs(value) > _MAX_ROUNDING
         )
-        for name, value in (
-            *zip(LINK, values[j], strict=True),
-            ("Fv", joint.damping),
-            ("Fc", joint.friction),
-        ):
-            if abs(value) > _MAX_ROUNDING:
-                yield f"{name}{j + 1} = {value:.15g}"
         # examples of what the URDF does not have, scaled by the joint's effort and speed
         effort, speed = joint.effort or _DEFAULT_EFFORT, joint.speed or _DEFAULT_SPEED
         small = _EFFORT_SHARE * effort

@@ -23,7 +23,6 @@ from .exported_model import STATES, ExportedModel, Losses, representable, split_
 from .formats import mjcf_text, servo_loop, urdf_text
 from .tables import replace_parameters, with_findings
 
-URDF_GRAVITY = (0.0, 0.0, -9.81)  # the default of URDF readers: a URDF has no gravity
 SOFT_FRICTION = (
     "MuJoCo's frictionloss is a soft constraint: a moving joint has dry friction, a joint near "
     "rest creeps"
@@ -151,7 +150,7 @@ def export_model(
     if urdf is not None:
         represented, losses = representable(m, motors=False)
         texts[urdf], notes = urdf_text(represented)
-        if tuple(robot.gravity) != URDF_GRAVITY:
+        if tuple(robot.gravity) != (0.0, 0.0, -9.81):  # the default of URDF readers
             gravity = " ".join(f"{g:g}" for g in robot.gravity)
             notes += (f"gravity is {gravity} m/s²: not in a URDF, set it in the simulator",)
         sections.append(_make_section(m, f"{urdf}", "a URDF", losses, notes))
@@ -160,16 +159,15 @@ def export_model(
         texts[mjcf] = mjcf_text(represented)
         notes = (SOFT_FRICTION,) if m.frictionloss.any() else ()
         if (loop := servo_loop(represented)) is not None:
-            integral = ", integral" if loop.Ki.any() else ""
-            gravity = ", gravity feed-forward" if loop.gravity == "measured" else ""
-            two = (
-                "; forcerange limits each of a motor's two, not their sum"
-                if loop.feedforward and any(np.isfinite(loop.saturation))
-                else ""
-            )
+            details = {
+                ", integral": loop.Ki.any(),
+                ", gravity feed-forward": loop.gravity == "measured",
+                "; forcerange limits each of a motor's two, not their sum": loop.feedforward
+                and any(np.isfinite(loop.saturation)),
+            }
             notes += (
                 f"actuators follow positions by {robot.controller.structure}, without its "
-                f"sampling{integral}{gravity}{two}",
+                f"sampling{''.join(text for text, said in details.items() if said)}",
             )
         sections.append(_make_section(m, f"{mjcf}", "an MJCF", losses, notes))
     if toml is not None:

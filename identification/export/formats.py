@@ -301,8 +301,7 @@ def _pose(element: Element) -> Array:
         [float(x) for x in (_attribute(element, "origin", key) or "0 0 0").split()]
         for key in ("xyz", "rpy")
     )
-    T[:3, 3] = xyz
-    T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+    T[:3, :] = np.c_[Rotation.from_euler("xyz", rpy).as_matrix(), xyz]
     return T
 
 
@@ -327,13 +326,13 @@ def make_urdf(model: InverseModel) -> str:
     # N m or N
     efforts = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
     for j, joint in enumerate(robot.joints):
-        limits, kind = joint.si("position"), str(joint.type)
+        limits = joint.si("position")
+        endless = limits is None and joint.type == "revolute"
         low, high = limits or (-UNLIMITED, UNLIMITED)
-        stated = {"lower": low, "upper": high}
-        if limits is None and kind == "revolute":
-            kind, stated = "continuous", {}
-        stated["effort"] = efforts.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED)
-        stated["velocity"] = joint.si("speed") or UNLIMITED
+        stated = ({} if endless else {"lower": low, "upper": high}) | {
+            "effort": efforts.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED),
+            "velocity": joint.si("speed") or UNLIMITED,
+        }
         origin = {
             "xyz": format_numbers(*origins[j]),
             "rpy": format_numbers(*roll_pitch_yaw(rotations[j])),
@@ -341,7 +340,7 @@ def make_urdf(model: InverseModel) -> str:
         root.append(
             _element(
                 "joint",
-                {"name": joint.name, "type": kind},
+                {"name": joint.name, "type": "continuous" if endless else str(joint.type)},
                 _element("parent", {"link": names[model.parents[j]]}),
                 _element("child", {"link": names[j + 1]}),
                 _element("origin", origin),

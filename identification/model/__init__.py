@@ -15,7 +15,7 @@ from .direct import (
     poses_of,
     why_not_positive,
 )
-from .inverse import LINK, InverseModel
+from .inverse import LINK, InverseModel, link_columns
 from .joint_terms import SHAPES, SLIDING, JointTerm, corner_speeds, inertia_unit
 from .obstacles import Obstacles, obstacles_of
 from .physical import (
@@ -35,6 +35,5 @@ from .prior import (
     expected_links,
     is_a_body,
     known_parameters,
-    link_columns,
     payload_parameters,
 )

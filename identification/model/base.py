@@ -25,7 +25,7 @@ import numpy as np
 
 from ..arrays import Array, Bools, Ints
 from ..report import is_load
-from .inverse import InverseModel
+from .inverse import LINK, InverseModel, link_columns
 from .joint_terms import SHAPES
 
 STATES = 200  # random ones; 200 n rows are several times the number of columns
@@ -116,7 +116,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     K[np.arange(len(independent)), independent] = 1.0
     by_column = np.argsort(independent)
     K, columns = K[by_column], independent[by_column]
-    names, link_masses = dynamics.names, {f"M{j + 1}" for j in range(dynamics.robot.n)}
+    names = dynamics.names
     return BaseParameters(
         names=tuple(
             names[c] + "R" * bool(np.count_nonzero(row) > 1)
@@ -128,7 +128,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
         units=tuple(dynamics.units[c] for c in columns),
         columns=columns,
         K=K,
-        masses=np.array([c for c in range(dynamics.p) if names[c] in link_masses]),
+        masses=link_columns(dynamics)[:, LINK.index("M")],
         links=dynamics.of_links[columns],
     )
 
@@ -158,11 +158,10 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
         groups.setdefault(float(f"{row[c]:.6g}"), []).append(names[c])
     text = ""
     for coefficient, members in groups.items():
-        size, inside = abs(coefficient), " + ".join(members)
-        if size == 1.0:
-            # A sum needs a bracket only after a minus.
-            term = f"({inside})" if coefficient < 0 and len(members) > 1 else inside
-        else:
-            term = f"{size:.6g} ({inside})" if len(members) > 1 else f"{size:.6g} {inside}"
-        text += (" - " if coefficient < 0 else " + " if text else "") + term
+        inside, factor = " + ".join(members), f"{abs(coefficient):.6g} "
+        if abs(coefficient) == 1.0:
+            factor = ""
+        if len(members) > 1 and (factor or coefficient < 0):
+            inside = f"({inside})"
+        text += (" - " if coefficient < 0 else " + " if text else "") + factor + inside
     return text

@@ -12,8 +12,8 @@ import pinocchio as pin
 from acquisition.robot import FRICTION
 
 from ..arrays import Array
-from .inverse import FROM_PINOCCHIO, LINK, InverseModel
-from .joint_terms import SHAPES, SIZES, JointTerm, Kind
+from .inverse import FROM_PINOCCHIO, LINK, InverseModel, link_columns
+from .joint_terms import SHAPES, SIZES, Kind
 
 _POSES = 300  # positions of a trajectory at which M is checked
 # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
@@ -180,15 +180,17 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     these include the rotor inertias that are regrouped with links' parameters.
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
-    values = np.zeros((n, len(LINK)))
+    links = chi[link_columns(dynamics)]
+    links[links[:, -1] == 0.0, -1] = 1e-6  # pinocchio divides by the masses
+    for j, parameters in enumerate(links[:, np.argsort(FROM_PINOCCHIO)], 1):
+        rigid.inertias[j] = pin.Inertia.FromDynamicParameters(parameters)
     rotor, viscous = np.zeros((n, n)), np.zeros((3, n, n))  # in both directions, up, down
     directions, offset = dynamics.coulomb_directions, np.zeros(n)
     up, down = np.zeros((2, len(directions)))
     shapes = dict[Kind, tuple[Array, Array]]()
-    for source, value in zip(dynamics.sources, chi, strict=True):
-        if not isinstance(source, JointTerm):
-            values[source[0], FROM_PINOCCHIO[source[1]]] = value
-        elif source.kind == "rotor":
+    for c, source in dynamics.terms.items():
+        value = chi[c]
+        if source.kind == "rotor":
             rotor += value * source.matrix
         elif source.kind == "viscous":
             viscous[source.side] += value * source.matrix
@@ -207,12 +209,9 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
                     source.kind, (np.zeros(len(directions)), np.full(len(directions), np.inf))
                 )
                 factor[at], speed[at] = value, source.speed
-    values[values[:, MASS] == 0.0, MASS] = 1e-6  # pinocchio divides by the masses
-    for j in range(n):
-        rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
     return DirectModel(
         inverse=dynamics,
-        links=values[:, FROM_PINOCCHIO],
+        links=links,
         rigid=rigid,
         data=rigid.createData(),
         rotor=rotor,

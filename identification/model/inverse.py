@@ -212,13 +212,14 @@ class InverseModel:
         """By joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its rotation R +
         by_sin sin q + by_cos cos q.
         """
-        made = []
-        for joint, origin, R, axis in zip(self.robot.joints, *self.joint_frames, strict=True):
-            K = np.cross(np.eye(3), axis) * (joint.type == "revolute")
-            made.append(
-                (origin[:, None], axis, *(x[..., None] for x in (R + R @ K @ K, R @ K, -R @ K @ K)))
-            )
-        return made
+        turning = [joint.type == "revolute" for joint in self.robot.joints]
+        crosses = (
+            np.cross(np.eye(3), self.joint_frames[2][:, None]) * np.array(turning)[:, None, None]
+        )
+        return [
+            (origin[:, None], axis, *(x[..., None] for x in (R + R @ K @ K, R @ K, -R @ K @ K)))
+            for origin, R, axis, K in zip(*self.joint_frames, crosses, strict=True)
+        ]
 
     @cached_property
     def _carriers(self) -> list[list[int]]:
@@ -226,6 +227,12 @@ class InverseModel:
         return [
             [joint - 1 for joint in joints if joint > 0] for joints in list(self.model.supports)[1:]
         ]
+
+
+def link_columns(idm: InverseModel) -> Ints:
+    """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
+    place = {source: c for c, source in enumerate(idm.sources) if not isinstance(source, JointTerm)}
+    return np.array([[place[j, i] for i in range(len(LINK))] for j in range(idm.robot.n)])
 
 
 def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
@@ -274,9 +281,7 @@ def _unit_wrenches() -> tuple[Array, Array]:
 
 def _cross(x: Array, y: Array) -> Array:
     """Cross products along axis 0."""
-    out = x[[1, 2, 0]] * y[[2, 0, 1]]
-    out -= x[[2, 0, 1]] * y[[1, 2, 0]]
-    return np.asarray(out)
+    return np.asarray(x[[1, 2, 0]] * y[[2, 0, 1]] - x[[2, 0, 1]] * y[[1, 2, 0]])
 
 
 _FORCES, _MOMENTS = _unit_wrenches()

@@ -81,14 +81,13 @@ class JointTerm:
         """The column's entry at joint j over a motion: dq, ddq (N, n) → (N,); `load` (N,) is the
         size of the links' torque.
         """
-        if self.kind == "rotor":
-            return np.asarray(ddq @ self.matrix[j])
-        if self.kind == "viscous":
-            if self.side:
-                dq = np.maximum(dq, 0.0) if self.side > 0 else np.minimum(dq, 0.0)
-            return np.asarray(dq @ self.matrix[j])
         if self.kind == "offset":
             return float(self.direction[j])
+        if self.kind in ("rotor", "viscous"):
+            along = ddq if self.kind == "rotor" else dq
+            if self.side:
+                along = self.side * np.maximum(self.side * along, 0.0)
+            return np.asarray(along @ self.matrix[j])
         u, friction = dq @ self.direction, FRICTION[self.kind]
         sign: Array | float = np.sign(u) if friction.has_sign else 1.0
         if self.side:

@@ -19,9 +19,9 @@ from ..estimation import (
     pseudo_inertia,
 )
 from .base import BaseParameters
-from .inverse import LINK, InverseModel
+from .inverse import LINK, InverseModel, link_columns
 from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
-from .prior import expected_links, link_columns
+from .prior import expected_links
 
 ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: of the link's ZZ, and in N m or N m s
 DISSIPATING = ("viscous", "coulomb", *SHAPES)  # constant offsets do not dissipate

@@ -8,12 +8,11 @@ import pinocchio as pin
 from acquisition.errors import listed
 from acquisition.robot import Payload
 
-from ..arrays import Array, Ints
+from ..arrays import Array
 from ..errors import BadInputError
 from ..estimation import link_parameters, pseudo_inertia
 from .base import BaseParameters
-from .inverse import FROM_PINOCCHIO, LINK, InverseModel
-from .joint_terms import JointTerm
+from .inverse import FROM_PINOCCHIO, InverseModel, link_columns
 
 BALL_RADIUS_M = 0.1  # of the ball that a payload is taken for: its inertia about its centre of mass
 DENSITY = 1000.0  # kg/m³ of a plausible link, including motor and cavities
@@ -48,12 +47,6 @@ def known_parameters(dynamics: InverseModel) -> Array:
 def described_parameters(dynamics: InverseModel, base: BaseParameters) -> Array:
     """Base parameters (b,) of the description's `[parameters]`: K chi."""
     return np.asarray(base.K @ known_parameters(dynamics))
-
-
-def link_columns(idm: InverseModel) -> Ints:
-    """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
-    place = {source: c for c, source in enumerate(idm.sources) if not isinstance(source, JointTerm)}
-    return np.array([[place[j, i] for i in range(len(LINK))] for j in range(idm.robot.n)])
 
 
 def expected_links(
