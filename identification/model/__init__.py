@@ -6,13 +6,15 @@ but no recordings and no fits.
 """
 
 from .base import BaseParameters, base_parameters, load_parameters
-from .derivatives import regressor_gradient, torque_of_links, torque_without_sliding
 from .direct import (
     DirectModel,
     cholesky_solver,
     direct_model,
     inertias,
     poses_of,
+    regressor_gradient,
+    torque_of_links,
+    torque_without_sliding,
     why_not_positive,
 )
 from .inverse import LINK, InverseModel, link_columns
