@@ -269,12 +269,9 @@ def _share(found: Array, whole: Array) -> Array:
     cosines lose more of it than d of r rows: on the TX40 up to a third of the deviation, where d/r
     is a fortieth.
     """
-    present = whole > 0  # a recording may not excite a parameter
-    return np.asarray(
-        np.maximum(
-            np.divide(found, whole, out=np.ones_like(found), where=present), MIN_VARIANCE_SHARE
-        )
-    )
+    # a recording may not excite a parameter
+    share = np.divide(found, whole, out=np.ones_like(found), where=whole > 0)
+    return np.asarray(np.maximum(share, MIN_VARIANCE_SHARE))
 
 
 def _family(B: int, T: int) -> Array:

@@ -43,11 +43,11 @@ class UrdfJoint:
 
     name: str
     type: str
-    position: tuple[float, float] | None
-    speed: float | None
-    effort: float | None
-    damping: float
-    friction: float
+    position: tuple[float, float] | None = None
+    speed: float | None = None
+    effort: float | None = None
+    damping: float = 0.0
+    friction: float = 0.0
     acceleration: float | None = None
     following_error: float | None = None
     ratio: float | None = None
@@ -74,9 +74,9 @@ class Chain:
     name: str
     text: bytes
     joints: tuple[UrdfJoint, ...]
-    locked: tuple[str, ...]
-    rigid: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...]
+    locked: tuple[str, ...] = ()
+    rigid: tuple[tuple[str, ...], ...] = ()
+    notes: tuple[str, ...] = ()
     has_inertials: bool = True
     bandwidth_hz: float | None = None
     torque_sensors: bool = False

@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from acquisition.errors import one_line
 from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
@@ -60,18 +59,13 @@ def chain_of_letters(letters: str) -> Chain:
         raise BadInputError(
             key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR"
         )
-    unknown: Any = dict.fromkeys(("position", "speed", "effort"))
     return Chain(
         place="--dh",
         name="robot",
         text=b"",
         joints=tuple(
-            UrdfJoint(name=f"joint_{j + 1}", type=str(kind), damping=0.0, friction=0.0, **unknown)
-            for j, kind in enumerate(types)
+            UrdfJoint(name=f"joint_{j + 1}", type=str(kind)) for j, kind in enumerate(types)
         ),
-        locked=(),
-        rigid=(),
-        notes=(),
     )
 
 

@@ -195,8 +195,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     directions, offset = dynamics.coulomb_directions, np.zeros(n)
     up, down = np.zeros((2, len(directions)))
     shapes = dict[Kind, tuple[Array, Array]]()
-    for c, source in dynamics.terms.items():
-        value = chi[c]
+    for source, value in zip(dynamics.terms.values(), chi[[*dynamics.terms]], strict=True):
         if source.kind == "rotor":
             rotor += value * source.matrix
         elif source.kind == "viscous":

@@ -141,9 +141,10 @@ def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
     """
     P = pseudo_inertia(parameters)
     diagonal = np.diag(P)
-    if not (diagonal > 0).all():
-        return False
-    return float(np.linalg.eigvalsh(P / np.sqrt(np.outer(diagonal, diagonal))).min()) > least
+    return bool(
+        (diagonal > 0).all()
+        and np.linalg.eigvalsh(P / np.sqrt(np.outer(diagonal, diagonal))).min() > least
+    )
 
 
 def _expected_link(
