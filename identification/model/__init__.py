@@ -5,7 +5,6 @@ imports pinocchio and coal. It may use the robot's description of `acquisition` 
 but no recordings and no fits.
 """
 
-from .base import BaseParameters, base_parameters, load_parameters
 from .direct import (
     DirectModel,
     cholesky_solver,
@@ -20,6 +19,18 @@ from .direct import (
 from .inverse import LINK, InverseModel, link_columns
 from .joint_terms import SHAPES, SLIDING, JointTerm, corner_speeds, inertia_unit
 from .obstacles import Obstacles, obstacles_of
+from .parameters import (
+    BaseParameters,
+    add_payload,
+    base_parameters,
+    base_prior,
+    described_parameters,
+    expected_links,
+    is_a_body,
+    known_parameters,
+    load_parameters,
+    payload_parameters,
+)
 from .physical import (
     RESISTING,
     friction_alone,
@@ -29,13 +40,4 @@ from .physical import (
     physical_parameters,
     requirements,
     shaped_states,
-)
-from .prior import (
-    add_payload,
-    base_prior,
-    described_parameters,
-    expected_links,
-    is_a_body,
-    known_parameters,
-    payload_parameters,
 )

@@ -15,9 +15,9 @@ import pinocchio as pin
 from acquisition.robot import FRICTION
 
 from ..arrays import Array
-from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel, link_columns
 from .joint_terms import SHAPES, SIZES, JointTerm, Kind
+from .parameters import BaseParameters
 
 _POSES = 300  # positions of a trajectory at which M is checked
 # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples

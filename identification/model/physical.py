@@ -18,10 +18,9 @@ from ..estimation import (
     consistent_parameters,
     pseudo_inertia,
 )
-from .base import BaseParameters
 from .inverse import LINK, InverseModel, link_columns
 from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
-from .prior import expected_links
+from .parameters import BaseParameters, expected_links
 
 ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: of the link's ZZ, and in N m or N m s
 DISSIPATING = ("viscous", "coulomb", *SHAPES)  # constant offsets do not dissipate
