@@ -15,8 +15,8 @@ from ..protocol import ObjectEntry
 from ..recording import Block, in_parts, minimum_ahead
 from ..robot import Bus
 from .captures import Packets, datagrams, gather
-from .log_times import ONE_CLOCK, steps_back
 from .slaves import FPRD, LRD, LRW, LWR, MAILBOX, WRITES, Entries, Located, Slaves, spans
+from .stamps import ONE_CLOCK, steps_back
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
 # rows of a segment, and those before and after it on which it may depend
@@ -62,8 +62,10 @@ class ProcessData:
     def add(self, given: Packets) -> Ints:
         """Add packets; the numbers of those of EtherCAT."""
         found = datagrams(given)
-        mail = (found["command"] == FPRD) & (found["address"] >> 16 >= MAILBOX)
-        for one in found[np.isin(found["command"], WRITES) | mail]:
+        for one in found[
+            np.isin(found["command"], WRITES)
+            | (found["command"] == FPRD) & (found["address"] >> 16 >= MAILBOX)
+        ]:
             content = given.data[one["at"] : one["at"] + one["length"]].tobytes()
             back = bool(one["counter"])
             if self._slaves[back].take(int(one["command"]), int(one["address"]), content) and back:
@@ -74,8 +76,12 @@ class ProcessData:
             np.isin(found["command"], (LRD, LWR, LRW))
             & (found["packet"] + self._packets > self._since)
         ]
-        key = process["command"].astype(np.int64) << 44 | process["address"].astype(np.int64) << 12
-        key |= process["length"].astype(np.int64) << 1 | (process["counter"] > 0)
+        key = (
+            process["command"].astype(np.int64) << 44
+            | process["address"].astype(np.int64) << 12
+            | process["length"].astype(np.int64) << 1
+            | (process["counter"] > 0)
+        )
         for k in np.unique(key):
             part = Part(int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1))
             parts[part] = process[key == k]
@@ -84,9 +90,11 @@ class ProcessData:
             self._fields = self._find_fields()
             self._columns = {part: GrowingBytes() for part in self._fields}
         clock = found[
-            np.isin(found["command"], _CLOCK_COMMANDS) & (found["address"] >> 16 == _CLOCK)
+            np.isin(found["command"], _CLOCK_COMMANDS)
+            & (found["address"] >> 16 == _CLOCK)
+            & (found["counter"] > 0)
+            & (found["length"] >= 4)
         ]
-        clock = clock[(clock["counter"] > 0) & (clock["length"] >= 4)]
         for part in set(self._fields) & set(parts):
             self._columns[part].write(self._extract(part, parts[part], given, clock).tobytes())
         self._packets += len(given.begin)
@@ -132,8 +140,9 @@ class ProcessData:
             self._why = str(error)
             return {}
         inputs, outputs = dict[Part, Fields](), dict[Part, Fields]()
-        stations = zip(self._bus.drives, self._stations(objects), strict=False)
-        for i, (drive, station) in enumerate(stations):
+        for i, (drive, station) in enumerate(
+            zip(self._bus.drives, self._stations(objects), strict=False)
+        ):
             for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
                 at = objects[station][0].get(entry.key, (0, 0))
                 names = [f"{index:04X}:{sub}" for index, sub in objects[station][0]]
@@ -155,8 +164,9 @@ class ProcessData:
     def _stations(self, objects: Mapping[int, tuple[Located, Located]]) -> Iterator[int]:
         """Yield the slave of each drive, up to one whose inputs are not known."""
         named = {file.station for file in self._bus.file.drive}
-        free = [station for station, (inputs, _) in objects.items() if inputs]
-        free = [station for station in free if station not in named]
+        free = [
+            station for station, (inputs, _) in objects.items() if inputs and station not in named
+        ]
         for drive in self._bus.drives:
             able = (station for station in free if drive.position.key in objects[station][0])
             station = next(able, -1) if drive.file.station is None else drive.file.station
@@ -190,8 +200,10 @@ class ProcessData:
         ]
         if size and parts:
             part = max(parts, key=self._seen.__getitem__)
-            kind = f"<{entry.type[0].lower()}{size}"
-            fields.setdefault(part, {})[key] = address - part.address, kind
+            fields.setdefault(part, {})[key] = (
+                address - part.address,
+                f"<{entry.type[0].lower()}{size}",
+            )
 
     def _objects(self) -> dict[int, tuple[Located, Located]]:
         slaves = self._slaves[True]
@@ -315,16 +327,19 @@ class ProcessData:
         )
         for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]
-        in_order = time_ns <= minimum_ahead(time_ns, _ORDER)
-        in_order &= time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
+        in_order = (time_ns <= minimum_ahead(time_ns, _ORDER)) & (
+            time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
+        )
         in_order[1:] &= ~again
         return rows[in_order], rows["packet"][1:][again]
 
     def refuse_no_rows(self) -> NoReturn:
         """Say what is missing in the capture."""
-        most = sorted(self._seen, key=lambda part: -self._seen[part])[:4]
         shown = listed(
-            [f"{_NAMES[part.command]} of {part.size} bytes at 0x{part.address:X}" for part in most]
+            [
+                f"{_NAMES[part.command]} of {part.size} bytes at 0x{part.address:X}"
+                for part in sorted(self._seen, key=lambda part: -self._seen[part])[:4]
+            ]
         )
         self._place.require(
             any(part.back for part in self._seen),
@@ -360,7 +375,7 @@ def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
 
 def _regular(time_ns: Ints, period: int) -> Bools:
     steps = np.abs(np.diff(time_ns) - period) < MAX_OFF * period
-    return np.asarray(np.concatenate([[False], steps]) & np.concatenate([steps, [False]]))
+    return np.asarray(np.append(False, steps) & np.append(steps, False))
 
 
 def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:

@@ -118,15 +118,15 @@ class Source:
         slow = np.abs(np.diff(unwrapped, axis=0))[:, angles].max(initial=0.0) < TURN / 4
         known = slow and (side == "joint" or np.allclose(of_motor, np.rint(of_motor)))
         jumps = (turn_jumps(x, TURN) & angles).any(axis=1)
-        if not known if quantity.unwrap else jumps.any():
-            self.place.refuse(
-                f"{key}.unwrap",
-                quantity.unwrap,
-                "true" if known else "angles over all turns, or of the joint at a higher rate",
-                text=f"angles jump by a turn before row {np.argmax(jumps) + 2}"
-                if jumps.any()
-                else "turns cannot be counted: of a motor with a ratio, or steps above 90 deg",
-            )
+        self.place.require(
+            known if quantity.unwrap else not jumps.any(),
+            f"{key}.unwrap",
+            quantity.unwrap,
+            "true" if known else "angles over all turns, or of the joint at a higher rate",
+            text=f"angles jump by a turn before row {np.argmax(jumps) + 2}"
+            if jumps.any()
+            else "turns cannot be counted: of a motor with a ratio, or steps above 90 deg",
+        )
         near_0 = unwrapped - TURN * np.rint(np.median(unwrapped, axis=0) / TURN)
         return np.where(angles, near_0, x) if quantity.unwrap else x
 
@@ -174,8 +174,13 @@ class Source:
     def _read(self, key: str, quantity: Quantity, known: Units) -> tuple[tuple[str, ...], Array]:
         """SI unit of each column, and the values (N, n) in these units."""
         n = self.robot.n
-        given = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
-        units, factors = si_units(given, n, known, f"{key}.unit", self.place)
+        units, factors = si_units(
+            (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit,
+            n,
+            known,
+            f"{key}.unit",
+            self.place,
+        )
         values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
         self.place.require(
             values.shape[1] == n,
@@ -275,7 +280,7 @@ def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str
     if side == "joint":
         return values, f"joint effort = value in {units}"
     has_gain = robot.gain_known and any(m.drive_gain for m in robot.motors)
-    gain = f" · drive gain {robot.gain.tolist()}" if has_gain else ""
+    gain = f" · drive gain {robot.gain.tolist()}" * has_gain
     return robot.joint_effort(values), f"joint effort = motor_matrixᵀ{gain} · value, in {units}"
 
 

@@ -29,11 +29,10 @@ def parse_mapping(texts: Sequence[str]) -> list[Entries]:
     found = list[Entries]()
     for text in texts:
         try:
-            words = [word.split(":") for word in text.split(",")]
             found.append(
                 [
                     ((int(index, 16), int("".join(sub) or 0)), int(bits))
-                    for index, *sub, bits in words
+                    for index, *sub, bits in (word.split(":") for word in text.split(","))
                 ]
             )
         except ValueError:
@@ -64,11 +63,10 @@ class Slaves:
 
     def full_counter(self, command: int, address: int, length: int) -> int:
         """The working counter of a datagram that all slaves answered."""
-        ways = {LRD: [(1, 1)], LWR: [(2, 1)], LRW: [(1, 1), (2, 2)]}[command]
         return sum(
             count
             for registers in self.mapped
-            for way, count in ways
+            for way, count in {LRD: [(1, 1)], LWR: [(2, 1)], LRW: [(1, 1), (2, 2)]}[command]
             if any(
                 start < address + length and address < start + size
                 for start, _, size in _fmmus(registers, way)
@@ -135,8 +133,14 @@ class Slaves:
         ours, theirs = (
             [x for x in a.stations if x in b.registers] for a, b in ((self, other), (other, self))
         )
-        pairs = zip(ours, theirs, strict=False)
-        return next((x for x, y in pairs if x != y or self._state(x) != other._state(x)), None)
+        return next(
+            (
+                x
+                for x, y in zip(ours, theirs, strict=False)
+                if x != y or self._state(x) != other._state(x)
+            ),
+            None,
+        )
 
     def located(self, stated: Sequence[Entries]) -> dict[int, tuple[Located, Located]]:
         """Inputs and outputs by station; `stated` inputs of slaves without a mapping.
