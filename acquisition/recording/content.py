@@ -83,8 +83,7 @@ class Messages:
     def items(self) -> Iterator[tuple[int, bytes]]:
         """Log time and content of each message."""
         data = self.data.whole()
-        begins = [0, *self.ends][:-1]
-        for stamp_ns, begin, end in zip(self.stamps_ns, begins, self.ends, strict=True):
+        for stamp_ns, begin, end in zip(self.stamps_ns, [0, *self.ends], self.ends, strict=False):
             yield stamp_ns, bytes(data[begin:end])
 
 
@@ -178,7 +177,7 @@ class Content:
             self._size += len(content)
             if self._size > _MAX_TOTAL_BYTES:
                 raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
-            for inner, _, part in _records(BytesIO(content).read, len(content)):
+            for inner, _, part in _records(BytesIO(content).read, 0, len(content)):
                 self._add_message(inner, part)
         elif opcode == Opcode.DATA_END:
             if crc_before is not None:
@@ -193,8 +192,7 @@ class Content:
             number, _, stamp_ns, _ = _MESSAGE.unpack_from(content)
             if number not in self._channels:
                 raise ValueError(f"a message on channel {number}, which is not described")
-            topic = self._channels[number]
-            if topic is not None:
+            if (topic := self._channels[number]) is not None:
                 self.messages[topic].add(stamp_ns, content[_MESSAGE.size :])
         elif opcode == Opcode.SCHEMA:
             schema = mcap.records.Schema.read(_stream(content))
@@ -208,7 +206,7 @@ class Content:
                     raise _ForeignError(f"{channel.topic} changes its layout: {_ONE}")
 
 
-class GrowingContent:
+class GrowingContent(Content):
     """The content of a file that another program writes, without a lock: `read` adds the
     records since the last call.
 
@@ -216,8 +214,8 @@ class GrowingContent:
     """
 
     def __init__(self, path: Path) -> None:
+        super().__init__(str(path))
         self._path, self._file, self._at = path, path.open("rb"), len(_MAGIC)
-        self.found = Content(str(path))
 
     def read(self) -> bool:
         """Whether there were new records."""
@@ -235,12 +233,12 @@ class GrowingContent:
         place.require(self._file.read(len(_MAGIC)) == _MAGIC, text="is not a recording")
         self._file.seek(self._at)
         data = self._file.read(_MAX_CHUNK_BYTES)
-        for opcode, begin, content in _records(BytesIO(data).read, len(data)):
+        for opcode, at, content in _records(BytesIO(data).read, before, before + len(data)):
             try:
-                self.found.add(opcode, content)
+                self.add(opcode, content)
             except _DAMAGE as error:
-                place.refuse(text=f"damaged at byte {before + begin}: {error}")
-            self._at = before + begin + len(content)
+                place.refuse(text=f"damaged at byte {at}: {error}")
+            self._at = at + len(content)
         return self._at > before
 
 
@@ -251,21 +249,16 @@ class _Records:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._digest = hashlib.sha256()
-        self._crcs = 0, 0, 0  # of all bytes before the last two parts, before the last, in all
+        # CRC of all bytes before the current record, of a head and its content; and of all bytes
+        # before the last part that was taken, and with it.
+        self.crc_before, self._crc_before_part, self._crc = 0, 0, 0
         file.seek(max(0, self._size - len(_MAGIC)))
         self.has_end = self._size > 2 * len(_MAGIC) and file.read() == _MAGIC
         file.seek(0)
         self.first = self._take(len(_MAGIC))
 
     def __iter__(self) -> Iterator[tuple[int, int, bytes]]:
-        begin = len(_MAGIC)
-        for opcode, at, content in _records(self._take, self._size - begin):
-            yield opcode, begin + at, content
-
-    @property
-    def crc_before(self) -> int:
-        """CRC of all bytes before the current record, of a head and its content."""
-        return self._crcs[0]
+        return _records(self._take, len(_MAGIC), self._size)
 
     def only_zeros_follow(self) -> bool:
         """Whether nothing but zero bytes follows the current record."""
@@ -284,19 +277,19 @@ class _Records:
     def _take(self, length: int) -> bytes:
         part = self._file.read(length)
         self._digest.update(part)
-        self._crcs = (*self._crcs[1:], zlib.crc32(part, self._crcs[2]))
+        self.crc_before, self._crc_before_part = self._crc_before_part, self._crc
+        self._crc = zlib.crc32(part, self._crc)
         return part
 
 
-def _records(take: Callable[[int], bytes], size: int) -> Iterator[tuple[int, int, bytes]]:
-    """Opcode, first byte and content of each complete record in `size` bytes, which `take` gives in
-    order. Opcode 0 is unwritten disk space and ends the iteration.
+def _records(take: Callable[[int], bytes], at: int, end: int) -> Iterator[tuple[int, int, bytes]]:
+    """Opcode, first byte of the content, and content of each complete record in the bytes from `at`
+    to `end`, which `take` gives in order. Opcode 0 is unwritten disk space and ends the iteration.
     """
-    at = 0
-    while at + 9 <= size:
+    while at + 9 <= end:
         head = take(9)
         length = int.from_bytes(head[1:], "little")
-        if head[0] == 0 or at + 9 + length > size:
+        if head[0] == 0 or at + 9 + length > end:
             return
         at += 9 + length
         yield head[0], at - length, take(length)

@@ -34,11 +34,21 @@ def overview(recording: Recording) -> dict[str, Any]:
     }
     first_ns = min((int(first) for first, _ in spans.values()), default=None)
     if samples is not None:
-        units = ("name", "position_unit", "position", "effort_unit", "effort")
-        columns = (_ranges(samples, "position"), robot.effort_units, _ranges(samples, "effort"))
         joints = [
-            dict(zip(units, (joint.name, joint.position_unit, *found), strict=True))
-            for joint, *found in zip(robot.joints, *columns, strict=True)
+            {
+                "name": joint.name,
+                "position_unit": joint.position_unit,
+                "position": position,
+                "effort_unit": unit,
+                "effort": effort,
+            }
+            for joint, position, unit, effort in zip(
+                robot.joints,
+                _ranges(samples, "position"),
+                robot.effort_units,
+                _ranges(samples, "effort"),
+                strict=True,
+            )
         ]
         first_ns = int(samples["stamp_ns"][0])
     return {
@@ -96,8 +106,7 @@ def _own_syncs(recording: Recording) -> Ints | None:
         for part in in_parts(block)
         if bus is not None
     ]
-    times = np.concatenate(found) if found else np.zeros(0, np.int64)
-    return np.sort(times) if len(times) else None
+    return np.sort(np.concatenate(found)) if any(map(len, found)) else None
 
 
 def _step_jitter(stamps: Ints) -> tuple[float, float]:
@@ -198,9 +207,11 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]]) -> Table:
     """Texts without markup and without control characters, numbers in five digits."""
-    # long hashes and names are wrapped, not shortened
-    folded = (Column(column, overflow="fold") for column in columns)
-    table = Table(*folded, box=None, show_header=any(columns))
+    table = Table(
+        *(Column(column, overflow="fold") for column in columns),  # wraps long hashes and names
+        box=None,
+        show_header=any(columns),
+    )
     for row in rows:
         cells = (f"{cell:.5g}" if isinstance(cell, float) else cell for cell in row)
         table.add_row(*(Text(one_line(cell)) if isinstance(cell, str) else cell for cell in cells))

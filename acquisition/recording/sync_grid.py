@@ -323,13 +323,15 @@ def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], In
             interval[off > _MAX_USUAL_PERIODS * usual + _MAX_USUAL_RATIO[two] * np.median(off)]
         ] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
-    known = np.where(
-        syncs.ours | (long == len(times) - 1),
-        most >= lost,
-        np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET,
+    known = (
+        np.where(
+            syncs.ours | (long == len(times) - 1),
+            most >= lost,
+            np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET,
+        )
+        & (lost < MAX_RUN_SYNCS)
+        & ((lost == 1) | (most > 0) | busy[long])  # else nothing was on the bus
     )
-    # else nothing was on the bus
-    known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)
     return Intervals(

@@ -225,16 +225,14 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
             text=f"CAN channel {channel!r}",
             expected="letters, digits and _ . - only",
         )
-        if block.dtype != FRAME:
-            Place(f"{self._place}: {topic}").refuse(
-                text=f"rows of {block.dtype}", expected=str(FRAME)
-            )
-        if len(block):
-            check_frames(block, f"{self._place}: {topic}")
-            for some in in_parts(block):
-                tenths = np.flatnonzero(np.diff(some["time_ns"] // 100_000_000)) + 1
-                for part in (part for tenth in np.split(some, tenths) for part in _parts(tenth)):
-                    self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
+        Place(f"{self._place}: {topic}").require(
+            block.dtype == FRAME, text=f"rows of {block.dtype}", expected=str(FRAME)
+        )
+        check_frames(block, f"{self._place}: {topic}")
+        for some in in_parts(block):
+            tenths = np.flatnonzero(np.diff(some["time_ns"] // 100_000_000)) + 1
+            for part in (part for tenth in np.split(some, tenths) for part in _parts(tenth)):
+                self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def captured(self, records: bytes, stamp_ns: int) -> None:
         """Add records of pcap; all of them are a file of pcap with nanoseconds, whose
