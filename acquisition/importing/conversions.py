@@ -131,11 +131,11 @@ def import_log(
     interface, its times begin again, or the frames do not decode.
     """
     if is_capture(log):
-        bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
+        bus = resolve(robot, place)
         header = Header(
             source=f"EtherCAT capture {log.name}",
             payload=payload,
-            notes=notes,
+            notes={MAPPING_NOTE: " ".join(mapping)},
             **_bus_header(robot, bus),
         )
         with log.open("rb") as file:
@@ -143,11 +143,12 @@ def import_log(
     described = robot.bus or resolve(robot, place).file  # refuses a robot without a bus
     frames, left_out = _select_interface(log, described.channel)
     frames, told = _in_order(frames, described, str(log))
-    decoded = _decode_checked(frames, robot, str(log), place)
-    decoded = replace(decoded, warnings=left_out + told + decoded.warnings)
-    notes = {"left_out": "; ".join(left_out)} if left_out else {}
+    decoded = _decode_checked(frames, robot, str(log), place, left_out + told)
     header = Header(
-        source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus)
+        source=f"log {log.name}",
+        payload=payload,
+        notes={"left_out": "; ".join(left_out)} if left_out else {},
+        **_bus_header(robot, decoded.bus),
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
@@ -254,7 +255,12 @@ def _echoes(frames: Block, bus: BusFile) -> Ints:
     return np.unique(pairs[~sent[pairs]])
 
 
-def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
+def _decode_checked(
+    frames: Block, robot: Robot, name: str, place: str, told: tuple[str, ...] = ()
+) -> Decoded:
+    """Samples from frames, without impossible positions; their warnings come after what is `told`
+    of the frames.
+    """
     frames, bus = resolve_mapped(frames, robot, place)
     decoded = decode(frames, robot, bus, name)
     positions = GrowingBytes()
@@ -266,7 +272,7 @@ def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decod
         np.frombuffer(positions.whole()).reshape(-1, robot.n),
         name,
     )
-    return replace(decoded, warnings=decoded.warnings + found)
+    return replace(decoded, warnings=(*told, *decoded.warnings, *found))
 
 
 def _bus_header(robot: Robot, bus: Bus) -> dict[str, Any]:

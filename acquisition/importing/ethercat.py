@@ -3,8 +3,8 @@
 Nothing is ever sent. In each cycle the master's datagrams pass all slaves, which write their inputs
 to them, read their outputs and count in the working counter, and come back:
 
-    captures        packets in the order of their times, and the datagrams in them
-    slaves          logical address of each object that a slave maps, by its FMMUs and by CoE
+    captures        packets in the order of their times, and the datagrams in them; logical address
+                    of each object that a slave maps, by its FMMUs and by CoE
     process_data    rows: the integers of all drives, of datagrams with full working counters
     this file       number of the cycle of each row, the time of each cycle
 
@@ -35,7 +35,7 @@ from ..recording import (
     refuse_period,
 )
 from ..robot import Bus, check_recorded_efforts, check_recorded_positions
-from .captures import PCAP_HEAD, packets
+from .captures import PCAP_HEAD, packets, parse_mapping
 from .process_data import (
     AT_ONCE,
     MARGIN,
@@ -43,7 +43,6 @@ from .process_data import (
     MAX_OFF,
     ProcessData,
 )
-from .slaves import parse_mapping
 from .time_base import ImportSummary
 
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second

@@ -14,8 +14,21 @@ from ..files import GrowingBytes, field_of, release_pages
 from ..protocol import ObjectEntry
 from ..recording import Block, in_parts, minimum_ahead
 from ..robot import Bus
-from .captures import Packets, datagrams, gather
-from .slaves import FPRD, LRD, LRW, LWR, MAILBOX, WRITES, Entries, Located, Slaves, spans
+from .captures import (
+    FPRD,
+    LRD,
+    LRW,
+    LWR,
+    MAILBOX,
+    WRITES,
+    Entries,
+    Located,
+    Packets,
+    Slaves,
+    datagrams,
+    gather,
+    spans,
+)
 from .stamps import ONE_CLOCK, steps_back
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
@@ -215,13 +228,12 @@ class ProcessData:
                 "out"
             )
         bits = [sum(bits for _, bits in slave) for slave in self._mapping]
-        inputs = (part for part in self._seen if part.command != LWR)
-        base = next((part.address for part in inputs if 8 * part.size == sum(bits)), None)
-        if base is None:
+        fits = (x for x in self._seen if x.command != LWR and 8 * x.size == sum(bits))
+        if (part := next(fits, None)) is None:
             raise ValueError(f"--mapping has {sum(bits)} bits")
         placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
         return {
-            -k: ({key: (base + at, n) for key, at, n in slave}, {})
+            -k: ({key: (part.address + at, n) for key, at, n in slave}, {})
             for k, slave in enumerate(placed, 2)
         }
 
@@ -284,11 +296,14 @@ class ProcessData:
         """Rows of the packets from `first` to before `end`, from rows of parts near them."""
         (main, doubled), period = self._undoubled(parts[next(iter(full))]), self._bus.period_ns
         self.doubled += int(((doubled >= first) & (doubled < end)).sum())
-        kinds = [
-            (name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")
-        ]
         rows = np.zeros(
-            len(main), [("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]
+            len(main),
+            [
+                ("stamp_ns", "<i8"),
+                ("clock_ns", "<i8"),
+                ("known", "?"),
+                *((x, "<i8", (len(self._bus.drives),)) for x in ("position", "effort", "target")),
+            ],
         )
         rows["stamp_ns"], rows["clock_ns"], rows["known"] = (
             main["time_ns"],
@@ -369,8 +384,9 @@ def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
         return index, same
     t, u = main["time_ns"], other["time_ns"]
     index = np.searchsorted(u, t - round(MAX_OFF * period)).clip(max=len(u) - 1)
-    near = np.abs(u[index] - t) < MAX_OFF * period
-    return index, near & _regular(t, period) & _regular(u, period)[index]
+    return index, (
+        (np.abs(u[index] - t) < MAX_OFF * period) & _regular(t, period) & _regular(u, period)[index]
+    )
 
 
 def _regular(time_ns: Ints, period: int) -> Bools:
@@ -386,7 +402,8 @@ def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:
     if not (len(main) and len(sent)):
         return index, np.zeros(len(main), np.bool_)
     delay = main["time_ns"] - sent["time_ns"][index]
-    usual = np.abs(delay - np.median(delay)) < 2 * MAX_OFF * period
-    return index, usual & (index >= 0) & (
-        sent["packet"][index] > np.concatenate([[-1], main["packet"][:-1]])
+    return index, (
+        (np.abs(delay - np.median(delay)) < 2 * MAX_OFF * period)
+        & (index >= 0)
+        & (sent["packet"][index] > np.concatenate([[-1], main["packet"][:-1]]))
     )

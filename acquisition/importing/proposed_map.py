@@ -94,13 +94,20 @@ def propose_map(table: Path, robot: Robot | None) -> str:
             else np.cumsum(_values(velocity).T * np.gradient(time_s), axis=1).T
         )
         if velocity[0].unit or time_s is None or _moves_as(path, q):
-            per_s = re.sub("(?<=#).*Values.*|rad, deg.*", " rad/s, rpm, ...", unit)
-            per_s = re.sub(r'"(rad|deg|m|mm)"', r'"\1/s"', per_s)
+            per_s = re.sub(
+                r'"(rad|deg|m|mm)"',
+                r'"\1/s"',
+                re.sub("(?<=#).*Values.*|rad, deg.*", " rad/s, rpm, ...", unit),
+            )
             lines += ["[velocity]", _listed(velocity, why), _stated(velocity, per_s), side]
         else:
             why = f"not the derivative of the position: {_keys(velocity)}"
-    lines += [f"# no [velocity]: {why}"] if why else []
-    lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, maker)]
+    lines += [
+        *([f"# no [velocity]: {why}"] if why else []),
+        "[effort]",
+        _listed(effort, why_effort),
+        *_effort_lines(effort, maker),
+    ]
     return "\n".join([*lines, ""])
 
 

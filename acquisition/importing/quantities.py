@@ -206,8 +206,10 @@ class Source:
 
 def turn_jumps(x: Array, turn: float) -> Bools:
     """Steps (N - 1, n) of angles x (N, n) within a turn that are a turn, to a quarter of it."""
-    within = np.ptp(x, axis=0) <= MAX_WRAPPED * turn
-    return np.asarray((np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25) & within)
+    return np.asarray(
+        (np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25)
+        & (np.ptp(x, axis=0) <= MAX_WRAPPED * turn)
+    )
 
 
 def si_units(
@@ -280,7 +282,7 @@ def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str
     if side == "joint":
         return values, f"joint effort = value in {units}"
     has_gain = robot.gain_known and any(m.drive_gain for m in robot.motors)
-    gain = f" · drive gain {robot.gain.tolist()}" * has_gain
+    gain = f" · drive gain {robot.gain.tolist()}" if has_gain else ""
     return robot.joint_effort(values), f"joint effort = motor_matrixᵀ{gain} · value, in {units}"
 
 

@@ -18,8 +18,9 @@ MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
 MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
 # periods, standard deviations: rows above both are left out
 MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = 0.05, 6.0
-MAX_EVEN_DEVIATION = 1e-3  # of a period: steps as uniform as this have no wrong stamp
-MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong by a period at most
+# of a period: steps as uniform as this have no wrong stamp; stamps between steps as regular as this
+# are wrong by a period at most
+MAX_EVEN_DEVIATION, MAX_REGULAR_DEVIATION = 1e-3, 0.25
 MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
 # of the noise of a step, that a joint moves in a tick, so that ticks can be counted
 MIN_TICK_DEVIATIONS = 5.0

@@ -139,8 +139,7 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, 
             off = np.median(parts["reference"], axis=0) - np.median(parts["position"], axis=0)
             parts["reference"] -= TURN * np.rint(off / TURN)
     for name in OPTIONAL:
-        quantity = getattr(table_map, name)
-        if quantity is not None:
+        if (quantity := getattr(table_map, name)) is not None:
             parts[name] = (source.velocity if name == "velocity" else source.effort_of_one_side)(
                 name, quantity
             )
@@ -259,8 +258,9 @@ def _ticks(
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], tick_s)
     ticks = _column(source, time, name, parts)
     if (row := first_true(ticks != np.rint(ticks))) is not None:
-        table = source.table("time.table", time.table)
-        Place(f"{table}: row {row + 1}").refuse(str(name), float(ticks[row]), "whole counts")
+        Place(f"{source.table('time.table', time.table)}: row {row + 1}").refuse(
+            str(name), float(ticks[row]), "whole counts"
+        )
     return ticks
 
 
@@ -330,9 +330,11 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
 
 def _unit(robot: Robot, field: str, joint: int) -> str:
     """Unit of a field of a joint's samples, for the name of a column."""
-    if field == "feedforward":
-        return robot.motors[joint].recorded_unit
-    if field in ("effort", "known_torque"):
-        return robot.effort_units[joint]
-    unit = robot.joints[joint].position_unit
-    return f"{unit}_s" if field == "velocity" else unit
+    unit, effort = robot.joints[joint].position_unit, robot.effort_units[joint]
+    others = {
+        "velocity": f"{unit}_s",
+        "effort": effort,
+        "known_torque": effort,
+        "feedforward": robot.motors[joint].recorded_unit,
+    }
+    return others.get(field, unit)
