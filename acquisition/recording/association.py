@@ -71,14 +71,12 @@ class _Progress:
     """How the drives keep up with SYNC.
 
     Attributes:
-        edges: (k + 1,) SYNCs before each edge between two intervals.
-        behind: for each PDO the (k + 1,) answers that are pending at an edge.
+        behind: for each PDO the (k + 1,) answers that are pending at an edge between two intervals.
         uneven: (k,) whether an interval has not as many answers as SYNCs.
         caught_up: (k + 1,) edges at which a drive is late: it is less behind both before and later.
         alone: (k,) intervals of one SYNC with one PDO of every drive.
     """
 
-    edges: Rows
     behind: list[Rows]
     uneven: Bools
     caught_up: Bools
@@ -108,7 +106,7 @@ def associate(
         {"duplicate": len(again) - int(x[x < 0].sum()), "missing": int(x[x > 0].sum())}
         for again, x in zip(repeats, grown, strict=True)
     ]
-    asked = max(1, int(progress.edges[span[-1]] - progress.edges[span[0]]))
+    asked = max(1, int(steps[span[0] : span[-1]].sum()))
 
     # Keep the stretches that are whole and in no doubt.
     damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
@@ -128,9 +126,9 @@ def associate(
 
 
 def _progress(pdos: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> _Progress:
-    edges = _sums(intervals.steps)
+    asked = _sums(intervals.steps)  # before each edge
     behind = [
-        kept(edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(edges) - 1)))
+        kept(asked - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(asked) - 1)))
         for pdo in pdos
     ]
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])
@@ -141,7 +139,6 @@ def _progress(pdos: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> _P
         ]
     )
     return _Progress(
-        edges=edges,
         behind=behind,
         uneven=uneven,
         caught_up=caught_up,

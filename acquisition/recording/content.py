@@ -33,9 +33,9 @@ from .writer import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc
 _MAGIC = b"\x89MCAP0\r\n"
 _IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-# bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
-_MAX_CHUNK_BYTES = 64 * 2**20
-_MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
+# bytes of a chunk, which is written at about 1 MiB, and of all of them unpacked: larger sizes are
+# hostile or damaged
+_MAX_CHUNK_BYTES, _MAX_TOTAL_BYTES = 64 * 2**20, 4 * 2**30
 # All topics but those for viewers.
 READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
 _ONE = "expected one recording, not merged with others"
@@ -168,7 +168,7 @@ class Content:
                 check_metadata(self.metadata, self._place)
         elif opcode == Opcode.ATTACHMENT:
             record = mcap.records.Attachment.read(_stream(content))
-            _check_crc(zlib.crc32(content[:-4]), content[-4:])
+            _check_crc(zlib.crc32(content[:-4]), int.from_bytes(content[-4:], "little"))
             if record.name in self.attachments:
                 raise _ForeignError(f"has a second attachment {record.name!r}: {_ONE}")
             self.attachments[record.name] = record.data
@@ -181,7 +181,7 @@ class Content:
                 self._add_message(inner, part)
         elif opcode == Opcode.DATA_END:
             if crc_before is not None:
-                _check_crc(crc_before, content[:4])
+                _check_crc(crc_before, int.from_bytes(content[:4], "little"))
             self.complete = True
         else:
             self._add_message(opcode, content)
@@ -299,8 +299,7 @@ def _stream(content: bytes) -> Any:
     return ReadDataStream(BytesIO(content))
 
 
-def _check_crc(computed: int, crc: bytes) -> None:
-    expected = int.from_bytes(crc, "little")
+def _check_crc(computed: int, expected: int) -> None:
     if expected not in (0, computed):  # 0: no CRC was written
         raise ValueError(f"CRC is {computed:08x}: expected {expected:08x}")
 
@@ -319,7 +318,7 @@ def _unpack(chunk: Any) -> bytes:
     content = _UNPACKED[chunk.compression](chunk.data, size + 1)
     if len(content) != size or chunk.uncompressed_size != size:
         raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
-    _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
+    _check_crc(zlib.crc32(content), chunk.uncompressed_crc)
     return content
 
 

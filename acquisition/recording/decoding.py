@@ -47,8 +47,9 @@ from .writer import RecordingWriter
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
 MAX_UNEVEN, MIN_EVEN_SHARE = 0.25, 0.75  # of a period, and of the steps that deviate by less
 MIN_SYNCS = 10  # with fewer, their period is not checked
-MAX_MISSING_SHARE = 0.05  # of the PDOs of a drive; with more, wrong rows may look right
-MAX_MISSING_COUNT = 2  # PDOs of a drive; so few are no share of a short recording
+# of the PDOs of a drive: with more missing, wrong rows may look right; so few are no share of a
+# short recording
+MAX_MISSING_SHARE, MAX_MISSING_COUNT = 0.05, 2
 # SYNCs without rows before the first row and after the last: more give a warning
 MAX_AT_ENDS, MAX_SHARE_AT_ENDS = 3, 0.02
 LOSSES = ("late", "duplicate", "missing", "short")  # counters of PDOs
