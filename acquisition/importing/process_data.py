@@ -1,6 +1,4 @@
-"""Cyclic process data in EtherCAT frames → rows of the integers of CiA 402
-drives (CoE), in file order.
-"""
+"""Cyclic process data in EtherCAT frames → rows of the integers of the drives, in file order."""
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
@@ -58,9 +56,7 @@ class Part(NamedTuple):
 
 
 class ProcessData:
-    """Collects what configures the slaves, and the integers of the drives in each
-    datagram of process data.
-    """
+    """Collects what configures the slaves, and the integers of the drives in process data."""
 
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Place) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
@@ -126,10 +122,8 @@ class ProcessData:
     def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
         """Rows of datagrams of a part; a clock's time of 32 bits is below 2**32, -1 is none."""
         rows = np.empty(len(found), self._row(part))
-        rows["packet"], rows["time_ns"] = (
-            found["packet"] + self._packets,
-            given.time_ns[found["packet"]],
-        )
+        rows["packet"] = found["packet"] + self._packets
+        rows["time_ns"] = given.time_ns[found["packet"]]
         rows["counter"], rows["index"], rows["clock_ns"] = found["counter"], found["index"], -1
         for (name, i), (at, kind) in self._fields[part].items():
             rows[f"{name}{i}"] = gather(given.data, found["at"] + at, kind)
@@ -199,9 +193,7 @@ class ProcessData:
         at: tuple[int, int],
         commands: tuple[int, int],
     ) -> None:
-        """Add where an object at a logical address, with its bytes, is in the datagrams that were
-        seen most.
-        """
+        """Add where an object at an address, with its bytes, is in the datagrams seen most."""
         (address, size), back = at, LRD in commands
         parts = [
             part
@@ -336,10 +328,8 @@ class ProcessData:
         """Rows without those whose stamps others contradict or that repeat one within half a
         period; packets of the latter.
         """
-        time_ns, again = (
-            rows["time_ns"],
-            np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2,
-        )
+        time_ns = rows["time_ns"]
+        again = np.abs(np.diff(time_ns)) < self._bus.period_ns // 2
         for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]
         in_order = (time_ns <= minimum_ahead(time_ns, _ORDER)) & (

@@ -1,6 +1,4 @@
-"""Proposes the map.toml of a CSV table by its header and first rows; `FILL IN` marks
-what these do not say.
-"""
+"""Proposes the map.toml of a table by its header and first rows; `FILL IN` marks what is open."""
 
 import json
 import re

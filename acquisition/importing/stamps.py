@@ -29,7 +29,6 @@ MIN_TICK_DEVIATIONS = 5.0
 MIN_BURSTS, MAX_BURST_ROWS, MIN_SHORT_STEPS = 30, 100, 0.4
 MAX_BURST_DRIFT = 0.5  # of the time between bursts: rows that are missing are late by all of it
 _PASSES = 4  # a wrong stamp hides its neighbours
-MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 _AROUND = 8  # rows before and after a step back, that tell whether it lasts
 _MAX_OFF = 0.5  # periods: rows that are all earlier by more show a step back of the clock
 ONE_CLOCK = (
@@ -46,7 +45,6 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
     times and once by the row numbers. The deviation over the speed is an error of time. Rows at
     uniform times, with stamps of a clock that was read late, are much smoother by their numbers.
     """
-    time_s, q = time_s[:MAX_COMPARED_ROWS], q[:MAX_COMPARED_ROWS]
     steps = np.diff(time_s)
     period = float(np.median(steps))
     if len(time_s) < 20 or np.std(steps[steps <= MIN_GAP_STEP * period]) < MIN_SCATTER * period:

@@ -11,12 +11,13 @@ from ..errors import Place
 from ..files import BLOCK_ROWS, allocate, atomic_write, taken
 from ..recording import MAX_STAMP_NS, Header, RecordingWriter, in_gaps
 from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
-from .stamps import MAX_COMPARED_ROWS, MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
+from .stamps import MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
 MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5  # times the rows' rate: grids outside give a warning
 MAX_LEFT_OUT = 0.02  # of the rows; more give a warning
 MOST_MISSING = 10.0  # times the rows that are there: a longer gap is between two recordings
+MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 MAX_OVERSAMPLING = 100.0  # times the rows' rate: a finer grid is a mistake
 _SPLINE_REACH = 100  # rows: farther ones act on a spline by less than rounding, 0.27 per row
 

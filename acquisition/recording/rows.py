@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Ints, first_true
 from ..errors import Place
-from ..files import kept, release_pages
+from ..files import by_rows, kept, release_pages
 from ..protocol import ANSWER, HEARTBEAT, REQUEST, SDO_OBJECTS, Confirmed, ObjectEntry, Pdo
 from ..robot import Bus, Robot, resolve
 
@@ -143,10 +143,11 @@ class Traffic:
     """
 
     def __init__(self, frames: Block) -> None:
-        self.frames, self.ids = frames, kept(np.empty(len(frames), np.uint16))
-        for k, part in enumerate(in_parts(frames)):
-            plain = (part["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
-            self.ids[k * _AT_ONCE :][: len(part)] = np.where(plain, part["can_id"], _NO_ID)
+        self.frames = frames
+        other = EXTENDED | ERROR | REMOTE_REQUEST
+        self.ids: NDArray[np.uint16] = by_rows(
+            lambda x: np.where(x["flags"] & other, _NO_ID, x["can_id"]).astype(np.uint16), frames
+        )
 
     def of(self, pdo: Pdo) -> tuple[Rows, int]:
         """Rows of the frames that hold the whole PDO, and the number of those

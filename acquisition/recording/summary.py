@@ -34,21 +34,11 @@ def overview(recording: Recording) -> dict[str, Any]:
     }
     first_ns = min((int(first) for first, _ in spans.values()), default=None)
     if samples is not None:
+        units = ("name", "position_unit", "position", "effort_unit", "effort")
+        columns = (_ranges(samples, "position"), robot.effort_units, _ranges(samples, "effort"))
         joints = [
-            {
-                "name": joint.name,
-                "position_unit": joint.position_unit,
-                "position": position,
-                "effort_unit": unit,
-                "effort": effort,
-            }
-            for joint, position, unit, effort in zip(
-                robot.joints,
-                _ranges(samples, "position"),
-                robot.effort_units,
-                _ranges(samples, "effort"),
-                strict=True,
-            )
+            dict(zip(units, (joint.name, joint.position_unit, *found), strict=True))
+            for joint, *found in zip(robot.joints, *columns, strict=True)
         ]
         first_ns = int(samples["stamp_ns"][0])
     return {
