@@ -4,8 +4,6 @@ It owns how bytes get from and to the disk, whole or not at all, and knows nothi
 It may use `errors` and `arrays`.
 """
 
-from .atomic import atomic_write, refuse_clash, write_text
-from .kinds import NAMES, is_recording, kind_of, read_bytes
 from .meshes import MESHES, find_mesh, read_meshes
 from .on_disk import (
     BLOCK_ROWS,
@@ -18,3 +16,12 @@ from .on_disk import (
     taken,
 )
 from .tables import TableColumn, format_numbers, read_columns, scan_table, write_columns
+from .whole import (
+    NAMES,
+    atomic_write,
+    is_recording,
+    kind_of,
+    read_bytes,
+    refuse_clash,
+    write_text,
+)

@@ -20,11 +20,10 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
         visuals = ET.fromstring(urdf).iter("visual")
     except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
         at.refuse("urdf", text=f"not valid XML: {error}")
-    names = dict.fromkeys(
-        mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh")
-    )
     meshes, size = dict[str, bytes](), 0
-    for name in names:
+    for name in dict.fromkeys(
+        mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh")
+    ):
         file = at.given(
             find_mesh(name, folder),
             "urdf: mesh",
@@ -64,12 +63,10 @@ def find_mesh(name: str, folder: Path | None = None) -> Path | None:
             ]
             for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
         )
-        if folder is not None:
-            near = folder.resolve()
-            sources = [near, *near.parents, *sources]
-        folders = [path if path.name == package else path / package for path in sources]
+        near = [] if folder is None else [folder.resolve(), *folder.resolve().parents]
         files = [
-            path / rest for path in (*folders, *(path / "share" / package for path in installed))
+            *((x if x.name == package else x / package) / rest for x in (*near, *sources)),
+            *(x / "share" / package / rest for x in installed),
         ]
     else:
         path = Path(name.removeprefix("file://"))

@@ -14,8 +14,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import BadInputError, Place, listed
-from .atomic import atomic_write
-from .kinds import read_bytes
+from .whole import atomic_write, read_bytes
 
 MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
 # `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows
@@ -147,8 +146,10 @@ def _parse_csv(
     # A text above a number is of a header; one above a text may be the name of a joint.
     below = next((line for _, line in rows[1:] if _has_numbers(line)), "").split(separator)
     above = rows[0][1].lstrip("# \t").split(separator)
-    pairs = zip(above, below + ["0"] * len(above), strict=False)
-    has_header = any(_number(x) is None and _number(under) is not None for x, under in pairs)
+    has_header = any(
+        _number(x) is None and _number(under) is not None
+        for x, under in zip(above, below + ["0"] * len(above), strict=False)
+    )
     names = [
         cell.strip() if has_header else f"column {k}"
         for k, cell in enumerate(first.split(separator), 1)
@@ -238,12 +239,11 @@ def _mat_columns(
                 text=f"variable {name!r} does not exist", expected=f"one of {_present(data, place)}"
             )
         parts.append(_part(found, match, place))
-    size = sum(part.size for part, _ in parts)
-    rows = size // count
+    rows, rest = divmod(sum(part.size for part, _ in parts), count)
     fits = [rows in (part.shape[:1] if upright else part.shape) for part, upright in parts]
     sizes = [f"{name} {_size(part)}" for name, (part, _) in zip(names, parts, strict=True)]
     place.require(
-        rows >= 2 and all(fits) and (size == rows * count),
+        rows >= 2 and not rest and all(fits),
         text=", ".join(sizes),
         expected=f"variables of one length, {count} columns in all",
     )
@@ -255,12 +255,11 @@ def _mat_columns(
             "columns are",
         )
     turned = [part if len(part) == rows else part.T for part, _ in parts]
-    labels = [
+    return np.hstack(turned), [
         str(name) if part.shape[1] == 1 else f"{name}(:,{k})"
         for name, part in zip(names, turned, strict=True)
         for k in range(1, part.shape[1] + 1)
     ]
-    return np.hstack(turned), labels
 
 
 def _load(data: bytes, place: Place, names: Sequence[str] | None = None) -> dict[str, Any]:

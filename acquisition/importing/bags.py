@@ -157,8 +157,11 @@ def _with_reference(
         expected="stamps in the headers of both topics",
         text="only one has them",
     )
-    own_s = np.asarray((stamps_ns - grid.first_ns) * np.float64(1e-9))
-    own_s, rows, report = rows_to_interpolate(own_s, {"reference": own["position"]}, states.place)
+    own_s, rows, report = rows_to_interpolate(
+        np.asarray((stamps_ns - grid.first_ns) * np.float64(1e-9)),
+        {"reference": own["position"]},
+        states.place,
+    )
     time_s = grid.start_s + np.arange(len(grid.parts["position"])) / grid.rate_hz
     inside = (time_s > own_s[0] - 1e-9) & (time_s < own_s[-1] + 1e-9)
     states.place.require(
@@ -170,10 +173,12 @@ def _with_reference(
     at = np.flatnonzero(inside)
     time_s, kept = time_s[at], {name: taken(x, at) for name, x in grid.parts.items()}
     kept["reference"] = interpolate(own_s, rows["reference"], time_s)
-    text = f"{topic}, {report.rows} rows at {1 / report.period_s:.4g} Hz, interpolated"
-    text += f"; {(~inside).sum()} samples before and after it left out" * (not inside.all())
     absent = np.asarray(grid.absent)[at] | in_gaps(own_s, time_s)
-    return replace(grid, parts=kept, start_s=float(time_s[0]), absent=absent), text
+    left_out = f"; {(~inside).sum()} samples before and after it left out" * (not inside.all())
+    return (
+        replace(grid, parts=kept, start_s=float(time_s[0]), absent=absent),
+        f"{topic}, {report.rows} rows at {1 / report.period_s:.4g} Hz, interpolated{left_out}",
+    )
 
 
 def _effort(
@@ -201,9 +206,12 @@ def _effort(
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
     side = effort_side(robot, units, "joint" if at_joint else "motor", "--effort-unit", place)
     what = f"{', '.join(effort_unit)} at the {side}"
-    joint_effort = by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort)
     rule = effort_at_joint(robot, effort[:1] * factors, side)[1]
-    return joint_effort, f"effort of {place}: {what}, as stated; {rule}", what
+    return (
+        by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort),
+        f"effort of {place}: {what}, as stated; {rule}",
+        what,
+    )
 
 
 def _storage(path: Path) -> Path:

@@ -31,12 +31,13 @@ KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
 EFFORTS = ("torque", "current", "effort")
 UR, FRANKA = "UR RTDE", "libfranka"
-_ROS = (
-    r"joint_states|controller_state|(feedback|reference|actual|desired)[./]positions"
-    r"|^field\.position\d"  # `rostopic echo -p` of joint states
-)
-# By names that no other has.
-MAKERS = {UR: r"^actual_q_\d", FRANKA: r"(^|\.)tau_J[\[_]\d", "ROS, REP 103": _ROS}
+MAKERS = {  # by names that no other has
+    UR: r"^actual_q_\d",
+    FRANKA: r"(^|\.)tau_J[\[_]\d",
+    "ROS, REP 103": r"joint_states|controller_state"
+    r"|(feedback|reference|actual|desired)[./]positions"
+    r"|^field\.position\d",  # `rostopic echo -p` of joint states
+}
 UNITS = {
     unit.lower(): unit for unit in (*POSITION_UNITS, *VELOCITY_UNITS, *TIME_UNITS, *EFFORT_UNITS)
 } | {

@@ -1,6 +1,12 @@
-"""Recordings from frames: of other recordings, also cut ones, and of CAN logs."""
+"""Recordings from frames: of other recordings, also cut ones, and of CAN logs.
 
-from collections.abc import Sequence
+Frames of a log are taken once each and in the order of their times. Loggers with a queue for each
+way write lines out of order, with right times: those are sorted. Where a counter of time wraps or
+the clock is set back, SYNC itself goes on below the time that it had reached: from there on times
+are shifted.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -8,27 +14,38 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import Ints
 from ..bus import SUFFIXES, read_log
 from ..errors import Place, listed
-from ..files import GrowingBytes, atomic_write
+from ..files import GrowingBytes, atomic_write, by_rows, field_of, kept, taken
 from ..recording import (
+    FRAME,
     NO_SAMPLES,
+    SENT,
     Block,
     Decoded,
     Header,
     Recording,
     RecordingWriter,
+    Rows,
+    Traffic,
     decode,
     read_recording,
     resolve_mapped,
     rewritten,
 )
-from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
+from ..robot import Bus, BusFile, Payload, Robot, check_recorded_positions, resolve
 from ..session import write_decoded
 from .captures import is_capture
 from .ethercat import MAPPING_NOTE, import_capture
-from .log_times import in_order
+from .stamps import ONE_CLOCK, steps_back
 from .time_base import ImportSummary
+
+# Times that begin again from 0 after so many ns.
+_WRAPS = {60 * 10**9: "a minute", 2**32 * 1000: "2^32 µs", 86_400 * 10**9: "a day"}
+_MAX_WRAP_NS = 10**9  # between the times before and after a wrap
+_MAX_SET_NS, _MAX_SET_SHARE = 60 * 10**9, 0.8  # of the times so far: more is another session
+_MAX_ECHO = 0.25  # periods between the two records of one frame
 
 
 def import_recording(
@@ -68,10 +85,10 @@ def import_recording(
 def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
     """Write what was read of a recording that was cut off."""
     samples = recording.samples
-    if samples is None and not recording.frames and not recording.capture:
-        Place(str(path)).refuse(
-            text="holds no samples and no frames before its cut: nothing can be repaired"
-        )
+    Place(str(path)).require(
+        samples is not None or recording.frames or recording.capture,
+        text="holds no samples and no frames before its cut: nothing can be repaired",
+    )
     notes = {**recording.metadata, "recovered_from": recording.sha256}
     warnings: tuple[str, ...] = ()
     with rewritten(recording, replace(recording.header, notes=notes), out) as writer:
@@ -114,23 +131,24 @@ def import_log(
     interface, its times begin again, or the frames do not decode.
     """
     if is_capture(log):
-        bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
+        bus = resolve(robot, place)
         header = Header(
             source=f"EtherCAT capture {log.name}",
             payload=payload,
-            notes=notes,
+            notes={MAPPING_NOTE: " ".join(mapping)},
             **_bus_header(robot, bus),
         )
         with log.open("rb") as file:
             return import_capture(file, header, bus, Place(str(log)), out)
     described = robot.bus or resolve(robot, place).file  # refuses a robot without a bus
     frames, left_out = _select_interface(log, described.channel)
-    frames, told = in_order(frames, described, str(log))
-    decoded = _decode_checked(frames, robot, str(log), place)
-    decoded = replace(decoded, warnings=left_out + told + decoded.warnings)
-    notes = {"left_out": "; ".join(left_out)} if left_out else {}
+    frames, told = _in_order(frames, described, str(log))
+    decoded = _decode_checked(frames, robot, str(log), place, left_out + told)
     header = Header(
-        source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus)
+        source=f"log {log.name}",
+        payload=payload,
+        notes={"left_out": "; ".join(left_out)} if left_out else {},
+        **_bus_header(robot, decoded.bus),
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
@@ -158,21 +176,103 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
         text=f"frames: {listed([*counts.values()])}",
         expected=f"one of {listed([*map(repr, names)])} as bus.channel in robot.toml",
     )
-    taken = channel if len(names) > 1 else next(iter(names))
-    told = f"frames of {names[taken]} are used; " if len(names) > 1 else ""
-    left_out = [text for what, text in counts.items() if what != taken]
-    return frames[taken], (f"{told}left out: {listed(left_out)}",) * bool(left_out)
+    used = channel if len(names) > 1 else next(iter(names))
+    told = f"frames of {names[used]} are used; " if len(names) > 1 else ""
+    left_out = [text for what, text in counts.items() if what != used]
+    return frames[used], (f"{told}left out: {listed(left_out)}",) * bool(left_out)
 
 
-def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
+def _in_order(frames: Block, bus: BusFile, place: str) -> tuple[Block, tuple[str, ...]]:
+    """Rows of `FRAME` (m,) in the order of their times, those of equal times in that of the file,
+    without echoes; and what the user has to know of it, one line each.
+
+    Wraps and steps back of the clock are taken out of the times. Raises `BadInputError`: the times
+    begin again, as those of two sessions in one file do.
+    """
+    time_ns, warnings, rows = field_of(frames, "time_ns"), list[str](), frames
+    if (np.diff(time_ns) < 0).any():
+        time_ns = kept(time_ns)
+        warnings += _go_on(time_ns, Traffic(frames).rows_of(bus.sync_can_id), Place(place))
+        if back := int(np.count_nonzero(np.diff(time_ns) < 0)):
+            warnings.append(
+                f"times step back at {back} frames: all are put in the order of their times"
+            )
+        order = np.argsort(time_ns, kind="stable")
+        rows = by_rows(lambda some: frames[some], order)
+        rows["time_ns"] = time_ns[order]
+    echoes = _echoes(rows, bus)
+    if len(echoes):
+        warnings.append(f"{len(echoes)} frames recorded as sent and again as received count once")
+        rows = taken(rows, np.delete(np.arange(len(rows)), echoes))
+    return rows, tuple(warnings)
+
+
+def _go_on(time_ns: Ints, syncs: Rows, place: Place) -> Iterator[str]:
+    """Shift the times (m,) in place where they wrap, or the clock was set back by the SYNCs of
+    these rows; and say so.
+    """
+    size = np.diff(time_ns)
+    jumps = np.flatnonzero(np.abs(size) > min(_WRAPS) - _MAX_WRAP_NS)
+    size = size[jumps]
+    for wrap_ns, text in _WRAPS.items():
+        wraps = np.abs(np.abs(size) - wrap_ns) < _MAX_WRAP_NS
+        if wraps.any() and time_ns.max() < wrap_ns + _MAX_WRAP_NS:
+            before = np.append(0, np.cumsum(np.sign(size[wraps])))
+            time_ns -= np.repeat(
+                before * wrap_ns, np.diff(jumps[wraps] + 1, prepend=0, append=len(time_ns))
+            )
+            yield f"times wrapped after {text}: later ones are shifted forward"
+    for k, by_ns, since_ns in steps_back(time_ns[syncs]):
+        row = syncs[k] + 1 + int(np.argmin(np.diff(time_ns[syncs[k] : syncs[k + 1] + 1])))
+        step = f"back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s"
+        place.require(
+            by_ns <= min(_MAX_SET_NS, _MAX_SET_SHARE * since_ns),
+            text=f"times step {step}, at frame {row + 1}",
+            expected=ONE_CLOCK,
+        )
+        time_ns[row:] += by_ns
+        yield f"the clock was set {step}: later times are shifted forward"
+
+
+def _echoes(frames: Block, bus: BusFile) -> Ints:
+    """Rows that were received and repeat one sent within a quarter of a period, equal in all else,
+    as echoes and requests do.
+    """
+    sent = frames["flags"] & SENT > 0
+    both = np.intersect1d(frames["can_id"][sent], frames["can_id"][~sent])
+    rows = np.flatnonzero(np.isin(frames["can_id"], both))
+    some = frames[rows]
+    some["time_ns"] = 0
+    some["flags"] |= SENT
+    order = np.argsort(some.view(f"V{FRAME.itemsize}"), kind="stable")  # equal ones by time
+    rows, some = rows[order], some[order]
+    again = (
+        (np.diff(frames["time_ns"][rows]) < _MAX_ECHO * 1e9 * bus.sync_period_s)
+        & (some[1:] == some[:-1])
+        & (sent[rows[1:]] != sent[rows[:-1]])
+    )
+    pairs = np.stack([rows[:-1], rows[1:]])[:, again]
+    return np.unique(pairs[~sent[pairs]])
+
+
+def _decode_checked(
+    frames: Block, robot: Robot, name: str, place: str, told: tuple[str, ...] = ()
+) -> Decoded:
+    """Samples from frames, without impossible positions; their warnings come after what is `told`
+    of the frames.
+    """
     frames, bus = resolve_mapped(frames, robot, place)
     decoded = decode(frames, robot, bus, name)
     positions = GrowingBytes()
     for block in decoded.blocks():
         positions.write(block["position"].tobytes())
-    q = np.frombuffer(positions.whole()).reshape(-1, robot.n)
-    found = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
-    return replace(decoded, warnings=decoded.warnings + found)
+    found = check_recorded_positions(
+        robot,
+        decoded.stamps * np.float64(1e-9),
+        np.frombuffer(positions.whole()).reshape(-1, robot.n),
+        name,
+    )
+    return replace(decoded, warnings=(*told, *decoded.warnings, *found))
 
 
 def _bus_header(robot: Robot, bus: Bus) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 Nothing is ever sent. In each cycle the master's datagrams pass all slaves, which write their inputs
 to them, read their outputs and count in the working counter, and come back:
 
-    captures        packets in the order of their times, and the datagrams in them
-    slaves          logical address of each object that a slave maps, by its FMMUs and by CoE
+    captures        packets in the order of their times, and the datagrams in them; logical address
+                    of each object that a slave maps, by its FMMUs and by CoE
     process_data    rows: the integers of all drives, of datagrams with full working counters
     this file       number of the cycle of each row, the time of each cycle
 
@@ -35,7 +35,7 @@ from ..recording import (
     refuse_period,
 )
 from ..robot import Bus, check_recorded_efforts, check_recorded_positions
-from .captures import PCAP_HEAD, packets
+from .captures import PCAP_HEAD, packets, parse_mapping
 from .process_data import (
     AT_ONCE,
     MARGIN,
@@ -43,7 +43,6 @@ from .process_data import (
     MAX_OFF,
     ProcessData,
 )
-from .slaves import parse_mapping
 from .time_base import ImportSummary
 
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
@@ -95,8 +94,12 @@ def _numbers(
     steps = np.diff(time_ns) / period_ns
     near = np.abs(steps - 1) < MAX_OFF
     near = np.concatenate([[False], near]) | np.concatenate([near, [False]])
-    certain = (level[before] == level[after]) & (breaks[before] == breaks[after]) & (near | delayed)
-    certain &= ~delayed[before] & ~delayed[after]
+    certain = (
+        (level[before] == level[after])
+        & (breaks[before] == breaks[after])
+        & (near | delayed)
+        & ~(delayed[before] | delayed[after])
+    )
     certain[1:] &= certain[:-1] | (steps > 1 - MAX_OFF)  # else it may be a row too many
     return k + level[before], certain, missing
 
@@ -121,8 +124,8 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
     no capture, or it has no process data that come back, no mapping, or another period.
     """
     robot, warnings = header.robot, list[str]()
-    mapping = parse_mapping(header.notes.get(MAPPING_NOTE, "").split())
-    process, head = ProcessData(bus, mapping, at), PCAP_HEAD
+    process = ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at)
+    head = PCAP_HEAD
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for given in packets(file, at, warnings, MAX_BACK * bus.period_ns):
             kept = process.add(given)
@@ -136,18 +139,15 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
         for block in joint_samples(_chosen(rows, chosen, stamp_ns, has_reference), robot, bus):
             writer.samples(block)
             t_s = (block["stamp_ns"] - first_ns) * np.float64(1e-9)
-            warnings += [
-                *check_recorded_positions(robot, t_s, block["position"], str(at)),
-                *check_recorded_efforts(robot, block["effort"]),
-            ]
-        warnings = list(dict.fromkeys(warnings))
-        for text in warnings:
+            warnings += check_recorded_positions(robot, t_s, block["position"], str(at))
+            warnings += check_recorded_efforts(robot, block["effort"])
+        for text in dict.fromkeys(warnings):
             writer.event(last_ns, "warning", text)
     return ImportSummary(
         out=out,
         effort_units=robot.effort_units,
         times=times,
-        warnings=tuple(warnings),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
 
 
@@ -217,15 +217,12 @@ def _on_grid(
         if (steps > 1).any()
         else "no gaps"
     )
-    times = (
-        f"{'distributed clocks' if clock else 'stamps of the capture'}: "
-        f"{1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, "
-        f"{process.doubled or 'no'} doubled rows"
-    )
     return (
         rows,
         chosen,
         max(0, start_ns) + np.rint(number * period_ns).astype(np.int64),
-        times,
+        f"{'distributed clocks' if clock else 'stamps of the capture'}: "
+        f"{1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, "
+        f"{process.doubled or 'no'} doubled rows",
         has_reference,
     )

@@ -52,20 +52,19 @@ def grid_of_new_rows(
         return None
     rows = np.flatnonzero(np.r_[True, new])
     at_s, own_hz = _times_of_source(time_s[rows], float(np.median(np.diff(time_s))))
-    kept = {
-        name: taken(x, rows) if _alike(x, new) else interpolate(time_s, x, at_s)
-        for name, x in parts.items()
-    }
-    grid = resample(
-        at_s,
-        kept,
-        rate_hz=min(rate_hz or own_hz, own_hz),
-        largest_gap_periods=largest_gap_periods,
-        place=place,
-    )
     text = (
         f"the log is faster than its robot: each row stands {len(q) / len(rows):.2g} times, as "
         f"positions are new at {own_hz:.6g} Hz; of {len(q)} rows only these {len(rows)} are kept"
+    )
+    grid = resample(
+        at_s,
+        {
+            name: taken(x, rows) if _alike(x, new) else interpolate(time_s, x, at_s)
+            for name, x in parts.items()
+        },
+        rate_hz=min(rate_hz or own_hz, own_hz),
+        largest_gap_periods=largest_gap_periods,
+        place=place,
     )
     return replace(grid, warnings=(text,))
 

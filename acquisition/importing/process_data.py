@@ -1,6 +1,4 @@
-"""Cyclic process data in EtherCAT frames → rows of the integers of CiA 402
-drives (CoE), in file order.
-"""
+"""Cyclic process data in EtherCAT frames → rows of the integers of the drives, in file order."""
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,9 +12,22 @@ from ..files import GrowingBytes, field_of, release_pages
 from ..protocol import ObjectEntry
 from ..recording import Block, in_parts, minimum_ahead
 from ..robot import Bus
-from .captures import Packets, datagrams, gather
-from .log_times import ONE_CLOCK, steps_back
-from .slaves import FPRD, LRD, LRW, LWR, MAILBOX, WRITES, Entries, Located, Slaves, spans
+from .captures import (
+    FPRD,
+    LRD,
+    LRW,
+    LWR,
+    MAILBOX,
+    WRITES,
+    Entries,
+    Located,
+    Packets,
+    Slaves,
+    datagrams,
+    gather,
+    spans,
+)
+from .stamps import ONE_CLOCK, steps_back
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
 # rows of a segment, and those before and after it on which it may depend
@@ -45,9 +56,7 @@ class Part(NamedTuple):
 
 
 class ProcessData:
-    """Collects what configures the slaves, and the integers of the drives in each
-    datagram of process data.
-    """
+    """Collects what configures the slaves, and the integers of the drives in process data."""
 
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Place) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
@@ -62,8 +71,10 @@ class ProcessData:
     def add(self, given: Packets) -> Ints:
         """Add packets; the numbers of those of EtherCAT."""
         found = datagrams(given)
-        mail = (found["command"] == FPRD) & (found["address"] >> 16 >= MAILBOX)
-        for one in found[np.isin(found["command"], WRITES) | mail]:
+        for one in found[
+            np.isin(found["command"], WRITES)
+            | (found["command"] == FPRD) & (found["address"] >> 16 >= MAILBOX)
+        ]:
             content = given.data[one["at"] : one["at"] + one["length"]].tobytes()
             back = bool(one["counter"])
             if self._slaves[back].take(int(one["command"]), int(one["address"]), content) and back:
@@ -74,8 +85,12 @@ class ProcessData:
             np.isin(found["command"], (LRD, LWR, LRW))
             & (found["packet"] + self._packets > self._since)
         ]
-        key = process["command"].astype(np.int64) << 44 | process["address"].astype(np.int64) << 12
-        key |= process["length"].astype(np.int64) << 1 | (process["counter"] > 0)
+        key = (
+            process["command"].astype(np.int64) << 44
+            | process["address"].astype(np.int64) << 12
+            | process["length"].astype(np.int64) << 1
+            | (process["counter"] > 0)
+        )
         for k in np.unique(key):
             part = Part(int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1))
             parts[part] = process[key == k]
@@ -84,9 +99,11 @@ class ProcessData:
             self._fields = self._find_fields()
             self._columns = {part: GrowingBytes() for part in self._fields}
         clock = found[
-            np.isin(found["command"], _CLOCK_COMMANDS) & (found["address"] >> 16 == _CLOCK)
+            np.isin(found["command"], _CLOCK_COMMANDS)
+            & (found["address"] >> 16 == _CLOCK)
+            & (found["counter"] > 0)
+            & (found["length"] >= 4)
         ]
-        clock = clock[(clock["counter"] > 0) & (clock["length"] >= 4)]
         for part in set(self._fields) & set(parts):
             self._columns[part].write(self._extract(part, parts[part], given, clock).tobytes())
         self._packets += len(given.begin)
@@ -105,10 +122,8 @@ class ProcessData:
     def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
         """Rows of datagrams of a part; a clock's time of 32 bits is below 2**32, -1 is none."""
         rows = np.empty(len(found), self._row(part))
-        rows["packet"], rows["time_ns"] = (
-            found["packet"] + self._packets,
-            given.time_ns[found["packet"]],
-        )
+        rows["packet"] = found["packet"] + self._packets
+        rows["time_ns"] = given.time_ns[found["packet"]]
         rows["counter"], rows["index"], rows["clock_ns"] = found["counter"], found["index"], -1
         for (name, i), (at, kind) in self._fields[part].items():
             rows[f"{name}{i}"] = gather(given.data, found["at"] + at, kind)
@@ -132,8 +147,9 @@ class ProcessData:
             self._why = str(error)
             return {}
         inputs, outputs = dict[Part, Fields](), dict[Part, Fields]()
-        stations = zip(self._bus.drives, self._stations(objects), strict=False)
-        for i, (drive, station) in enumerate(stations):
+        for i, (drive, station) in enumerate(
+            zip(self._bus.drives, self._stations(objects), strict=False)
+        ):
             for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
                 at = objects[station][0].get(entry.key, (0, 0))
                 names = [f"{index:04X}:{sub}" for index, sub in objects[station][0]]
@@ -155,8 +171,9 @@ class ProcessData:
     def _stations(self, objects: Mapping[int, tuple[Located, Located]]) -> Iterator[int]:
         """Yield the slave of each drive, up to one whose inputs are not known."""
         named = {file.station for file in self._bus.file.drive}
-        free = [station for station, (inputs, _) in objects.items() if inputs]
-        free = [station for station in free if station not in named]
+        free = [
+            station for station, (inputs, _) in objects.items() if inputs and station not in named
+        ]
         for drive in self._bus.drives:
             able = (station for station in free if drive.position.key in objects[station][0])
             station = next(able, -1) if drive.file.station is None else drive.file.station
@@ -176,9 +193,7 @@ class ProcessData:
         at: tuple[int, int],
         commands: tuple[int, int],
     ) -> None:
-        """Add where an object at a logical address, with its bytes, is in the datagrams that were
-        seen most.
-        """
+        """Add where an object at an address, with its bytes, is in the datagrams seen most."""
         (address, size), back = at, LRD in commands
         parts = [
             part
@@ -190,8 +205,10 @@ class ProcessData:
         ]
         if size and parts:
             part = max(parts, key=self._seen.__getitem__)
-            kind = f"<{entry.type[0].lower()}{size}"
-            fields.setdefault(part, {})[key] = address - part.address, kind
+            fields.setdefault(part, {})[key] = (
+                address - part.address,
+                f"<{entry.type[0].lower()}{size}",
+            )
 
     def _objects(self) -> dict[int, tuple[Located, Located]]:
         slaves = self._slaves[True]
@@ -203,13 +220,12 @@ class ProcessData:
                 "out"
             )
         bits = [sum(bits for _, bits in slave) for slave in self._mapping]
-        inputs = (part for part in self._seen if part.command != LWR)
-        base = next((part.address for part in inputs if 8 * part.size == sum(bits)), None)
-        if base is None:
+        fits = (x for x in self._seen if x.command != LWR and 8 * x.size == sum(bits))
+        if (part := next(fits, None)) is None:
             raise ValueError(f"--mapping has {sum(bits)} bits")
         placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
         return {
-            -k: ({key: (base + at, n) for key, at, n in slave}, {})
+            -k: ({key: (part.address + at, n) for key, at, n in slave}, {})
             for k, slave in enumerate(placed, 2)
         }
 
@@ -272,11 +288,14 @@ class ProcessData:
         """Rows of the packets from `first` to before `end`, from rows of parts near them."""
         (main, doubled), period = self._undoubled(parts[next(iter(full))]), self._bus.period_ns
         self.doubled += int(((doubled >= first) & (doubled < end)).sum())
-        kinds = [
-            (name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")
-        ]
         rows = np.zeros(
-            len(main), [("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]
+            len(main),
+            [
+                ("stamp_ns", "<i8"),
+                ("clock_ns", "<i8"),
+                ("known", "?"),
+                *((x, "<i8", (len(self._bus.drives),)) for x in ("position", "effort", "target")),
+            ],
         )
         rows["stamp_ns"], rows["clock_ns"], rows["known"] = (
             main["time_ns"],
@@ -309,22 +328,23 @@ class ProcessData:
         """Rows without those whose stamps others contradict or that repeat one within half a
         period; packets of the latter.
         """
-        time_ns, again = (
-            rows["time_ns"],
-            np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2,
-        )
+        time_ns = rows["time_ns"]
+        again = np.abs(np.diff(time_ns)) < self._bus.period_ns // 2
         for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]
-        in_order = time_ns <= minimum_ahead(time_ns, _ORDER)
-        in_order &= time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
+        in_order = (time_ns <= minimum_ahead(time_ns, _ORDER)) & (
+            time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
+        )
         in_order[1:] &= ~again
         return rows[in_order], rows["packet"][1:][again]
 
     def refuse_no_rows(self) -> NoReturn:
         """Say what is missing in the capture."""
-        most = sorted(self._seen, key=lambda part: -self._seen[part])[:4]
         shown = listed(
-            [f"{_NAMES[part.command]} of {part.size} bytes at 0x{part.address:X}" for part in most]
+            [
+                f"{_NAMES[part.command]} of {part.size} bytes at 0x{part.address:X}"
+                for part in sorted(self._seen, key=lambda part: -self._seen[part])[:4]
+            ]
         )
         self._place.require(
             any(part.back for part in self._seen),
@@ -354,13 +374,14 @@ def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
         return index, same
     t, u = main["time_ns"], other["time_ns"]
     index = np.searchsorted(u, t - round(MAX_OFF * period)).clip(max=len(u) - 1)
-    near = np.abs(u[index] - t) < MAX_OFF * period
-    return index, near & _regular(t, period) & _regular(u, period)[index]
+    return index, (
+        (np.abs(u[index] - t) < MAX_OFF * period) & _regular(t, period) & _regular(u, period)[index]
+    )
 
 
 def _regular(time_ns: Ints, period: int) -> Bools:
     steps = np.abs(np.diff(time_ns) - period) < MAX_OFF * period
-    return np.asarray(np.concatenate([[False], steps]) & np.concatenate([steps, [False]]))
+    return np.asarray(np.append(False, steps) & np.append(steps, False))
 
 
 def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:
@@ -371,7 +392,8 @@ def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:
     if not (len(main) and len(sent)):
         return index, np.zeros(len(main), np.bool_)
     delay = main["time_ns"] - sent["time_ns"][index]
-    usual = np.abs(delay - np.median(delay)) < 2 * MAX_OFF * period
-    return index, usual & (index >= 0) & (
-        sent["packet"][index] > np.concatenate([[-1], main["packet"][:-1]])
+    return index, (
+        (np.abs(delay - np.median(delay)) < 2 * MAX_OFF * period)
+        & (index >= 0)
+        & (sent["packet"][index] > np.concatenate([[-1], main["packet"][:-1]]))
     )

@@ -1,6 +1,4 @@
-"""Proposes the map.toml of a CSV table by its header and first rows; `FILL IN` marks
-what these do not say.
-"""
+"""Proposes the map.toml of a table by its header and first rows; `FILL IN` marks what is open."""
 
 import json
 import re
@@ -94,13 +92,20 @@ def propose_map(table: Path, robot: Robot | None) -> str:
             else np.cumsum(_values(velocity).T * np.gradient(time_s), axis=1).T
         )
         if velocity[0].unit or time_s is None or _moves_as(path, q):
-            per_s = re.sub("(?<=#).*Values.*|rad, deg.*", " rad/s, rpm, ...", unit)
-            per_s = re.sub(r'"(rad|deg|m|mm)"', r'"\1/s"', per_s)
+            per_s = re.sub(
+                r'"(rad|deg|m|mm)"',
+                r'"\1/s"',
+                re.sub("(?<=#).*Values.*|rad, deg.*", " rad/s, rpm, ...", unit),
+            )
             lines += ["[velocity]", _listed(velocity, why), _stated(velocity, per_s), side]
         else:
             why = f"not the derivative of the position: {_keys(velocity)}"
-    lines += [f"# no [velocity]: {why}"] if why else []
-    lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, maker)]
+    lines += [
+        *([f"# no [velocity]: {why}"] if why else []),
+        "[effort]",
+        _listed(effort, why_effort),
+        *_effort_lines(effort, maker),
+    ]
     return "\n".join([*lines, ""])
 
 
@@ -157,21 +162,13 @@ def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
     """Columns of one per joint by quantity and source (and the motor's side); a text
     if they are ambiguous.
     """
-    kinds = ("position", "velocity", *EFFORTS)
     members: dict[tuple[str, str], list[_Column]] = {}
     for c in columns:
-        quantities = [kind for kind in kinds if kind in c.words]
-        if len(quantities) == 1 and not {"reference", "measured"} <= {*c.words}:
-            source = (
-                "reference"
-                if "reference" in c.words
-                else "measured"
-                if "measured" in c.words
-                else ""
-            )
-            members.setdefault(
-                (quantities[0], source + " motor" * ("motor" in c.words)), []
-            ).append(c)
+        quantities = [kind for kind in ("position", "velocity", *EFFORTS) if kind in c.words]
+        sources = [source for source in ("reference", "measured") if source in c.words]
+        if len(quantities) == 1 and len(sources) < 2:
+            source = "".join(sources) + " motor" * ("motor" in c.words)
+            members.setdefault((quantities[0], source), []).append(c)
     all_labels = [{*c.label} for group in members.values() for c in group]
     common = (
         {x for x in set.intersection(*all_labels) if not x.isdigit()}
@@ -198,17 +195,20 @@ def _one_per_joint(
         return f"the joints of robot.toml in their order? {_keys(group)} are {', '.join(told)}"
     labels = [tuple(x for x in c.label if x not in common) for c in group]
     by_label = dict(zip(labels, group, strict=True))
-    words = [TOKEN.findall(joint.name.lower()) for joint in robot.joints] if robot else []
-    names = [tuple(x for x in name if x not in KIND and x not in common) for name in words]
+    names = [
+        tuple(x for x in TOKEN.findall(joint.name.lower()) if x not in KIND and x not in common)
+        for joint in (robot.joints if robot else ())
+    ]
     by_name = names and {*names} <= {*labels} and len({*names}) == len(names)
-    numbered: list[tuple[str, ...]] = [x for x in by_label if len(x) == 1 and x[0].isdigit()]
-    numbered.sort(key=lambda x: int(x[0]))
+    numbered: list[tuple[str, ...]] = sorted(
+        (x for x in by_label if len(x) == 1 and x[0].isdigit()), key=lambda x: int(x[0])
+    )
     chosen: list[tuple[str, ...]] = (
         names if by_name else numbered or [x for x in labels if labels == [()]]
     )
     span = int(numbered[-1][0]) - int(numbered[0][0]) + 1 if numbered else 0
     keys, several = _keys(group), all(labels) and len(by_label) > 1
-    why = _first(
+    return _first(
         (not chosen, f"which columns, in the order of the joints? {keys}" if several else ""),
         (not by_name and span != len(numbered), f"numbers are missing: {keys}"),
         (any(labels.count(label) > 1 for label in chosen), f"a number is there twice: {keys}"),
@@ -217,8 +217,7 @@ def _one_per_joint(
             f"{robot and robot.n} joints in robot.toml, and {len(chosen)} columns: {keys}",
         ),
         (True, ""),
-    )
-    return why or [by_label[label] for label in chosen]
+    ) or [by_label[label] for label in chosen]
 
 
 def _only(
@@ -246,8 +245,10 @@ def _keys(columns: Sequence[_Column]) -> str:
 def _ranges(table: Path, columns: Sequence[_Column], scanned: Sequence[TableColumn]) -> list[str]:
     """The columns as comments, with their ranges or texts."""
     x = read_columns(table, [c.key for c in columns], len(columns))
-    limits = zip(columns, x.min(axis=0), x.max(axis=0), strict=True)
-    ranges = {c.key: f"{low:.10g} to {high:.10g}" for c, low, high in limits}
+    ranges = {
+        c.key: f"{low:.10g} to {high:.10g}"
+        for c, low, high in zip(columns, x.min(axis=0), x.max(axis=0), strict=True)
+    }
     return [
         "# Columns, counted from 1:",
         *(f"#   {c.key}: {ranges.get(c.key) or listed(c.texts)}" for c in scanned),
@@ -291,20 +292,22 @@ def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, 
     largest = float(np.abs(_values(columns)).max(initial=0.0))
     each = f"; one for each: {json.dumps(types)}" if len(set(types)) > 1 else ""
     at_joint = columns and "m" not in types and '"joint"' in _side(columns, robot, maker)
-    line = _first(
-        (maker, f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"),
-        (
-            turn and "m" not in types,
-            f'unit = "{"deg" if turn == 360 else "rad"}" # angles jump by {turn:.4g}',
+    return _stated(
+        columns,
+        _first(
+            (maker, f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"),
+            (
+                turn and "m" not in types,
+                f'unit = "{"deg" if turn == 360 else "rad"}" # angles jump by {turn:.4g}',
+            ),
+            (not at_joint, f'unit = "{FILL_IN}" # rad, deg, m, ...{each}'),
+            (
+                2 * np.pi < largest <= MAX_TURN_DEG,
+                f'unit = "deg" # values to {largest:.4g} are beyond 2 pi',
+            ),
+            (True, f'unit = "{FILL_IN}" # rad or deg? Values to {largest:.4g}'),
         ),
-        (not at_joint, f'unit = "{FILL_IN}" # rad, deg, m, ...{each}'),
-        (
-            2 * np.pi < largest <= MAX_TURN_DEG,
-            f'unit = "deg" # values to {largest:.4g} are beyond 2 pi',
-        ),
-        (True, f'unit = "{FILL_IN}" # rad or deg? Values to {largest:.4g}'),
     )
-    return _stated(columns, line)
 
 
 def _side(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
@@ -373,20 +376,18 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
     if len(fits) != 1:
         return [*lines, f'unit = "{FILL_IN}" # s, ms, us or ns'], None
     rate_hz = 1 / (period * TIME_UNITS[fits[0]])
-    lines += [
+    lines.append(
         f'unit = "{fits[0]}" # the rate is then {rate_hz:.6g} '
         f"Hz{', the header says so' * bool(stated)}"
-    ]
+    )
     time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[fits[0]]
     steps, (step_s, between_s) = np.diff(time_s), bursts(time_s)
     if (np.abs(steps * rate_hz - 1) > 0.1).any():
-        grid_hz = roundest_rate_hz(time_s[np.append(True, steps > 0)])
+        grid_hz, why = roundest_rate_hz(time_s[np.append(True, steps > 0)]), "the steps are uneven"
         if between_s:  # within the drift that an import allows
             grid_hz = roundest(1 / step_s, between_s / (time_s[-1] - time_s[0]) / 8)
-        lines += [
-            f"resample_hz = {grid_hz:.12g} # "
-            + ("stamps come in bursts" if between_s else "the steps are uneven")
-        ]
+            why = "stamps come in bursts"
+        lines.append(f"resample_hz = {grid_hz:.12g} # {why}")
     return lines, column.x * TIME_UNITS[fits[0]]
 
 

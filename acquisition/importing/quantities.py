@@ -118,15 +118,15 @@ class Source:
         slow = np.abs(np.diff(unwrapped, axis=0))[:, angles].max(initial=0.0) < TURN / 4
         known = slow and (side == "joint" or np.allclose(of_motor, np.rint(of_motor)))
         jumps = (turn_jumps(x, TURN) & angles).any(axis=1)
-        if not known if quantity.unwrap else jumps.any():
-            self.place.refuse(
-                f"{key}.unwrap",
-                quantity.unwrap,
-                "true" if known else "angles over all turns, or of the joint at a higher rate",
-                text=f"angles jump by a turn before row {np.argmax(jumps) + 2}"
-                if jumps.any()
-                else "turns cannot be counted: of a motor with a ratio, or steps above 90 deg",
-            )
+        self.place.require(
+            known if quantity.unwrap else not jumps.any(),
+            f"{key}.unwrap",
+            quantity.unwrap,
+            "true" if known else "angles over all turns, or of the joint at a higher rate",
+            text=f"angles jump by a turn before row {np.argmax(jumps) + 2}"
+            if jumps.any()
+            else "turns cannot be counted: of a motor with a ratio, or steps above 90 deg",
+        )
         near_0 = unwrapped - TURN * np.rint(np.median(unwrapped, axis=0) / TURN)
         return np.where(angles, near_0, x) if quantity.unwrap else x
 
@@ -174,8 +174,13 @@ class Source:
     def _read(self, key: str, quantity: Quantity, known: Units) -> tuple[tuple[str, ...], Array]:
         """SI unit of each column, and the values (N, n) in these units."""
         n = self.robot.n
-        given = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
-        units, factors = si_units(given, n, known, f"{key}.unit", self.place)
+        units, factors = si_units(
+            (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit,
+            n,
+            known,
+            f"{key}.unit",
+            self.place,
+        )
         values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
         self.place.require(
             values.shape[1] == n,
@@ -201,8 +206,10 @@ class Source:
 
 def turn_jumps(x: Array, turn: float) -> Bools:
     """Steps (N - 1, n) of angles x (N, n) within a turn that are a turn, to a quarter of it."""
-    within = np.ptp(x, axis=0) <= MAX_WRAPPED * turn
-    return np.asarray((np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25) & within)
+    return np.asarray(
+        (np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25)
+        & (np.ptp(x, axis=0) <= MAX_WRAPPED * turn)
+    )
 
 
 def si_units(

@@ -1,10 +1,13 @@
-"""Compares the motion with the times of its rows: an error of time moves a position off its
-path by speed x error.
+"""Finds errors in the times of rows: by the motion, as an error of time moves a position off its
+path by speed x error; and where a clock was set back.
 """
+
+from collections.abc import Iterator
+from itertools import permutations
 
 import numpy as np
 
-from ..arrays import Array, Bools
+from ..arrays import Array, Bools, Ints
 from ..errors import Place
 from ..files import by_rows, taken
 
@@ -15,8 +18,9 @@ MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
 MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
 # periods, standard deviations: rows above both are left out
 MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = 0.05, 6.0
-MAX_EVEN_DEVIATION = 1e-3  # of a period: steps as uniform as this have no wrong stamp
-MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong by a period at most
+# of a period: steps as uniform as this have no wrong stamp; stamps between steps as regular as this
+# are wrong by a period at most
+MAX_EVEN_DEVIATION, MAX_REGULAR_DEVIATION = 1e-3, 0.25
 MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
 # of the noise of a step, that a joint moves in a tick, so that ticks can be counted
 MIN_TICK_DEVIATIONS = 5.0
@@ -25,7 +29,12 @@ MIN_TICK_DEVIATIONS = 5.0
 MIN_BURSTS, MAX_BURST_ROWS, MIN_SHORT_STEPS = 30, 100, 0.4
 MAX_BURST_DRIFT = 0.5  # of the time between bursts: rows that are missing are late by all of it
 _PASSES = 4  # a wrong stamp hides its neighbours
-MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
+_AROUND = 8  # rows before and after a step back, that tell whether it lasts
+_MAX_OFF = 0.5  # periods: rows that are all earlier by more show a step back of the clock
+ONE_CLOCK = (
+    "one session with one clock: a clock was set back, or the file holds two sessions; split it "
+    "there, and import each"
+)
 
 
 def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
@@ -36,7 +45,6 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
     times and once by the row numbers. The deviation over the speed is an error of time. Rows at
     uniform times, with stamps of a clock that was read late, are much smoother by their numbers.
     """
-    time_s, q = time_s[:MAX_COMPARED_ROWS], q[:MAX_COMPARED_ROWS]
     steps = np.diff(time_s)
     period = float(np.median(steps))
     if len(time_s) < 20 or np.std(steps[steps <= MIN_GAP_STEP * period]) < MIN_SCATTER * period:
@@ -150,15 +158,17 @@ def _late(t: Array, x: Array, quantum: Array) -> tuple[Array, Bools]:
         )
         # Next to a wrong stamp, nodes are so close together that errors grow.
         deviations = np.abs(error_s) * np.sqrt(information) / size * typical_size
-        late = (deviations > MIN_STAMP_DEVIATIONS) & (np.abs(error_s) > MIN_STAMP_ERROR * period)
         deviation = np.abs(steps - period)
         regular = np.maximum(deviation[1:-2], deviation[2:-1]) < MAX_REGULAR_DEVIATION * period
         uneven = np.abs(steps / period - np.rint(steps / period)) > MAX_EVEN_DEVIATION
-        late &= (between < MAX_REMAINING_STEP * period) & (
-            np.abs(error_s) < np.where(regular, period, between)
+        late = (
+            (deviations > MIN_STAMP_DEVIATIONS)
+            & (np.abs(error_s) > MIN_STAMP_ERROR * period)
+            & (between < MAX_REMAINING_STEP * period)
+            & (np.abs(error_s) < np.where(regular, period, between))
+            & (uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:])
+            & (np.abs(speed * error_s[:, None]) >= MIN_QUANTA * quantum).any(axis=1)
         )
-        late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]
-        late &= (np.abs(speed * error_s[:, None]) >= MIN_QUANTA * quantum).any(axis=1)
         return np.column_stack([deviations, late])
 
     deviations, late = by_rows(judged, t, x, found, beside=4).T
@@ -185,8 +195,7 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
         np.rint(by_stamp),
         np.concatenate([[0.0], np.cumsum(np.where(known, count, 0.0))]),
     )
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    for first, last in edges.reshape(-1, 2):
+    for first, last in np.flatnonzero(np.diff(known, prepend=False, append=False)).reshape(-1, 2):
         run = slice(first, last + 1)
         ticks[run] = counted[run] + np.rint(np.median(by_stamp[run] - counted[run]))
     anchors = np.unique(
@@ -199,8 +208,12 @@ def smallest_difference(q: Array) -> Array:
     """The smallest difference (n,) of two positions q (N, n) above rounding; infinite for
     joints that do not move.
     """
-    differences = (np.diff(np.unique(x)) for x in q.T)
-    return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in differences])
+    return np.array(
+        [
+            min(steps[steps > 1e-9 * np.abs(q).max()], default=np.inf)
+            for steps in (np.diff(np.unique(x)) for x in q.T)
+        ]
+    )
 
 
 def row_numbers(time_s: Array) -> Array:
@@ -229,9 +242,25 @@ def _neighbour_deviation(time_s: Array, q: Array) -> tuple[Array, Array]:
     """
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)
-    for i in range(4):
-        for j in range(4):
-            if i != j:
-                weights[i] *= nodes[j] / (nodes[j] - nodes[i])
+    for i, j in permutations(range(4), 2):
+        weights[i] *= nodes[j] / (nodes[j] - nodes[i])
     off = q[2:-2] - np.einsum("ik,ikn->kn", weights, np.stack([q[:-4], q[1:-3], q[3:-1], q[4:]]))
     return off, np.sqrt(1 + (weights**2).sum(axis=0))
+
+
+def steps_back(time_ns: Ints) -> Iterator[tuple[int, int, int]]:
+    """Rows of periodic times (m,) after which the clock was set back; by how much, and when since
+    the first one, in ns.
+
+    Rows out of order do not last: those before and after them are as late for their number.
+    """
+    back = np.flatnonzero(np.diff(time_ns) < 0)
+    if not len(back):
+        return
+    since_ns = time_ns - time_ns[0]
+    period = float(np.median(np.diff(np.sort(since_ns))))
+    late = since_ns - period * np.arange(len(time_ns))
+    for k in back:
+        before, after = late[max(0, k + 1 - _AROUND) : k + 1], late[k + 1 : k + 1 + _AROUND]
+        if before.min() - after.max() > _MAX_OFF * period:
+            yield int(k), round(float(np.median(before) - np.median(after))), int(since_ns[k])

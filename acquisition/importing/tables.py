@@ -139,8 +139,7 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, 
             off = np.median(parts["reference"], axis=0) - np.median(parts["position"], axis=0)
             parts["reference"] -= TURN * np.rint(off / TURN)
     for name in OPTIONAL:
-        quantity = getattr(table_map, name)
-        if quantity is not None:
+        if (quantity := getattr(table_map, name)) is not None:
             parts[name] = (source.velocity if name == "velocity" else source.effort_of_one_side)(
                 name, quantity
             )
@@ -171,8 +170,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         f"{source.table('time.table', time.table)}: "
         f"{time.column if time.ticks is None else time.ticks}"
     )
-    held = grid_of_new_rows(time_s, parts, place, time.resample_hz, time.largest_gap_periods)
-    if held is not None:
+    if held := grid_of_new_rows(time_s, parts, place, time.resample_hz, time.largest_gap_periods):
         return held
     grid = (
         uniform_grid(time_s, parts, place)
@@ -201,15 +199,21 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]",
     )
     assert grid.report is not None
-    doubled = grid.report.doubled + len(is_new) - len(rows)
-    return replace(grid, report=replace(grid.report, doubled=doubled, stamps_off_s=scatter_s))
+    return replace(
+        grid,
+        report=replace(
+            grid.report,
+            doubled=grid.report.doubled + len(is_new) - len(rows),
+            stamps_off_s=scatter_s,
+        ),
+    )
 
 
 def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Array, float | None]:
     """Times (N,) of the rows by stamps or ticks; the scatter of the stamps about the ticks
     in s, None without both.
     """
-    place, rows = source.place, len(parts["position"])
+    place = source.place
     place.require(
         (time.ticks is None) == (time.tick_s is None),
         "time.tick_s" if time.tick_s is None else "time.ticks",
@@ -227,8 +231,7 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
     )
     stamp_s = None
     if time.column is not None:
-        table = source.table("time.table", time.table)
-        stamp_s = _column(table, time.column, rows, place) * TIME_UNITS[time.unit]
+        stamp_s = _column(source, time, time.column, parts) * TIME_UNITS[time.unit]
     if time.ticks is None or time.tick_s is None:
         assert stamp_s is not None
         return (
@@ -253,16 +256,18 @@ def _ticks(
         if stamp_s is None or "velocity" not in parts:
             source.place.refuse("time.ticks", name, "time.column with the stamps, and [velocity]")
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], tick_s)
-    table = source.table("time.table", time.table)
-    ticks = _column(table, name, len(parts["position"]), source.place)
+    ticks = _column(source, time, name, parts)
     if (row := first_true(ticks != np.rint(ticks))) is not None:
-        Place(f"{table}: row {row + 1}").refuse(str(name), float(ticks[row]), "whole counts")
+        Place(f"{source.table('time.table', time.table)}: row {row + 1}").refuse(
+            str(name), float(ticks[row]), "whole counts"
+        )
     return ticks
 
 
-def _column(table: Path, name: str | int, rows: int, place: Place) -> Array:
-    column = read_columns(table, [name], 1)
-    place.require(
+def _column(source: Source, time: Time, name: str | int, parts: Mapping[str, Array]) -> Array:
+    rows = len(parts["position"])
+    column = read_columns(source.table("time.table", time.table), [name], 1)
+    source.place.require(
         column.shape == (rows, 1),
         "time",
         expected=f"one column of {rows} rows",
@@ -310,19 +315,26 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
         ),
     ]
     start_ns = samples["stamp_ns"][0]
-    columns = (
-        np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
-        for part in in_parts(samples)
+    write_columns(
+        out,
+        ["_".join(name.split()) for name in names],
+        (
+            np.column_stack(
+                [(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)]
+            )
+            for part in in_parts(samples)
+        ),
     )
-    write_columns(out, ["_".join(name.split()) for name in names], columns)
     return len(samples)
 
 
 def _unit(robot: Robot, field: str, joint: int) -> str:
     """Unit of a field of a joint's samples, for the name of a column."""
-    if field == "feedforward":
-        return robot.motors[joint].recorded_unit
-    if field in ("effort", "known_torque"):
-        return robot.effort_units[joint]
-    unit = robot.joints[joint].position_unit
-    return f"{unit}_s" if field == "velocity" else unit
+    unit, effort = robot.joints[joint].position_unit, robot.effort_units[joint]
+    others = {
+        "velocity": f"{unit}_s",
+        "effort": effort,
+        "known_torque": effort,
+        "feedforward": robot.motors[joint].recorded_unit,
+    }
+    return others.get(field, unit)

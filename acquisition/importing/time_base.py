@@ -11,12 +11,13 @@ from ..errors import Place
 from ..files import BLOCK_ROWS, allocate, atomic_write, taken
 from ..recording import MAX_STAMP_NS, Header, RecordingWriter, in_gaps
 from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
-from .stamps import MAX_COMPARED_ROWS, MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
+from .stamps import MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
 MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5  # times the rows' rate: grids outside give a warning
 MAX_LEFT_OUT = 0.02  # of the rows; more give a warning
 MOST_MISSING = 10.0  # times the rows that are there: a longer gap is between two recordings
+MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 MAX_OVERSAMPLING = 100.0  # times the rows' rate: a finer grid is a mistake
 _SPLINE_REACH = 100  # rows: farther ones act on a spline by less than rounding, 0.27 per row
 
@@ -95,8 +96,8 @@ class GridValues:
             expected="68 years and 100 MHz at most",
             text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
         )
-        steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
-        return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
+        since_ns = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
+        return np.asarray(self.first_ns + round(start_s * 1e9) + since_ns)
 
 
 def with_warnings(
@@ -106,10 +107,8 @@ def with_warnings(
     assert grid.report is not None
     report = replace(grid.report, clock=clock)
     growing = np.flatnonzero(np.diff(time_s, prepend=-np.inf) > 0)[:MAX_COMPARED_ROWS]
-    warning = stamps_warning(time_s[growing], q[growing], way_out)
-    return replace(
-        grid, report=report, warnings=(*rate_warnings(report), *([warning] if warning else []))
-    )
+    found = (*rate_warnings(report), stamps_warning(time_s[growing], q[growing], way_out))
+    return replace(grid, report=report, warnings=tuple(filter(None, found)))
 
 
 def time_report(time_s: Array, doubled: int = 0) -> TimeReport:
@@ -175,8 +174,9 @@ def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
     from scipy.interpolate import CubicSpline
 
     values = allocate((len(at_s), x.shape[1]), many=8)
-    edges = np.searchsorted(at_s, time_s[BLOCK_ROWS::BLOCK_ROWS])
-    for k, part in enumerate(np.split(np.arange(len(at_s)), edges)):
+    for k, part in enumerate(
+        np.split(np.arange(len(at_s)), np.searchsorted(at_s, time_s[BLOCK_ROWS::BLOCK_ROWS]))
+    ):
         rows = slice(max(0, k * BLOCK_ROWS - _SPLINE_REACH), (k + 1) * BLOCK_ROWS + _SPLINE_REACH)
         values[part] = CubicSpline(time_s[rows], x[rows])(at_s[part])
     return values
@@ -199,9 +199,9 @@ def rows_to_interpolate(
         text=f"{len(time_s)} rows of different times",
     )
     report = time_report(time_s, doubled)
-    in_time = POSITION not in parts or rows_in_time(time_s, parts[POSITION])
-    rows = np.flatnonzero(np.broadcast_to(in_time, len(time_s)))
-    time_s, parts = time_s[rows], {name: taken(x, rows) for name, x in parts.items()}
+    if POSITION in parts:
+        rows = np.flatnonzero(rows_in_time(time_s, parts[POSITION]))
+        time_s, parts = time_s[rows], {name: taken(x, rows) for name, x in parts.items()}
     steps = np.diff(time_s)
     k, most = int(np.argmax(steps)), largest_gap_periods or MOST_MISSING * len(steps)
     place.require(
@@ -212,7 +212,7 @@ def rows_to_interpolate(
         text=f"a gap of {steps[k]:.6g} s after {time_s[k] - time_s[0]:.6g} s, "
         f"{steps[k] / report.period_s:.1f} periods",
     )
-    return time_s, parts, replace(report, off=report.rows - len(rows))
+    return time_s, parts, replace(report, off=report.rows - len(time_s))
 
 
 def _drop_repeated_rows(
@@ -231,8 +231,7 @@ def _drop_repeated_rows(
         )
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
-        if (row := first_true((x[same + 1] != x[same]).any(axis=1))) is not None:
-            row = int(same[row])
+        for row in same[(x[same + 1] != x[same]).any(axis=1)]:
             place.refuse(
                 f"row {row + 2}",
                 expected=(
@@ -250,26 +249,25 @@ def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
     """
     rows = row_numbers(time_s) if rows is None else rows
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
-    scatter = (
-        3
-        * float(np.std(time_s - time_s[0] - start - period * rows))
-        / float(time_s[-1] - time_s[0])
-    )
-    return roundest(1 / period, min(max(scatter, 1e-12), 1e-2))
+    deviation = float(np.std(time_s - time_s[0] - start - period * rows))
+    return roundest(1 / period, 3 * deviation / float(time_s[-1] - time_s[0]), 1e-2)
 
 
-def roundest(rate_hz: float, scatter: float) -> float:
-    """Return the rate rounded to the fewest digits within the relative `scatter`."""
+def roundest(rate_hz: float, scatter: float, most: float = np.inf) -> float:
+    """Return the rate rounded to the fewest digits within the relative `scatter`, `most` at most
+    and above rounding.
+    """
+    within = min(max(scatter, 1e-12), most)
     return next(
-        r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= scatter
+        r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= within
     )
 
 
-def rate_warnings(report: TimeReport | None) -> list[str]:
+def rate_warnings(report: TimeReport) -> list[str]:
     """Warnings about a grid that is coarser or much finer than the rows, and
     about many rows left out.
     """
-    if report is None or report.grid_hz is None:
+    if report.grid_hz is None:
         return []
     ratio, own_hz = report.grid_hz * report.period_s, 1 / report.period_s
     found = {
@@ -316,12 +314,11 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
         expected=f"{0.5 * period:.6g} s at most; {way_out}",
         text=f"{off.max():.6g} s off a uniform grid",
     )
-    # Rounded within the scatter of the times: 1000, not 1000.00000013.
-    scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
     return GridValues(
         parts=parts,
         start_s=float(time_s[0]),
-        rate_hz=roundest(1 / period, scatter),
+        # Rounded within the scatter of the times: 1000, not 1000.00000013.
+        rate_hz=roundest(1 / period, float(off.max()) / duration_s, 1e-4),
         report=time_report(time_s),
     )
 
@@ -348,9 +345,10 @@ def write_samples(
     `BadInputError` for impossible stamps, positions or speeds.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
-    t_s = (stamps - stamps[0]) * np.float64(1e-9)
     overshoots = (
-        *check_recorded_positions(robot, t_s, parts["position"], place),
+        *check_recorded_positions(
+            robot, (stamps - stamps[0]) * np.float64(1e-9), parts["position"], place
+        ),
         *check_recorded_efforts(robot, parts["effort"]),
     )
     zero = [

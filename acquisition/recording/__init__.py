@@ -5,10 +5,8 @@ the decoding of CAN frames to rows on the SYNC grid. It may use `robot`, `protoc
 """
 
 from .decoding import Decoded, decode, refuse_period
-from .following import RecordingFollower
-from .mapped import resolve_mapped
 from .measured import in_gaps, measured_rows
-from .reader import NO_SAMPLES, Event, Recording, read_recording, rewritten
+from .reader import NO_SAMPLES, Event, Recording, RecordingFollower, read_recording, rewritten
 from .rows import (
     CAN_FD,
     ERROR,
@@ -24,6 +22,7 @@ from .rows import (
     gaps,
     in_parts,
     joint_samples,
+    resolve_mapped,
     sample_dtype,
 )
 from .summary import as_tables, overview

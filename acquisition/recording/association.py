@@ -71,30 +71,16 @@ class _Progress:
     """How the drives keep up with SYNC.
 
     Attributes:
-        edges: (k + 1,) SYNCs before each edge between two intervals.
-        behind: for each PDO the (k + 1,) answers that are pending at an edge.
+        behind: for each PDO the (k + 1,) answers that are pending at an edge between two intervals.
         uneven: (k,) whether an interval has not as many answers as SYNCs.
         caught_up: (k + 1,) edges at which a drive is late: it is less behind both before and later.
         alone: (k,) intervals of one SYNC with one PDO of every drive.
     """
 
-    edges: Rows
     behind: list[Rows]
     uneven: Bools
     caught_up: Bools
     alone: Bools
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Stretches:
-    """Stretches: `proven` edges (k + 1,); `cuts` between stretches; which stretches are `whole`;
-    intervals at the beginning in which answers are `pending`.
-    """
-
-    proven: Bools
-    cuts: Rows
-    whole: Bools
-    pending: int
 
 
 def associate(
@@ -110,26 +96,26 @@ def associate(
     """
     steps = intervals.steps
     progress = _progress(pdos, syncs.rows, intervals)
-    stretches = _stretches(progress, intervals)
-    cuts = stretches.cuts
+    proven, cuts, whole, pending = _stretches(progress, intervals)
 
     # Count what is lost while all drives answer.
     first, end = np.searchsorted(syncs.rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
     span = np.clip(cuts, first - 1, max(first - 1, end))
-    grown = np.array([np.diff(x[span]) for x in progress.behind]) * ~stretches.whole
+    grown = np.array([np.diff(x[span]) for x in progress.behind]) * ~whole
     losses = [
         {"duplicate": len(again) - int(x[x < 0].sum()), "missing": int(x[x > 0].sum())}
         for again, x in zip(repeats, grown, strict=True)
     ]
-    asked = max(1, int(progress.edges[span[-1]] - progress.edges[span[0]]))
+    asked = max(1, int(steps[span[0] : span[-1]].sum()))
 
     # Keep the stretches that are whole and in no doubt.
     damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
+    damaged[:pending] = damaged[cuts[-2] :] = False  # answers are pending
     again = interval_of(np.concatenate(repeats), syncs.rows)
-    late, doubtful = _late(progress, stretches, intervals, damaged, again)
-    keep = np.repeat(stretches.whole & ~doubtful, np.diff(cuts))
+    late, doubtful = _late(progress, intervals.unusual, proven, cuts, damaged, again)
+    keep = np.repeat(whole & ~doubtful, np.diff(cuts))
     late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
-    del progress, stretches, grown, damaged  # large in a long session
+    del progress, proven, cuts, whole, grown, damaged  # large in a long session
     return Answers(
         answered=kept(np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)),
         late=late,
@@ -140,9 +126,9 @@ def associate(
 
 
 def _progress(pdos: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> _Progress:
-    edges = _sums(intervals.steps)
+    asked = _sums(intervals.steps)  # before each edge
     behind = [
-        kept(edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(edges) - 1)))
+        kept(asked - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(asked) - 1)))
         for pdo in pdos
     ]
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])
@@ -153,7 +139,6 @@ def _progress(pdos: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> _P
         ]
     )
     return _Progress(
-        edges=edges,
         behind=behind,
         uneven=uneven,
         caught_up=caught_up,
@@ -161,7 +146,10 @@ def _progress(pdos: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> _P
     )
 
 
-def _stretches(progress: _Progress, intervals: Intervals) -> _Stretches:
+def _stretches(progress: _Progress, intervals: Intervals) -> tuple[Bools, Rows, Bools, int]:
+    """Proven edges (k + 1,); cuts between stretches; which stretches are whole; the number of
+    intervals at the beginning in which answers are pending.
+    """
     behind, torn = progress.behind, intervals.torn
     proven = _in_order(progress, intervals.unusual)
     # The recording may begin while answers are pending: then there are more answers than SYNCs.
@@ -176,7 +164,7 @@ def _stretches(progress: _Progress, intervals: Intervals) -> _Stretches:
     torn = torn | intervals.paused & progress.caught_up[1:]
     # a torn interval is in no stretch
     cuts, whole = _cuts([*behind, unknown, _sums(torn)], proven)
-    return _Stretches(proven=proven, cuts=cuts, whole=whole, pending=begin * int(unknown[0]))
+    return proven, cuts, whole, begin * int(unknown[0])
 
 
 def _answers(
@@ -244,17 +232,15 @@ def _cuts(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
 
 
 def _late(
-    progress: _Progress, stretches: _Stretches, intervals: Intervals, damaged: Bools, again: Rows
+    progress: _Progress, unusual: Bools, proven: Bools, cuts: Rows, damaged: Bools, again: Rows
 ) -> tuple[Bools, Bools]:
     """Find stretches in which PDOs are late between two proven edges, and those of them within
     reach of an interval (k,) that is `damaged`, or in which a PDO came `again`.
     """
-    damaged[: stretches.pending] = damaged[stretches.cuts[-2] :] = False  # answers are pending
     # A drive that is late, again and again at its usual time: rather a PDO was lost,
     # and another came twice.
-    usual = progress.alone & ~intervals.unusual
     behind = progress.caught_up[1:] & progress.caught_up[:-1]
-    damaged[_in_a_row(usual & behind, MAX_LATE_USUAL)] = True
+    damaged[_in_a_row(progress.alone & ~unusual & behind, MAX_LATE_USUAL)] = True
     damaged[again] = True
     sums, at = _sums(damaged), np.arange(len(damaged), dtype=np.int32)
     near = (
@@ -262,14 +248,13 @@ def _late(
         > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
     )
     # from the first uneven interval between two proven edges to the last
-    starts = np.flatnonzero(stretches.proven).astype(np.int32)
-    sums, count = _sums(progress.uneven | intervals.unusual), np.diff(starts)
+    starts = np.flatnonzero(proven).astype(np.int32)
+    sums, count = _sums(progress.uneven | unusual), np.diff(starts)
     late = (sums[1:] > np.repeat(sums[starts[:-1]], count)) & (
         sums[:-1] < np.repeat(sums[starts[1:]], count)
     )
     doubtful = late & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
-    first = stretches.cuts[:-1]
-    return np.logical_or.reduceat(late, first), np.logical_or.reduceat(doubtful, first)
+    return np.logical_or.reduceat(late, cuts[:-1]), np.logical_or.reduceat(doubtful, cuts[:-1])
 
 
 def _sums(values: Bools | Rows | Ints) -> Rows:

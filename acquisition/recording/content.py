@@ -33,9 +33,9 @@ from .writer import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc
 _MAGIC = b"\x89MCAP0\r\n"
 _IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-# bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
-_MAX_CHUNK_BYTES = 64 * 2**20
-_MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
+# bytes of a chunk, which is written at about 1 MiB, and of all of them unpacked: larger sizes are
+# hostile or damaged
+_MAX_CHUNK_BYTES, _MAX_TOTAL_BYTES = 64 * 2**20, 4 * 2**30
 # All topics but those for viewers.
 READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
 _ONE = "expected one recording, not merged with others"
@@ -83,8 +83,7 @@ class Messages:
     def items(self) -> Iterator[tuple[int, bytes]]:
         """Log time and content of each message."""
         data = self.data.whole()
-        begins = [0, *self.ends][:-1]
-        for stamp_ns, begin, end in zip(self.stamps_ns, begins, self.ends, strict=True):
+        for stamp_ns, begin, end in zip(self.stamps_ns, [0, *self.ends], self.ends, strict=False):
             yield stamp_ns, bytes(data[begin:end])
 
 
@@ -169,7 +168,7 @@ class Content:
                 check_metadata(self.metadata, self._place)
         elif opcode == Opcode.ATTACHMENT:
             record = mcap.records.Attachment.read(_stream(content))
-            _check_crc(zlib.crc32(content[:-4]), content[-4:])
+            _check_crc(zlib.crc32(content[:-4]), int.from_bytes(content[-4:], "little"))
             if record.name in self.attachments:
                 raise _ForeignError(f"has a second attachment {record.name!r}: {_ONE}")
             self.attachments[record.name] = record.data
@@ -178,11 +177,11 @@ class Content:
             self._size += len(content)
             if self._size > _MAX_TOTAL_BYTES:
                 raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
-            for inner, _, part in _records(BytesIO(content).read, len(content)):
+            for inner, _, part in _records(BytesIO(content).read, 0, len(content)):
                 self._add_message(inner, part)
         elif opcode == Opcode.DATA_END:
             if crc_before is not None:
-                _check_crc(crc_before, content[:4])
+                _check_crc(crc_before, int.from_bytes(content[:4], "little"))
             self.complete = True
         else:
             self._add_message(opcode, content)
@@ -193,8 +192,7 @@ class Content:
             number, _, stamp_ns, _ = _MESSAGE.unpack_from(content)
             if number not in self._channels:
                 raise ValueError(f"a message on channel {number}, which is not described")
-            topic = self._channels[number]
-            if topic is not None:
+            if (topic := self._channels[number]) is not None:
                 self.messages[topic].add(stamp_ns, content[_MESSAGE.size :])
         elif opcode == Opcode.SCHEMA:
             schema = mcap.records.Schema.read(_stream(content))
@@ -208,7 +206,7 @@ class Content:
                     raise _ForeignError(f"{channel.topic} changes its layout: {_ONE}")
 
 
-class GrowingContent:
+class GrowingContent(Content):
     """The content of a file that another program writes, without a lock: `read` adds the
     records since the last call.
 
@@ -216,8 +214,8 @@ class GrowingContent:
     """
 
     def __init__(self, path: Path) -> None:
+        super().__init__(str(path))
         self._path, self._file, self._at = path, path.open("rb"), len(_MAGIC)
-        self.found = Content(str(path))
 
     def read(self) -> bool:
         """Whether there were new records."""
@@ -235,12 +233,12 @@ class GrowingContent:
         place.require(self._file.read(len(_MAGIC)) == _MAGIC, text="is not a recording")
         self._file.seek(self._at)
         data = self._file.read(_MAX_CHUNK_BYTES)
-        for opcode, begin, content in _records(BytesIO(data).read, len(data)):
+        for opcode, at, content in _records(BytesIO(data).read, before, before + len(data)):
             try:
-                self.found.add(opcode, content)
+                self.add(opcode, content)
             except _DAMAGE as error:
-                place.refuse(text=f"damaged at byte {before + begin}: {error}")
-            self._at = before + begin + len(content)
+                place.refuse(text=f"damaged at byte {at}: {error}")
+            self._at = at + len(content)
         return self._at > before
 
 
@@ -251,21 +249,16 @@ class _Records:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._digest = hashlib.sha256()
-        self._crcs = 0, 0, 0  # of all bytes before the last two parts, before the last, in all
+        # CRC of all bytes before the current record, of a head and its content; and of all bytes
+        # before the last part that was taken, and with it.
+        self.crc_before, self._crc_before_part, self._crc = 0, 0, 0
         file.seek(max(0, self._size - len(_MAGIC)))
         self.has_end = self._size > 2 * len(_MAGIC) and file.read() == _MAGIC
         file.seek(0)
         self.first = self._take(len(_MAGIC))
 
     def __iter__(self) -> Iterator[tuple[int, int, bytes]]:
-        begin = len(_MAGIC)
-        for opcode, at, content in _records(self._take, self._size - begin):
-            yield opcode, begin + at, content
-
-    @property
-    def crc_before(self) -> int:
-        """CRC of all bytes before the current record, of a head and its content."""
-        return self._crcs[0]
+        return _records(self._take, len(_MAGIC), self._size)
 
     def only_zeros_follow(self) -> bool:
         """Whether nothing but zero bytes follows the current record."""
@@ -284,19 +277,19 @@ class _Records:
     def _take(self, length: int) -> bytes:
         part = self._file.read(length)
         self._digest.update(part)
-        self._crcs = (*self._crcs[1:], zlib.crc32(part, self._crcs[2]))
+        self.crc_before, self._crc_before_part = self._crc_before_part, self._crc
+        self._crc = zlib.crc32(part, self._crc)
         return part
 
 
-def _records(take: Callable[[int], bytes], size: int) -> Iterator[tuple[int, int, bytes]]:
-    """Opcode, first byte and content of each complete record in `size` bytes, which `take` gives in
-    order. Opcode 0 is unwritten disk space and ends the iteration.
+def _records(take: Callable[[int], bytes], at: int, end: int) -> Iterator[tuple[int, int, bytes]]:
+    """Opcode, first byte of the content, and content of each complete record in the bytes from `at`
+    to `end`, which `take` gives in order. Opcode 0 is unwritten disk space and ends the iteration.
     """
-    at = 0
-    while at + 9 <= size:
+    while at + 9 <= end:
         head = take(9)
         length = int.from_bytes(head[1:], "little")
-        if head[0] == 0 or at + 9 + length > size:
+        if head[0] == 0 or at + 9 + length > end:
             return
         at += 9 + length
         yield head[0], at - length, take(length)
@@ -306,8 +299,7 @@ def _stream(content: bytes) -> Any:
     return ReadDataStream(BytesIO(content))
 
 
-def _check_crc(computed: int, crc: bytes) -> None:
-    expected = int.from_bytes(crc, "little")
+def _check_crc(computed: int, expected: int) -> None:
     if expected not in (0, computed):  # 0: no CRC was written
         raise ValueError(f"CRC is {computed:08x}: expected {expected:08x}")
 
@@ -326,7 +318,7 @@ def _unpack(chunk: Any) -> bytes:
     content = _UNPACKED[chunk.compression](chunk.data, size + 1)
     if len(content) != size or chunk.uncompressed_size != size:
         raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
-    _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
+    _check_crc(zlib.crc32(content), chunk.uncompressed_crc)
     return content
 
 

@@ -19,7 +19,7 @@ sample has the time of its SYNC:
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -47,24 +47,14 @@ from .writer import RecordingWriter
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
 MAX_UNEVEN, MIN_EVEN_SHARE = 0.25, 0.75  # of a period, and of the steps that deviate by less
 MIN_SYNCS = 10  # with fewer, their period is not checked
-MAX_MISSING_SHARE = 0.05  # of the PDOs of a drive; with more, wrong rows may look right
-MAX_MISSING_COUNT = 2  # PDOs of a drive; so few are no share of a short recording
+# of the PDOs of a drive: with more missing, wrong rows may look right; so few are no share of a
+# short recording
+MAX_MISSING_SHARE, MAX_MISSING_COUNT = 0.05, 2
 # SYNCs without rows before the first row and after the last: more give a warning
 MAX_AT_ENDS, MAX_SHARE_AT_ENDS = 3, 0.02
 LOSSES = ("late", "duplicate", "missing", "short")  # counters of PDOs
 _AT_ONCE = 10_000  # samples
 MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
-
-
-@dataclass(frozen=True, kw_only=True)
-class PdoCount:
-    """Frames of one PDO: received, and by `LOSSES` those that were late, duplicate, too short, or
-    missing between the first and the last SYNC.
-    """
-
-    name: str
-    received: int
-    losses: Counter[str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,8 +69,9 @@ class Decoded:
             would leave out the row.
         targets: for each drive the (N,) frames of its current targets, -1 before the first;
             None without a reference.
+        pdos: for each PDO, by its name, the frames `received`, and by `LOSSES` those that were
+            late, duplicate, too short, or missing between the first and the last SYNC.
         syncs, syncs_lost: SYNC frames recorded; SYNCs that were not recorded.
-        period_s: between SYNCs, pauses left out.
         jitter_s: standard and largest deviation of the recorded times from
             uniform ones, between pauses.
         warnings: for the user, one line each.
@@ -93,10 +84,9 @@ class Decoded:
     stamps: Ints
     late: Bools
     targets: list[Rows] | None
-    pdos: tuple[PdoCount, ...]
+    pdos: Mapping[str, Counter[str]]
     syncs: int
     syncs_lost: int
-    period_s: float
     jitter_s: tuple[float, float]
     warnings: tuple[str, ...]
 
@@ -120,10 +110,8 @@ class Decoded:
 
     def _raw(self) -> Iterator[Block]:
         """The integers of the drives, as `joint_samples` takes them."""
-        names = ("position", "effort") if self.targets is None else ("position", "effort", "target")
-        layout = np.dtype(
-            [("stamp_ns", "<i8"), *((name, "<i8", (self.robot.n,)) for name in names)]
-        )
+        names = ["position", "effort", *["target"] * (self.targets is not None)]
+        layout = [("stamp_ns", "<i8"), *((name, "<i8", (self.robot.n,)) for name in names)]
         for first in range(0, len(self.stamps), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             raw = np.empty(len(self.stamps[part]), layout)
@@ -156,7 +144,7 @@ class Decoded:
             "uncertain": self.syncs + self.syncs_lost - len(self.stamps),
             "sync_jitter_sd_s": self.jitter_s[0],
             "sync_jitter_worst_s": self.jitter_s[1],
-            **{word: sum(pdo.losses[word] for pdo in self.pdos) for word in LOSSES},
+            **{word: sum(count[word] for count in self.pdos.values()) for word in LOSSES},
         }
 
 
@@ -187,8 +175,7 @@ def decode(
     # The grid of SYNC: periods from each frame to the next, and the times of all.
     intervals = sync_steps(syncs, pdos, times_of)
     if (traffic.at("length", syncs.rows) >= 1).all():
-        counter = traffic.at("data", syncs.rows)[:, 0]
-        intervals = replace(intervals, steps=counted_steps(counter))
+        intervals = replace(intervals, steps=counted_steps(traffic.at("data", syncs.rows)[:, 0]))
     index_of = kept(np.concatenate([[0], np.cumsum(intervals.steps[:-1])]))
     clock = sync_times(syncs, index_of, int(intervals.steps.sum()), bus.period_ns)
     if len(syncs.rows) >= MIN_SYNCS:
@@ -196,12 +183,12 @@ def decode(
 
     # The frames that answer each SYNC.
     answers = associate(pdos, repeats, syncs, times_of, intervals)
-    counts = tuple(
-        PdoCount(name=name, received=len(rows) + len(again), losses=Counter(short=n, **lost))
+    counts = {
+        name: Counter(received=len(rows) + len(again), short=n, **lost)
         for name, rows, again, n, lost in zip(
             carriers.values(), pdos, repeats, short, answers.losses, strict=True
         )
-    )
+    }
     del pdos  # large in a long session
     _refuse_missing(answers, max_missing, place)
 
@@ -219,7 +206,6 @@ def decode(
         pdos=counts,
         syncs=len(syncs.rows),
         syncs_lost=syncs_lost,
-        period_s=clock.period_s,
         jitter_s=clock.jitter_s,
         warnings=(
             *bus.warnings,
@@ -237,13 +223,15 @@ def _syncs(traffic: Traffic, bus: Bus, place: str) -> Syncs:
         expected="many",
     )
     times = traffic.at("time_ns", rows)
-    syncs = Syncs(
-        rows=rows,
-        times=times,
-        ours=bool((traffic.at("flags", rows) & SENT).all()),
-        period=usual_period(times, bus.period_ns),
+    return recorded_syncs(
+        Syncs(
+            rows=rows,
+            times=times,
+            ours=bool((traffic.at("flags", rows) & SENT).all()),
+            period=usual_period(times, bus.period_ns),
+        ),
+        (traffic.of(pdo)[0] for pdo in _carriers(bus)),  # few need them
     )
-    return recorded_syncs(syncs, (traffic.of(pdo)[0] for pdo in _carriers(bus)))  # few need them
 
 
 def _frames_of(
@@ -262,9 +250,9 @@ def _frames_of(
 
 def _refuse_missing(answers: Answers, max_missing: float, place: str) -> None:
     """Refuse frames of which too many are missing for certain rows, or that have too few rows."""
-    most = max(lost["missing"] for lost in answers.losses)
     Place(place).require(
-        answers.missing_share <= max_missing or most <= MAX_MISSING_COUNT,
+        answers.missing_share <= max_missing
+        or all(lost["missing"] <= MAX_MISSING_COUNT for lost in answers.losses),
         text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
         expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
     )
@@ -301,9 +289,8 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
 def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints) -> Iterator[str]:
     """Warnings about position counters that wrapped."""
     for drive in bus.drives:
-        counts = _integers(traffic, rows_of, drive, drive.position)
-        wraps = unwrap(counts, drive.position.bits)[1]
-        if len(wraps):
+        position = _integers(traffic, rows_of, drive, drive.position)
+        if len(wraps := unwrap(position, drive.position.bits)[1]):
             yield (
                 f"{drive.name}: its position counter wrapped {len(wraps)} times, first at "
                 f"{(stamps[wraps[0]] - stamps[0]) * 1e-9:.4g} s: positions are continued"
@@ -338,18 +325,21 @@ def refuse_period(
     if abs(measured_s / stated_s - 1) <= MAX_PERIOD_ERROR:
         return
     text = f"{what} came every {measured_s * 1e3:.4g} ms"
-    command = "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
-    expected = f"{measured_s:.3g}; correct robot.toml and import again, a recording by {command}"
+    expected = (
+        f"{measured_s:.3g}; correct robot.toml and import again, a recording by "
+        "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+    )
     if np.quantile(np.abs(steps_s / measured_s - 1), MIN_EVEN_SHARE) > MAX_UNEVEN:
         low, high = np.quantile(steps_s, [0.1, 0.9]) * 1e3
         text = f"{what} came {low:.3g} to {high:.3g} ms after the one before"
         expected = "even steps: is each recorded twice, or in another order or clock than it came?"
-    text += f"; bus.sync_period_s = {stated_s:g} in robot.toml"
-    Place(place).refuse(text=text, expected=expected)
+    Place(place).refuse(
+        text=f"{text}; bus.sync_period_s = {stated_s:g} in robot.toml", expected=expected
+    )
 
 
 def _warnings(
-    counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows
+    counts: Mapping[str, Counter[str]], lost: int, clock: SyncTimes, bus: Bus, answered: Rows
 ) -> list[str]:
     nominal_s = bus.file.sync_period_s
     at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
@@ -378,12 +368,8 @@ def _warnings(
         ),
         *(text for text, holds in found.items() if holds),
         *(
-            f"{count.name}: {losses} of {count.received}"
-            for count in counts
-            if (
-                losses := ", ".join(
-                    f"{count.losses[word]} {word}" for word in LOSSES if count.losses[word]
-                )
-            )
+            f"{name}: {losses} of {count['received']}"
+            for name, count in counts.items()
+            if (losses := ", ".join(f"{count[word]} {word}" for word in LOSSES if count[word]))
         ),
     ]

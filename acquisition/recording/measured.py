@@ -119,8 +119,9 @@ def _alike(differences: Array, least: float, q: Array, typical: Array) -> Bools:
     found, order = np.zeros(len(differences), dtype=bool), len(q) - len(differences)
     for first, last in _runs(differences <= 1, least):
         beside = np.r_[differences[max(first - BESIDE, 0) : first], differences[last:][:BESIDE]]
-        lively = np.sum(beside > MIN_NOISE) > MOST * len(beside)
-        found[first:last] = lively and _moves(q[first : last + order + 1], typical)
+        found[first:last] = np.sum(beside > MIN_NOISE) > MOST * len(beside) and _moves(
+            q[first : last + order + 1], typical
+        )
     return found
 
 

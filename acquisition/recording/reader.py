@@ -1,4 +1,10 @@
-"""Reads a recording, up to the cut if the file has no end, and writes a changed copy."""
+"""Reads a recording, up to the cut if the file has no end; writes a changed copy; and follows one
+while it is written, from the file alone: new rows, events and counters.
+
+The last seconds of frames are decoded again with each block. Rows are given once, and no earlier
+than later frames can change them: PDOs that are late at the end of a block are awaited, and behind
+a gap and where PDOs are late as many SYNCs as `associate` looks ahead.
+"""
 
 import json
 import math
@@ -15,11 +21,21 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..errors import Place
+from ..errors import BadInputError, Place
 from ..files import atomic_write
-from ..robot import EffortTiming, Payload, Robot, robot_from_files
-from .content import Messages, read_content
-from .rows import CAPTURE_TOPIC, FRAME, Block, check_frames, check_samples
+from ..robot import EffortTiming, Payload, Robot, resolve, robot_from_files
+from .content import GrowingContent, Messages, read_content
+from .decoding import decode
+from .rows import (
+    CAPTURE_TOPIC,
+    FRAME,
+    Block,
+    Traffic,
+    check_frames,
+    check_samples,
+    resolve_mapped,
+)
+from .sync_grid import MAX_RUN_SYNCS, MIN_PAUSE_PERIODS
 from .writer import (
     EFFORT_TIMINGS,
     FRAMES_TOPIC,
@@ -34,6 +50,8 @@ FIRST_DATE_NS = 946_684_800 * 10**9
 # The end of a layout of rows with values of further objects of the drives, of earlier versions.
 _EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
+HISTORY_SYNCS = 2 * MAX_RUN_SYNCS  # before the next row, which are decoded again
+MAX_SYNCS = 8 * MAX_RUN_SYNCS  # without a row; older frames are dropped
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,24 +102,18 @@ class Recording:
         """Start of the recording: its first stamp if stamps are dates, else the creation of its
         file; None if unknown.
         """
-        first_ns = (
-            0
-            if self.samples is None or len(self.samples) == 0
-            else int(self.samples["stamp_ns"][0])
-        )
-        if first_ns >= FIRST_DATE_NS:
-            return datetime.fromtimestamp(first_ns // 1000 / 1e6, UTC)
-        try:
+        if self.samples is not None and (self.samples["stamp_ns"][:1] >= FIRST_DATE_NS).any():
+            return datetime.fromtimestamp(int(self.samples["stamp_ns"][0]) // 1000 / 1e6, UTC)
+        with suppress(ValueError):
             created = datetime.fromisoformat(self.metadata.get("created", ""))
-        except ValueError:
-            return None
-        return created.astimezone(UTC) if created.tzinfo else created.replace(tzinfo=UTC)
+            return created.astimezone(UTC) if created.tzinfo else created.replace(tzinfo=UTC)
+        return None
 
     @property
     def no_samples(self) -> str:
         """The reason why there are no samples, as recorded."""
-        texts = [event.text for event in self.events if event.text.startswith(NO_SAMPLES)]
-        return texts[-1] if texts else "holds no joint samples"
+        texts = (e.text for e in reversed(self.events) if e.text.startswith(NO_SAMPLES))
+        return next(texts, "holds no joint samples")
 
     @property
     def effort_timing(self) -> EffortTiming:
@@ -133,12 +145,11 @@ class Recording:
         )
 
     def __repr__(self) -> str:
-        samples, frames = (
-            0 if self.samples is None else len(self.samples),
-            sum(map(len, self.frames.values())),
+        samples = 0 if self.samples is None else len(self.samples)
+        return (
+            f"Recording({self.robot.name}: {samples} samples at {self.sample_rate_hz:g} Hz, "
+            f"{sum(map(len, self.frames.values()))} CAN frames{', cut' if self.cut else ''})"
         )
-        content = f"{samples} samples at {self.sample_rate_hz:g} Hz, {frames} CAN frames"
-        return f"Recording({self.robot.name}: {content}{', cut' if self.cut else ''})"
 
 
 def read_recording(path: str | PathLike[str]) -> Recording:
@@ -250,8 +261,10 @@ def _decode_json(
     topics: Mapping[str, Messages], topic: str, kind: Any, path: Path
 ) -> list[tuple[int, Any]]:
     try:
-        messages = topics[topic].items() if topic in topics else ()
-        return [(stamp, msgspec.json.decode(text, type=kind)) for stamp, text in messages]
+        return [
+            (stamp, msgspec.json.decode(text, type=kind))
+            for stamp, text in (topics[topic].items() if topic in topics else ())
+        ]
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         Place(f"{path}: {topic}").refuse(text=str(error))
 
@@ -290,3 +303,90 @@ def rewritten(
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
         yield writer
+
+
+class RecordingFollower:
+    """A recording that is being written at `path`.
+
+    After each `read`, `rows`, `events` and `health` are the new ones.
+
+    `problem` is why there are no rows. Raises `BadInputError` as `read` does, and where the
+    description is not written yet.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.ended, self.problem = path, False, ""
+        self._content = GrowingContent(path)
+        self._content.read()
+        attachments, place = self._content.attachments, Place(str(path))
+        self.metadata = place.given(
+            self._content.metadata if "robot.toml" in attachments else None,
+            text="has no description yet",
+            expected="a recording that is written",
+        )
+        self.robot = robot_from_files(attachments, f"{path}: robot.toml")
+        self._file = place.given(
+            self.robot.bus, text="is of no bus", expected="a recording of `robot-acquire record`"
+        )
+        self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
+        self._frames = np.zeros(0, FRAME)
+        self._last: Block | None = None  # the last row that was given
+        self.rows: Block | None = None
+        self.events: tuple[Event, ...] = ()
+        self.health: tuple[Health, ...] = ()
+
+    def read(self) -> bool:
+        """Whether the file has grown.
+
+        Raises `BadInputError`: it is gone, cut, replaced or damaged.
+        """
+        grown, topics = self._content.read(), self._content.take()
+        self.ended = self._content.complete
+        self.events, self.health = events_of(topics, self._path)
+        blocks = [
+            rows_of(messages, [FRAME], f"{self._path}: {topic}")
+            for topic, messages in topics.items()
+            if FRAMES_TOPIC.fullmatch(topic)
+        ]
+        self._frames, self.rows = np.concatenate([self._frames, *blocks]), None
+        if any(map(len, blocks)) or self.ended:
+            self._decode()
+        return grown
+
+    def _decode(self) -> None:
+        """Set `rows`, and drop the frames that no later row needs."""
+        sync_rows = Traffic(self._frames).rows_of(self._file.sync_can_id)
+        sync_ns = self._frames["time_ns"][sync_rows]
+        half_ns = 0.5e9 * self._file.sync_period_s
+        shown_ns = -1 if self._last is None else int(self._last["stamp_ns"])
+        first = max(
+            int(np.searchsorted(sync_ns, shown_ns)) - HISTORY_SYNCS, len(sync_ns) - MAX_SYNCS
+        )
+        if self._bus is None:
+            with suppress(BadInputError):  # the master has not mapped all drives yet
+                self._frames, self._bus = resolve_mapped(self._frames, self.robot, str(self._path))
+        elif first > 0:
+            self._frames, sync_ns = self._frames[sync_rows[first] :], sync_ns[first:]
+        if self._bus is None or len(sync_ns) < 2:
+            return
+        try:
+            found = decode(self._frames, self.robot, self._bus, str(self._path), max_missing=1.0)
+        except BadInputError as error:
+            self.problem = error.args[0]
+            return
+        samples, self.problem = found.samples, ""
+        stamps = samples["stamp_ns"]
+        same = np.flatnonzero(np.abs(stamps - shown_ns) < half_ns)
+        # wraps of position counters in the dropped frames count on
+        if self._last is not None and len(same):
+            off = self._last["position"] - samples["position"][same[0]]
+            for name in {"position", "reference"} & {*(samples.dtype.names or ())}:
+                samples[name] += off
+        # Later frames may assign those behind a gap to other SYNCs, and leave out late ones.
+        new = stamps > shown_ns + half_ns
+        behind_gap = np.diff(stamps, prepend=stamps[0]) > 2 * MIN_PAUSE_PERIODS * half_ns
+        recent = stamps > sync_ns[max(0, len(sync_ns) - MAX_RUN_SYNCS)]
+        early = new & (behind_gap | found.late) & recent & (not self.ended)
+        rows = samples[new & ~np.logical_or.accumulate(early)]
+        if len(rows):
+            self.rows, self._last = rows, rows[-1]

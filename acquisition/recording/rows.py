@@ -1,9 +1,10 @@
 """Rows of recordings, raw CAN frames and joint samples, as numpy dtypes, and their checks; frames
-by PDO; samples from the integers of drives.
+by PDO, and what the drives have mapped by them; samples from the integers of drives.
 """
 
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 
 from ..arrays import Ints, first_true
 from ..errors import Place
-from ..files import kept, release_pages
-from ..protocol import ObjectEntry, Pdo
-from ..robot import Bus, Robot
+from ..files import by_rows, kept, release_pages
+from ..protocol import ANSWER, HEARTBEAT, REQUEST, SDO_OBJECTS, Confirmed, ObjectEntry, Pdo
+from ..robot import Bus, Robot, resolve
 
 # One raw CAN frame; `data` beyond `length` is zero.
 CAPTURE_TOPIC = "/ethercat/frames"
@@ -59,8 +60,12 @@ def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> 
     """Row of samples of `n` joints: `stamp_ns`; `position`, `effort`, `reference` and fields of
     `OPTIONAL`, (n,) each.
     """
-    names = ["position", "effort", *["reference"] * reference]
-    names += [name for name in OPTIONAL if name in optional]
+    names = [
+        "position",
+        "effort",
+        *["reference"] * reference,
+        *(name for name in OPTIONAL if name in optional),
+    ]
     return np.dtype([("stamp_ns", "<i8"), *((name, "<f8", (n,)) for name in names)])
 
 
@@ -138,10 +143,11 @@ class Traffic:
     """
 
     def __init__(self, frames: Block) -> None:
-        self.frames, self.ids = frames, kept(np.empty(len(frames), np.uint16))
-        for k, part in enumerate(in_parts(frames)):
-            plain = (part["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
-            self.ids[k * _AT_ONCE :][: len(part)] = np.where(plain, part["can_id"], _NO_ID)
+        self.frames = frames
+        other = EXTENDED | ERROR | REMOTE_REQUEST
+        self.ids: NDArray[np.uint16] = by_rows(
+            lambda x: np.where(x["flags"] & other, _NO_ID, x["can_id"]).astype(np.uint16), frames
+        )
 
     def of(self, pdo: Pdo) -> tuple[Rows, int]:
         """Rows of the frames that hold the whole PDO, and the number of those
@@ -161,15 +167,13 @@ class Traffic:
 
     def integers(self, rows: Rows, pdo: Pdo, entry: ObjectEntry) -> Ints:
         """The integers of one object in the frames `rows`."""
-        at, size = pdo.offset(entry.index, entry.sub), entry.bits // 8
         # One strided field over the rows in place: three times as fast as copying the
         # bytes of each frame.
-        kind = f"<{entry.type[0].lower()}{size}"
         only = np.dtype(
             {
                 "names": ["value"],
-                "formats": [kind],
-                "offsets": [_DATA_AT + at],
+                "formats": [f"<{entry.type[0].lower()}{entry.bits // 8}"],
+                "offsets": [_DATA_AT + pdo.offset(entry.index, entry.sub)],
                 "itemsize": FRAME.itemsize,
             }
         )
@@ -182,6 +186,61 @@ class Traffic:
             values[part] = column[rows[part]]
             release_pages(self.frames)
         return values
+
+
+def resolve_mapped(frames: Block, robot: Robot, place: str) -> tuple[Block, Bus]:
+    """Return the frames, and the drives with what they have mapped in them.
+
+    If a drive is mapped by traffic, these are the frames between two changes of what is mapped,
+    with most PDOs of the log; others are left out with a warning. In a log without answers what a
+    master wrote counts, with a warning. Raises `BadInputError` as `resolve`.
+    """
+    traffic = Traffic(frames)
+    pdos = (traffic.ids > 0x180) & (traffic.ids < ANSWER)
+    silent = not ((traffic.ids > ANSWER) & (traffic.ids < REQUEST)).any()
+    files = robot.bus.drive if robot.bus is not None else ()
+    drives = {file.node: Confirmed(silent=silent) for file in files}
+    parts, first, known = list[tuple[int, int, dict[int, Confirmed]]](), 0, deepcopy(drives)
+    for row in _mapping_rows(traffic).tolist():
+        if _changed(drives, int(traffic.ids[row]), bytes(frames[row]["data"])):
+            parts.append((first, row, known))
+            first = row
+        if silent or traffic.ids[row] & 0xFF80 != REQUEST:  # what is asked may change nothing
+            known = {k: replace(drive, values=dict(drive.values)) for k, drive in drives.items()}
+    parts.append((first, len(frames), drives))
+    first, end, known = max(parts, key=lambda part: (pdos[part[0] : part[1]].sum(), part[0]))
+    bus = resolve(robot, place, known)
+    if not any(file.mapping == "traffic" for file in files):
+        return frames, bus
+    left_out = np.count_nonzero(pdos) - np.count_nonzero(pdos[first:end])
+    notes = {
+        "no answer of a drive is in the log: what was written to map PDOs counts": silent,
+        f"{left_out} of {np.count_nonzero(pdos)} PDOs are left out: when they were sent, a drive "
+        "had another mapping, or one that is not in the log": left_out,
+    }
+    told = (*bus.notes, *(text for text, so in notes.items() if so))
+    return frames[first:end], replace(bus, notes=told)
+
+
+def _changed(drives: Mapping[int, Confirmed], can_id: int, data: bytes) -> bool:
+    """Whether a frame changed what one of the drives has mapped."""
+    node = can_id & 0x7F or data[1]  # NMT has it in its data, 0 for all
+    changes = [drive.take(can_id & 0x780, data) for k, drive in drives.items() if node in (0, k)]
+    return any(changes)
+
+
+def _mapping_rows(traffic: Traffic) -> Rows:
+    """Frames that say what is mapped: SDO about `SDO_OBJECTS`, and starts and resets of drives."""
+    rows = np.flatnonzero(
+        np.isin(traffic.ids & 0xFF80, (ANSWER, REQUEST, HEARTBEAT)) | (traffic.ids == 0)
+    ).astype(np.int32)
+    ids, data = traffic.ids[rows], traffic.at("data", rows)
+    index = np.ascontiguousarray(data[:, 1:3]).view("<u2")[:, 0]
+    sdo = np.isin(index, SDO_OBJECTS) & (traffic.at("length", rows) == 8)
+    # resets of a node, or of its communication, by NMT; boot-up
+    kinds = [ids == 0, ids & 0x7F == 0, ids > HEARTBEAT]
+    starts = [np.isin(data[:, 0], (0x81, 0x82)), np.False_, data[:, 0] == 0]
+    return kept(rows[np.select(kinds, starts, sdo)])
 
 
 def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:

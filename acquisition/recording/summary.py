@@ -96,8 +96,7 @@ def _own_syncs(recording: Recording) -> Ints | None:
         for part in in_parts(block)
         if bus is not None
     ]
-    times = np.concatenate(found) if found else np.zeros(0, np.int64)
-    return np.sort(times) if len(times) else None
+    return np.sort(np.concatenate(found)) if any(map(len, found)) else None
 
 
 def _step_jitter(stamps: Ints) -> tuple[float, float]:
@@ -198,9 +197,11 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]]) -> Table:
     """Texts without markup and without control characters, numbers in five digits."""
-    # long hashes and names are wrapped, not shortened
-    folded = (Column(column, overflow="fold") for column in columns)
-    table = Table(*folded, box=None, show_header=any(columns))
+    table = Table(
+        *(Column(column, overflow="fold") for column in columns),  # wraps long hashes and names
+        box=None,
+        show_header=any(columns),
+    )
     for row in rows:
         cells = (f"{cell:.5g}" if isinstance(cell, float) else cell for cell in row)
         table.add_row(*(Text(one_line(cell)) if isinstance(cell, str) else cell for cell in cells))

@@ -24,12 +24,12 @@ MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
 MAX_REPEAT_PERIODS = 0.65  # after a SYNC of another producer that was in time: a repeat
 MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
-# from a PDO's median time after SYNC, and so many median deviations from that:
-_MAX_USUAL_PERIODS = 0.05
-_MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
+# from a PDO's median time after SYNC, and so many median deviations from that: if it never came
+# twice in an interval; else
+_MAX_USUAL_PERIODS, _MAX_USUAL_RATIO = 0.05, (5.0, 1.5)
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
-_MIN_LASTING_PERIODS = 0.6  # a step to later times by so many, that lasts, is no delay
-_MIN_SOONER_PERIODS = 0.4  # the same of a step to earlier times
+# a step by so many to later, or to earlier times, that lasts, is no delay
+_MIN_LASTING_PERIODS, _MIN_SOONER_PERIODS = 0.6, 0.4
 _MAX_EVEN_PERIODS = 1.25  # with no longer step no SYNC was lost
 _NEAR_SYNCS = 7  # around a repeat, that show whether one was late and what drives answered
 # later SYNCs that bound the delay of one, in the first and second pass
@@ -116,12 +116,11 @@ def sync_times(syncs: Syncs, index_of: Ints, grid: int, nominal_ns: int) -> Sync
 def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
     """Times with each step back replaced by one period, and the steps back."""
     steps = np.diff(times)
-    back = np.flatnonzero(steps < 0)
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 1
-    jumps = np.cumsum(np.where(steps < 0, usual - steps, 0))
+    jumps = np.where(steps < 0, usual - steps, 0)
     return (
-        kept(times + np.append(0, jumps)),
-        tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back),
+        kept(times + np.append(0, np.cumsum(jumps))),
+        tuple((int(index_of[k + 1]), float(jumps[k]) * 1e-9) for k in np.flatnonzero(steps < 0)),
     )
 
 
@@ -276,13 +275,15 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
     """
     interval = interval_of(rows, sync_rows)
     again = np.flatnonzero((np.diff(interval) == 0) & (interval[1:] >= 0)) + 1
-    same = (data[again] == data[again - 1]).all(axis=1)
-    changed = (again < 2) | (data[again - 1] != data[again - 2]).any(axis=1)
     after = np.minimum(again + 1, len(rows) - 1)
-    changed &= (again == len(rows) - 1) | (data[after] != data[again]).any(axis=1)
+    again = again[
+        (data[again] == data[again - 1]).all(axis=1)
+        & ((again < 2) | (data[again - 1] != data[again - 2]).any(axis=1))
+        & ((again == len(rows) - 1) | (data[after] != data[again]).any(axis=1))
+    ]
     used = interval >= 0
-    used[again[same & changed]] = False
-    return rows[used], rows[again[same & changed]]
+    used[again] = False
+    return rows[used], rows[again]
 
 
 def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints]) -> Intervals:
@@ -323,13 +324,15 @@ def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], In
             interval[off > _MAX_USUAL_PERIODS * usual + _MAX_USUAL_RATIO[two] * np.median(off)]
         ] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
-    known = np.where(
-        syncs.ours | (long == len(times) - 1),
-        most >= lost,
-        np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET,
+    known = (
+        np.where(
+            syncs.ours | (long == len(times) - 1),
+            most >= lost,
+            np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET,
+        )
+        & (lost < MAX_RUN_SYNCS)
+        & ((lost == 1) | (most > 0) | busy[long])  # else nothing was on the bus
     )
-    # else nothing was on the bus
-    known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)
     return Intervals(

@@ -54,11 +54,6 @@ FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_STATE_RATE_HZ = 100.0
 
-_TEXT_SCHEMA = {
-    "type": "object",
-    "properties": {"kind": {"type": "string"}, "text": {"type": "string"}},
-}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Header:
@@ -70,7 +65,8 @@ class Header:
             of each effort, as text.
         payload: what the robot carried; JSON of its fields in the metadata.
         notes: further metadata by key (bus, bitrate); keys of the header itself are overwritten.
-        attachments: files by name, in addition to the robot's own.
+        attachments: files by name, in addition to the robot's own, which replace others of the
+            same name.
     """
 
     robot: Robot
@@ -103,11 +99,6 @@ class Header:
         if self.payload is not None:
             entries["payload"] = msgspec.json.encode(self.payload).decode()
         return entries | {"crc32": metadata_crc(entries)}
-
-    @property
-    def files(self) -> Mapping[str, bytes]:
-        """All attachments by name; the robot's own replace others of the same name."""
-        return {**self.attachments, **self.robot.files}
 
 
 def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
@@ -167,7 +158,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         self._writer = Writer(self._file, enable_data_crcs=True)
         self._writer.start(profile="", library="robot-idim")
         self._writer.add_metadata("recording", dict(header.metadata))
-        for name, content in header.files.items():
+        for name, content in {**header.attachments, **header.robot.files}.items():
             self._writer.add_attachment(0, 0, name, "application/octet-stream", content)
         self.flush()
 
@@ -225,16 +216,14 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
             text=f"CAN channel {channel!r}",
             expected="letters, digits and _ . - only",
         )
-        if block.dtype != FRAME:
-            Place(f"{self._place}: {topic}").refuse(
-                text=f"rows of {block.dtype}", expected=str(FRAME)
-            )
-        if len(block):
-            check_frames(block, f"{self._place}: {topic}")
-            for some in in_parts(block):
-                tenths = np.flatnonzero(np.diff(some["time_ns"] // 100_000_000)) + 1
-                for part in (part for tenth in np.split(some, tenths) for part in _parts(tenth)):
-                    self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
+        Place(f"{self._place}: {topic}").require(
+            block.dtype == FRAME, text=f"rows of {block.dtype}", expected=str(FRAME)
+        )
+        check_frames(block, f"{self._place}: {topic}")
+        for some in in_parts(block):
+            tenths = np.flatnonzero(np.diff(some["time_ns"] // 100_000_000)) + 1
+            for part in (part for tenth in np.split(some, tenths) for part in _parts(tenth)):
+                self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def captured(self, records: bytes, stamp_ns: int) -> None:
         """Add records of pcap; all of them are a file of pcap with nanoseconds, whose
@@ -250,7 +239,14 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Add an event."""
         self._json(
-            "/events", "robot_idim/event", _TEXT_SCHEMA, stamp_ns, {"kind": kind, "text": text}
+            "/events",
+            "robot_idim/event",
+            {
+                "type": "object",
+                "properties": {"kind": {"type": "string"}, "text": {"type": "string"}},
+            },
+            stamp_ns,
+            {"kind": kind, "text": text},
         )
 
     def health(self, stamp_ns: int, counters: Mapping[str, float]) -> None:

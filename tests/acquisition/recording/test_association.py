@@ -199,9 +199,9 @@ def test_unrecorded_last_sync_is_one_period_later():
 
 def test_late_answers_differ_from_sync_bursts():
     late = decoded(f"{BEFORE} S 1:5 S 1:6 2:5 2:6 {AFTER}")
-    assert [pdo.losses["late"] for pdo in late.pdos] == [0, 1]
+    assert [pdo["late"] for pdo in late.pdos.values()] == [0, 1]
     burst = decoded(f"{BEFORE} S+1.8 S+0.2 1:5 2:5 1:6 2:6 {AFTER}")
-    assert [pdo.losses["late"] for pdo in burst.pdos] == [0, 0]
+    assert [pdo["late"] for pdo in burst.pdos.values()] == [0, 0]
     assert len(burst.stamps) == 9
 
 

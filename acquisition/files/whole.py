@@ -1,14 +1,69 @@
-"""Atomic writing: an output file is written under a temporary name and
-renamed when it is complete. It replaces only a file of its own kind.
+"""Whole files: their bytes, and their kinds by these; writing under a temporary name, which is
+renamed when the file is complete. It replaces only a file of its own kind.
 """
 
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import Place
-from .kinds import NAMES, is_recording, kind_of
+
+NAMES = {  # of what is read and written here
+    "mcap": "a recording",
+    "rrd": "a Rerun file",
+    "parquet": "a Parquet table",
+    "json": "a result as JSON",
+    "csv": "a CSV table",
+    "html": "an HTML page",
+    "mjcf": "a MuJoCo model",
+    "urdf": "a URDF",
+    "toml": "a robot.toml",
+    "md": "a Markdown report",
+    "": "a file of another kind",
+}
+# How they begin. The endings do not matter: a package.json is not a fit.
+_XML = rb"(?s)(?:\xef\xbb\xbf)?\s*(?>(?:<\?.*?\?>|<!--.*?-->)\s*)*+"
+_BEGINNINGS = {
+    "mcap": rb"\x89MCAP",
+    "rrd": rb"RRF\d|RRIO",
+    "parquet": rb"PAR1",
+    "json": rb'\s*\{\s*"format"',
+    "csv": rb'"?(time_s|file)"?,',
+    "html": rb"(?i)<!doctype html",
+    "mjcf": _XML + rb"<mujoco",
+    "urdf": _XML + rb"<robot(?![^>]*xacro)",
+    "toml": rb"(?m)(?s:.*?)^[ \t]*(\[\[[ \t]*joint[ \t]*\]\]|joint[ \t]*=)",
+    "md": rb"# ",  # also a remark of TOML
+}
+_HEAD_BYTES = 1 << 20  # a comment may stand above
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file. Raises `BadInputError` if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+
+
+def kind_of(path: Path) -> str:
+    """The kind of a file by its first bytes: `mcap`, `json` of a result, `toml` of a robot, `urdf`
+    and others; empty for those that are not written here. A damaged recording is one by its ending.
+    """
+    head = b""
+    with suppress(OSError), path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    return next(
+        (kind for kind, begin in _BEGINNINGS.items() if re.match(begin, head)),
+        "mcap" if path.suffix.lower() == ".mcap" else "",
+    )
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recording, by its ending or its first bytes."""
+    return path.suffix.lower() == ".mcap" or kind_of(path) == "mcap"
 
 
 @contextmanager
@@ -99,9 +154,7 @@ def _refuse_other_kind(path: Path, kind: str) -> None:
 
 
 def _same(a: Path, b: Path) -> bool:
-    if os.path.realpath(a) == os.path.realpath(b):  # also for a loop of links
-        return True
-    try:
-        return a.samefile(b)
-    except OSError:  # a missing file is reported when it is read
-        return False
+    with suppress(OSError):  # a missing file is reported when it is read
+        # the real paths also for a loop of links
+        return os.path.realpath(a) == os.path.realpath(b) or a.samefile(b)
+    return False
