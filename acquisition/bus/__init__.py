@@ -20,11 +20,13 @@ from .before_motion import (
 from .configuring import Need, configure, needs_of, read_needs
 from .frames import Frame, Tap, block_of, command_ids, other_node, service_of, sign_of_master
 from .links import (
+    LISTEN_ONLY,
     QUEUE_BYTES,
     SHARED,
     Link,
     MasterLink,
     kernel_drops,
+    listening_words,
     open_bus,
     open_link,
     queue_bytes,
@@ -33,7 +35,6 @@ from .links import (
 )
 from .logs import SUFFIXES, read_log
 from .master import OPERATIONAL, Master, Orders, send_order
-from .passive import LISTEN_ONLY, listening_words
 from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (

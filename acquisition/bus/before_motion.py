@@ -13,7 +13,7 @@ from ..arrays import Array
 from ..errors import NoAnswerError, RefusedError, SdoAbortedError
 from ..protocol import ANSWER, DISABLED, State, error_words, signed
 from ..recording import ERROR
-from ..robot import Bus, Drive, DriveFile, Robot, axis_of, parse_homed
+from ..robot import Bus, Drive, Robot, axis_of, parse_homed
 from .frames import other_node, sign_of_master
 from .master import Master
 
@@ -89,11 +89,14 @@ def joint_positions(robot: Robot, master: Master) -> Array:
 
     Raises `RefusedError` where a drive does not answer.
     """
-    counts = [
-        signed(master.read(drive.node, *drive.position.key), drive.position.bits)
-        for drive in master.bus.drives
-    ]
-    return joints_of(robot, master.bus, counts)
+    return joints_of(
+        robot,
+        master.bus,
+        [
+            signed(master.read(drive.node, *drive.position.key), drive.position.bits)
+            for drive in master.bus.drives
+        ],
+    )
 
 
 def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
@@ -114,13 +117,13 @@ def position_words(robot: Robot, q: Array) -> list[str]:
     ]
 
 
-def is_homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
-    """Whether the drive's object or bit named by `is_homed` is set; None where the
+def is_homed(master: Master, drive: Drive) -> bool | None:
+    """Whether the drive's object or bit named by `homed` is set; None where the
     description names none.
     """
-    if file.homed is None:
+    if drive.file.homed is None:
         return None
-    index, sub, bit = parse_homed(file.homed)
+    index, sub, bit = parse_homed(drive.file.homed)
     value = master.read(drive.node, index, sub)
     return bool(value if bit is None else value >> bit & 1)
 
@@ -135,14 +138,14 @@ def confirm_motion(
     for each joint and drive in fault: `joint_1 = 12.34 deg`. Raises `RefusedError`: not homed, no
     answer, or not confirmed.
     """
-    for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
-        if is_homed(master, drive, file) is False:
+    for drive in master.bus.drives:
+        if is_homed(master, drive) is False:
             raise RefusedError(
                 "not set",
                 what="motion",
                 place=f"node {drive.node} ({drive.name})",
                 key="homed",
-                value=file.homed,
+                value=drive.file.homed,
                 expected="a homed drive before motion",
             )
     words = position_words(robot, joint_positions(robot, master))

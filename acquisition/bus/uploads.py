@@ -164,8 +164,8 @@ def _read(master: Master, node: int, index: int, sub: int) -> Reading:
             return Reading(None, f"{error.meaning} (0x{error.code:08X})")
         if index in cia.TEXTS:
             return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
-        value = int.from_bytes(answer.data[:size], "little", signed=signed)
         return Reading(
-            value, "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}"
+            int.from_bytes(answer.data[:size], "little", signed=signed),
+            "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}",
         )
     return NO_ANSWER

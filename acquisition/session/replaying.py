@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..bus import LISTEN_S, open_link, service_of
-from ..errors import BadInputError, RefusedError
+from ..errors import COMMAND_LINE, Place, RefusedError
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import (
     ERROR,
@@ -35,8 +35,7 @@ def replay(
     `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives,
     another node sends before or between these frames, or the bus accepts none.
     """
-    if not speed > 0:
-        raise BadInputError(key="--speed", value=speed, expected="more than 0")
+    COMMAND_LINE.require(speed > 0, "--speed", speed, "more than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
         raise RefusedError(
             "hardware may be on this bus",
@@ -45,8 +44,7 @@ def replay(
             value=file.interface,
             expected=f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}",
         )
-    recording = read_recording(path)
-    frames, described = from_drives(recording, str(path))
+    frames, described = from_drives(read_recording(path), str(path))
     due_s = np.maximum.accumulate((frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed)
     count = 0
 
@@ -86,8 +84,8 @@ def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
     heartbeats. Error frames, remote requests and 29-bit frames are left out. Raises `BadInputError`
     where no frame is left.
     """
-    if not recording.frames:
-        raise BadInputError("holds no CAN frames", place=place, expected="a recording of drives")
+    at = Place(place)
+    at.require(recording.frames, text="holds no CAN frames", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")
     ids = [
@@ -97,8 +95,7 @@ def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
     ]
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
-    if not len(found):
-        raise BadInputError(
-            "holds no frame of its drives, and no SYNC", place=place, expected="some to send"
-        )
+    at.require(
+        len(found), text="holds no frame of its drives, and no SYNC", expected="some to send"
+    )
     return found, bus.file

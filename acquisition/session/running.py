@@ -20,7 +20,7 @@ from ..bus import (
     refuse_unsupervised,
     second_stop,
 )
-from ..errors import BadInputError, RefusedError, RobotIdimError
+from ..errors import COMMAND_LINE, Place, RefusedError, RobotIdimError
 from ..options import RecordOptions
 from ..robot import (
     FILL_IN,
@@ -77,13 +77,12 @@ def record(
     of options, description, bus or file are raised as `RobotIdimError` before it runs.
     """
     refuse_taken(out)
-    if robot.bus is None:
-        raise BadInputError(
-            place=place,
-            key="bus",
-            value=None,
-            expected="its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`",
-        )
+    file = Place(place).given(
+        robot.bus,
+        "bus",
+        None,
+        "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`",
+    )
     if options.passive and (options.track is not None or options.dry_run):
         raise RefusedError(
             "sends nothing",
@@ -91,27 +90,25 @@ def record(
             place="--passive",
             expected="no --track and no --dry-run",
         )
-    if robot.bus.mapped_by_traffic and not options.passive:
-        raise BadInputError(
-            place=place,
-            key="mapping",
-            value="traffic",
-            expected="'table' or 'dictionary' in an active session",
-        )
+    Place(place).require(
+        options.passive or not file.mapped_by_traffic,
+        "mapping",
+        "traffic",
+        "'table' or 'dictionary' in an active session",
+    )
     payload = None if options.payload is None else parse_payload(options.payload, robot)
-    task = _task_of(robot, robot.bus.sync_period_s, options, operator)
-    bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)  # before anything opens
+    task = _task_of(robot, file.sync_period_s, options, operator)
+    bus = None if file.mapped_by_traffic else resolve(robot, place)  # before anything opens
     if bus is None or options.passive:
-        if words := listening_words(robot.bus):
+        if words := listening_words(file):
             operator.note(words)
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
-    opened = (
+    with (
         _simulated(bus, robot, out, place, payload)
         if options.dry_run
         else _on_bus(bus, robot, out, place, options, payload)
-    )
-    with opened as (link, log):
+    ) as (link, log):
         log.on_status = _left_shown(task, bus.file.sync_period_s, link.now_ns(), operator)
         # After the recorder has started.
         with real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted:
@@ -143,21 +140,21 @@ def _task_of(
     robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface
 ) -> Task:
     """The task in the options. Raises `RobotIdimError` for options that contradict each other."""
-    if options.track is not None and options.duration_s is not None:
-        raise BadInputError(
-            "lasts as long as its reference", place="--track", expected="no --duration"
-        )
-    if options.track is None and options.speed != 1.0:
-        raise BadInputError(
-            "applies to a reference only",
-            key="--speed",
-            value=options.speed,
-            expected="--track with it",
-        )
-    if not 0 < options.speed <= 1:
-        raise BadInputError(
-            key="--speed", value=options.speed, expected="more than 0, and 1 at most"
-        )
+    Place("--track").require(
+        options.track is None or options.duration_s is None,
+        text="lasts as long as its reference",
+        expected="no --duration",
+    )
+    COMMAND_LINE.require(
+        options.track is not None or options.speed == 1.0,
+        "--speed",
+        options.speed,
+        "--track with it",
+        text="applies to a reference only",
+    )
+    COMMAND_LINE.require(
+        0 < options.speed <= 1, "--speed", options.speed, "more than 0, and 1 at most"
+    )
     if options.track is None:
         return Task(duration_s=options.duration_s, notes=operator.notes)
     reference = table_reference(options.track, robot, period_s, options.speed)
@@ -165,14 +162,10 @@ def _task_of(
     task = Task(reference=reference, place=str(options.track), notes=operator.notes)
     if options.dry_run:
         return task
-    if lines := lines_to_fill_in(robot):
-        raise BadInputError(
-            FILL_IN,
-            place="robot.toml",
-            key="lines",
-            value=lines,
-            expected="none in [bus], [[motor]] and limits of joints",
-        )
+    lines = lines_to_fill_in(robot)
+    Place("robot.toml").require(
+        not lines, "lines", lines, "none in [bus], [[motor]] and limits of joints", text=FILL_IN
+    )
     return replace(
         task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm)
     )
@@ -290,10 +283,11 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
 
     # An ignored SIGHUP stays ignored (`nohup`). SIGINT is handled also in background jobs,
     # where shells ignore it.
-    numbers = [
-        n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN
-    ]
-    before = {number: signal.signal(number, asked) for number in numbers}
+    before = {
+        number: signal.signal(number, asked)
+        for number in STOPPING
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
         yield
     finally:
