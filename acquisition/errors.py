@@ -102,12 +102,11 @@ class RobotIdimError(Exception):
         super().__init__(one_line(": ".join(filter(None, parts))))
 
     def __str__(self) -> str:
-        parts = self.args[0].split("`")
-        for k, part in list(enumerate(parts))[::2]:
-            parts[k] = re.sub(
-                "--([a-z][a-z-]*)", lambda x: _KEYWORDS.get(x[1], x[1].replace("-", "_")), part
-            )
-        return "`".join(parts)
+        return re.sub(
+            "`[^`]*`?|--([a-z][a-z-]*)",
+            lambda x: _KEYWORDS.get(x[1], x[1].replace("-", "_")) if x[1] else x[0],
+            self.args[0],
+        )
 
 
 class BadInputError(RobotIdimError):
@@ -210,3 +209,6 @@ class Place:
         if found is None:
             self.refuse(key, value, expected, text=text)
         return found
+
+
+COMMAND_LINE: Final = Place("")  # of options, which their keys name

@@ -5,9 +5,28 @@ before motion, and the one stop of all drives, with the package can. It may use 
 `robot`, `protocol` and `files`.
 """
 
-from .before_motion import (
+from .configuring import Need, configure, needs_of, read_needs
+from .frames import Frame, Tap, block_of, command_ids, other_node, service_of, sign_of_master
+from .links import (
+    LISTEN_ONLY,
+    QUEUE_BYTES,
+    SHARED,
+    Link,
+    MasterLink,
+    kernel_drops,
+    listening_words,
+    open_bus,
+    open_link,
+    queue_bytes,
+    request_queue_size,
+    socket_of,
+)
+from .logs import SUFFIXES, read_log
+from .looking import (
     LISTEN_S,
     Confirm,
+    Readings,
+    Uploads,
     confirm_motion,
     error_report,
     is_homed,
@@ -16,24 +35,10 @@ from .before_motion import (
     listen_for_others,
     position_words,
     refuse_enabled,
+    scan_nodes,
+    upload_segments,
 )
-from .configuring import Need, configure, needs_of, read_needs
-from .frames import Frame, Tap, block_of, command_ids, other_node, service_of, sign_of_master
-from .links import (
-    QUEUE_BYTES,
-    SHARED,
-    Link,
-    MasterLink,
-    kernel_drops,
-    open_bus,
-    open_link,
-    queue_bytes,
-    request_queue_size,
-    socket_of,
-)
-from .logs import SUFFIXES, read_log
 from .master import OPERATIONAL, Master, Orders, send_order
-from .passive import LISTEN_ONLY, listening_words
 from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (
@@ -47,4 +52,3 @@ from .supervision import (
     supervision_refusal,
     timeout_ms,
 )
-from .uploads import Readings, Uploads, scan_nodes, upload_segments

@@ -72,8 +72,12 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
         # with its display: a session waits until that follows
         mode, display = (i + axis_of(drive) for i in (cia.MODE_OF_OPERATION, cia.MODE_DISPLAY))
         answers = _ask(master, drive, (mode, 0), (display, 0))
-        name = f"mode and display {mode:04X} {display:04X}"
-        yield _values(drive, name, answers, {(mode, 0): cia.Mode.CYCLIC_SYNCHRONOUS_POSITION})
+        yield _values(
+            drive,
+            f"mode and display {mode:04X} {display:04X}",
+            answers,
+            {(mode, 0): cia.Mode.CYCLIC_SYNCHRONOUS_POSITION},
+        )
         yield from _limits(master, drive)
 
 
@@ -177,11 +181,10 @@ def _need(
         for key in keys
         if key in drive.entries and not drive.entries[key].writable
     ]
-    written = f"; a session writes {', '.join(map(_name, keys))}" if keys else ""
     return Need(
         drive=drive,
         name=name,
-        found=shown + written,
+        found=shown + (f"; a session writes {', '.join(map(_name, keys))}" if keys else ""),
         writes=() if refused else tuple(writes),
         refusal=next(iter(refused), ""),
         track=track,
@@ -217,9 +220,14 @@ def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
         for write in cia.configuration(way, pdo, no_remote)
         if not (is_right or (is_mapped and write[0] == mapping) or (on_sync and write[:2] == kind))
     ]
-    name = f"{way.upper()} {pdo.number} {communication:04X} {mapping:04X}"
-    shown = "as described" if is_right else "differs"
-    return _need(drive, name, answers, writes, shown, track=way == "rpdo")
+    return _need(
+        drive,
+        f"{way.upper()} {pdo.number} {communication:04X} {mapping:04X}",
+        answers,
+        writes,
+        "as described" if is_right else "differs",
+        track=way == "rpdo",
+    )
 
 
 def _interpolation(master: Master, drive: Drive) -> Need:
@@ -258,8 +266,8 @@ def _identity(master: Master, drive: Drive) -> Iterator[Need]:
             answers, wanted = _ask(master, drive, key), form.format(number)
             need = _need(drive, f"{name} {_name(key)}", answers, (), wanted, track=False)
             if not need.refusal and answers[key] != number:
-                found = form.format(answers[key])
-                need = replace(need, refusal=f"{found}: expected {wanted} as {source} says")
+                refusal = f"{form.format(answers[key])}: expected {wanted} as {source} says"
+                need = replace(need, refusal=refusal)
             yield need
 
 

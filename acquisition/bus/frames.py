@@ -28,8 +28,12 @@ Tap = Callable[[Frame], None]
 
 def block_of(frames: Iterable[Frame]) -> Block:
     """Rows of `FRAME`."""
-    rows = (ROW.pack(f.time_ns, f.can_id, len(f.data), f.flags, f.data) for f in frames)
-    return np.frombuffer(bytearray().join(rows), FRAME)
+    return np.frombuffer(
+        bytearray().join(
+            ROW.pack(f.time_ns, f.can_id, len(f.data), f.flags, f.data) for f in frames
+        ),
+        FRAME,
+    )
 
 
 def frame_of(message: Any) -> Frame:

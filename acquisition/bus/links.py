@@ -1,11 +1,14 @@
-"""A bus as frames and times: opened as the description says; a passive link never sends.
+"""A bus as frames and times: opened as the description says; a passive link never sends, and its
+adapter only listens where python-can can ask that of it.
 
 Network interfaces stay on this machine unless the description says otherwise.
 """
 
 import logging
+import re
 import socket
 import struct
+import subprocess
 import time
 from collections import deque
 from contextlib import suppress
@@ -15,7 +18,6 @@ from ..errors import BusFaultError, RefusedError
 from ..recording import SENT
 from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
-from .passive import LISTEN_ONLY, refuse_unconfirmed
 
 # of the kernel's receive queue; the default of 212992 holds 31 ms of a full bus
 QUEUE_BYTES = 4 * 2**20
@@ -89,6 +91,71 @@ def refuse_to_send(*_: object, **__: object) -> None:
     )
 
 
+# What python-can opens an adapter with so that it only listens. Adapters that are not here
+# acknowledge all frames.
+LISTEN_ONLY: dict[str, dict[str, Any]] = {
+    "slcan": {"listen_only": True},
+    "pcan": {"state": "PASSIVE"},  # of can.BusState
+    "kvaser": {"driver_mode": False},  # silent
+    "cantact": {"monitor": True},
+    "seeedstudio": {"operation_mode": "silent"},
+}
+
+
+def listening_words(file: BusFile) -> str:
+    """Whether a passive recording acknowledges the frames of others, and what follows;
+    empty without hardware.
+    """
+    listens, verb, way_out = (
+        file.interface in LISTEN_ONLY,
+        "acknowledges",
+        "python-can has no listen-only mode for it",
+    )
+    if file.interface in ("virtual", "udp_multicast"):
+        return ""
+    if file.interface == "socketcan":
+        shown = ""
+        with suppress(OSError, subprocess.SubprocessError):
+            shown = subprocess.run(
+                ["ip", "-details", "link", "show", "dev", file.channel],
+                capture_output=True,
+                text=True,
+                timeout=5,
+            ).stdout
+        if re.search(r"(?m)^\s+vx?can ", shown):
+            return ""
+        listens, verb = (
+            bool(re.search(r"\bcan <[^>]*LISTEN-ONLY", shown)),
+            verb if shown else "may acknowledge",
+        )
+        way_out = (
+            f"to prevent it: ip link set {file.channel} type can bitrate {file.bitrate} "
+            "listen-only on, while it is down"
+        )
+    return f"{file.interface} {file.channel} " + (
+        "listens only: a drive that is alone on the bus gets no acknowledge, and repeats its frame"
+        if listens
+        else f"{verb} all frames, and destroys them at a wrong bit rate; {way_out}"
+    )
+
+
+def refuse_unconfirmed(bus: Any, place: str) -> None:
+    """Raise `RefusedError` if a PCAN, the only adapter that can be asked, does not
+    confirm that it only listens.
+    """
+    if (driver := getattr(bus, "m_objPCANBasic", None)) is not None:
+        from can.interfaces.pcan.basic import PCAN_ERROR_OK, PCAN_LISTEN_ONLY
+
+        if driver.GetValue(bus.m_PcanHandle, PCAN_LISTEN_ONLY) != (PCAN_ERROR_OK, 1):
+            bus.shutdown()
+            raise RefusedError(
+                "does not confirm listen-only",
+                what="recording",
+                place=place,
+                expected="a driver and an adapter that can; no other program may have it open",
+            )
+
+
 def is_group(bus: Any) -> bool:
     """Whether a bus is a multicast group, which returns every frame sent."""
     return getattr(bus, "_multicast", None) is not None
@@ -158,8 +225,7 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         stay_on_loopback(bus, file)
     if passive:
         refuse_unconfirmed(bus, place)
-        for name in ("send", "send_periodic"):
-            setattr(bus, name, refuse_to_send)
+        bus.send = bus.send_periodic = refuse_to_send
     if (sock := socket_of(bus)) is not None:
         request_queue_size(sock)
     return bus
@@ -197,7 +263,7 @@ class Link:
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         # Sent frames that a multicast group or an adapter will return to us.
         echoes = is_group(bus) or type(bus).__module__.split(".")[-1] in ECHOING
-        self._own: deque[tuple[int, bytes]] = deque(maxlen=1000 if echoes else 0)
+        self._own = deque[tuple[int, bytes]](maxlen=1000 if echoes else 0)
 
     def now_ns(self) -> int:
         """Time of this link, of events and deadlines: the wall clock's at opening, continued

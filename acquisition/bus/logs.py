@@ -106,17 +106,19 @@ def _read_candump(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Fra
                 seconds, part, interface, digits, fd, remote, data, sent = found.groups()
                 word = int(digits, 16)
                 error = word & ~MAX_CAN_ID == _ERROR_FRAME
-                frame = Frame(
-                    int(seconds + part.ljust(9, b"0")),
-                    word - _ERROR_FRAME if error else word,
-                    unhexlify(data),
-                    (EXTENDED if len(digits) > 3 and not error else 0)
-                    | (ERROR if error else 0)
-                    | (REMOTE_REQUEST if remote else 0)
-                    | (SENT if sent else 0)
-                    | (CAN_FD if fd else 0),
+                yield (
+                    interface.decode(errors="replace"),
+                    Frame(
+                        int(seconds + part.ljust(9, b"0")),
+                        word - _ERROR_FRAME if error else word,
+                        unhexlify(data),
+                        (EXTENDED if len(digits) > 3 and not error else 0)
+                        | (ERROR if error else 0)
+                        | (REMOTE_REQUEST if remote else 0)
+                        | (SENT if sent else 0)
+                        | (CAN_FD if fd else 0),
+                    ),
                 )
-                yield interface.decode(errors="replace"), frame
             elif not line.endswith(b"\n"):
                 left_out[_CUT] += bool(line.strip(b" \t\r\0"))
             elif line.strip():

@@ -154,8 +154,8 @@ class Master:
         if len(frame.data) < pdo.length:
             return  # a PDO that is too short is ignored
         values, drive = pdo.unpack(frame.data), watch.drive
-        watch.statusword = values.get((drive.status.index, drive.status.sub), watch.statusword)
-        if (counts := values.get((drive.position.index, drive.position.sub))) is not None:
+        watch.statusword = values.get(drive.status.key, watch.statusword)
+        if (counts := values.get(drive.position.key)) is not None:
             watch.counts = counts
             watch.answers += 1
 
@@ -197,7 +197,7 @@ class Master:
 
     def state(self, drive: Drive) -> cia.State:
         """State of a drive, read by SDO (6041h). Raises `BusFaultError` when it does not answer."""
-        return cia.state_of(self.read(drive.node, drive.status.index, drive.status.sub))
+        return cia.state_of(self.read(drive.node, *drive.status.key))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
         """Read an object, as an unsigned number.
@@ -229,10 +229,8 @@ class Master:
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        answer = cia.answer_of(
-            self.exchange(node, cia.write_request(index, sub, value, size), place)
-        )
-        cia.check_answer(answer, "written", node, place)
+        answer = self.exchange(node, cia.write_request(index, sub, value, size), place)
+        cia.check_answer(cia.answer_of(answer), "written", node, place)
 
     def post(self, node: int, request: bytes) -> None:
         """Send an SDO request without waiting; `answered` returns its answer."""
@@ -282,10 +280,10 @@ def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> N
     """
     drive = watch.drive
     values = {
-        (drive.control.index, drive.control.sub): control,
-        (drive.target.index, drive.target.sub): target,
+        drive.control.key: control,
+        drive.target.key: target,
         (cia.MODE_OF_OPERATION + axis_of(drive), 0): int(cia.Mode.CYCLIC_SYNCHRONOUS_POSITION),
     }
     for pdo in drive.rpdos:
-        if all((entry.index, entry.sub) in values for entry in pdo.entries):
+        if all(entry.key in values for entry in pdo.entries):
             master.link.send(pdo.can_id, pdo.pack(values))

@@ -158,7 +158,7 @@ class WallClock:
         shifts: Ints = np.full(len(stamps), self.shift_ns)
         if self._pending_ns:
             before = self.now_ns() if self._last_ns is None else self._last_ns
-            jumps = np.diff(stamps, prepend=before) * (1 if self._pending_ns > 0 else -1)
+            jumps = np.diff(stamps, prepend=before) * np.sign(self._pending_ns)
             k = int(np.argmax(jumps))
             if jumps[k] > abs(self._pending_ns) / 2:
                 shifts[k:] += self._pending_ns

@@ -157,10 +157,9 @@ def safe_stop(
                 _collect(master, one)
                 if one.off_ns is None and (one.confirmed or one.must_go_off(now_ns)):
                     one.off_ns = now_ns
-        waited = all(
+        if all(one.confirmed for one in drives) or all(
             one.off_ns is not None and now_ns - one.off_ns > CONFIRM_S * 1e9 for one in drives
-        )
-        if waited or all(one.confirmed for one in drives):
+        ):
             break
     unconfirmed = [one for one in drives if not one.confirmed]
     for one in unconfirmed:
@@ -234,12 +233,9 @@ def _ask(master: Master, one: _Stopping, command: Command) -> None:
             one.reading = next(
                 (index for index in RAMP_OBJECTS if index not in one.watch.ramp_objects), 0
             )
-        key = (
-            (axis_index(drive, one.reading), 0)
-            if one.reading
-            else (drive.status.index, drive.status.sub)
+        one.request = read_request(
+            *((axis_index(drive, one.reading), 0) if one.reading else drive.status.key)
         )
-        one.request = read_request(*key)
     else:
         word, size = command.controlword, drive.control.bits // 8
         one.request = write_request(drive.control.index, drive.control.sub, word, size)

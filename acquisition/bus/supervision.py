@@ -109,8 +109,7 @@ class MasterHeartbeat:
         return refused
 
     def _at_sync(self) -> None:
-        now_ns = self._master.link.now_ns()
-        if self._sent_ns is None or now_ns - self._sent_ns > self._due_ns:
+        if self._sent_ns is None or self._master.link.now_ns() - self._sent_ns > self._due_ns:
             self._send()
 
     def _send(self) -> None:
@@ -218,14 +217,13 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
     except (NoAnswerError, SdoAbortedError):
         sub = None
     lacks = {
-        f"of the master (no free 1016, {reaction:04X} is 0 or not there)": sub is None
+        f"none of the master (no free 1016, {reaction:04X} is 0 or not there)": sub is None
         and not read_if_there(master, drive, reaction),
-        f"of the following error ({window:04X} is off or not there)": (
+        f"none of the following error ({window:04X} is off or not there)": (
             read_if_there(master, drive, window) in (None, NO_WINDOW)
         ),
     }
-    missing = [text for text, is_missing in lacks.items() if is_missing]
-    return f"none {' and none '.join(missing)}" if missing else ""
+    return " and ".join(text for text, is_missing in lacks.items() if is_missing)
 
 
 def refuse_unsupervised(master: Master) -> None:
@@ -260,11 +258,11 @@ def _consumers(master: Master, drive: Drive) -> Property:
     except (NoAnswerError, SdoAbortedError):
         return name, f"{NOT_THERE}: the drive does not detect the loss of the master"
     used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
-    text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
-    if sub is None:
-        return name, f"{text}: no free sub-index: the drive does not detect the loss of the master"
-    return name, (
-        f"{text}; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "
+    sub = free_entry(entries, file.master_node)
+    return name, (", ".join(used) or "none in use") + (
+        ": no free sub-index: the drive does not detect the loss of the master"
+        if sub is None
+        else f"; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "
         f"{timeout_ms(file)} ms) to sub-index {sub}"
     )
 

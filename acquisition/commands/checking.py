@@ -72,14 +72,16 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     """
     handle = open_bus(bus.file, passive=False)
     with closing(Link(handle)) as link:
-        findings = [_load(bus), Finding("second stop", second_stop(bus.file))]
-        findings += [
-            Finding("effort", text)
-            for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)
+        findings = [
+            _load(bus),
+            Finding("second stop", second_stop(bus.file)),
+            *(
+                Finding("effort", text)
+                for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)
+            ),
+            *_of_description(robot, bus),
         ]
-        findings += _of_description(robot, bus)
-        sock = socket_of(handle)
-        if sock is not None:
+        if (sock := socket_of(handle)) is not None:
             granted = queue_bytes(sock)
             few = f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
             text = f"{granted} bytes{few if granted < QUEUE_BYTES else ''}"
@@ -155,8 +157,8 @@ def refusal(findings: list[Finding]) -> str:
     does.
     """
     recording, motion = verdicts(findings).values()
-    text = motion.replace("no go", "no go for --track", 1) if recording == "go" else motion
-    return "" if motion == "go" else text
+    only = " for --track" if recording == "go" else ""
+    return "" if motion == "go" else motion.replace("no go", f"no go{only}", 1)
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
@@ -193,8 +195,13 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
     yield Finding("state", text, ok=disabled and not fault, node=node, track=fault)
     try:
         for need in list(needs_of(master, drive, track=True)):
-            text, ok = need.refusal or need.found, not need.refusal
-            yield Finding(need.name, text, ok=ok, node=node, track=need.track)
+            yield Finding(
+                need.name,
+                need.refusal or need.found,
+                ok=not need.refusal,
+                node=node,
+                track=need.track,
+            )
     except BusFaultError as error:
         yield Finding("objects", error.args[0], ok=False, node=node)
     warnings = drive.dictionary.warnings if drive.dictionary else ()
@@ -235,12 +242,12 @@ def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
 
 
 def _load(bus: Bus) -> Finding:
-    fastest_hz = MAX_LOAD * bus.file.bitrate / bus.bits
-    text = (
+    return Finding(
+        "bus load",
         f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
-        f"at most {fastest_hz:.0f} Hz"
+        f"at most {MAX_LOAD * bus.file.bitrate / bus.bits:.0f} Hz",
+        ok=bus.load <= MAX_LOAD,
     )
-    return Finding("bus load", text, ok=bus.load <= MAX_LOAD)
 
 
 def _jitter(master: Master) -> Finding:
@@ -264,12 +271,12 @@ def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
     try:
         words = position_words(robot, joint_positions(robot, master))
         yield Finding("joint positions", f"{', '.join(words)}: check that the robot stands there")
-        for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
-            homed = is_homed(master, drive, file)
+        for drive in master.bus.drives:
+            homed = is_homed(master, drive)
             text = (
                 "not described: the drive's zero may be its position at power-on"
                 if homed is None
-                else f"{'yes' if homed else 'NO'} ({file.homed})"
+                else f"{'yes' if homed else 'NO'} ({drive.file.homed})"
             )
             yield Finding("homed", text, ok=homed is not False, node=drive.node, track=True)
     except BusFaultError as error:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable
 
-from ..errors import BadInputError, Place, one_line
+from ..errors import COMMAND_LINE, Place, one_line
 from .command_line import add_bus, add_flag, add_path
 
 OF_DESCRIPTION, OF_RECORDING = "a robot.toml", "a recording"
@@ -48,15 +48,18 @@ def run(options: argparse.Namespace) -> None:
     is_played = is_recording(options.file)
     other = OF_DESCRIPTION if is_played else OF_RECORDING
     for name in OPTIONS[other]:
-        if getattr(options, name) not in (None, False):
-            raise BadInputError(
-                f"is only for {other}",
-                place=f"--{name.replace('_', '-')}",
-                expected=f"none with {options.file}",
-            )
-    if is_played and None in (options.interface, options.channel):
-        key = "--interface" if options.interface is None else "--channel"
-        raise BadInputError(key=key, value=None, expected="the bus to send the frames on")
+        Place(f"--{name.replace('_', '-')}").require(
+            getattr(options, name) in (None, False),
+            text=f"is only for {other}",
+            expected=f"none with {options.file}",
+        )
+    for name in ("interface", "channel") if is_played else ():
+        COMMAND_LINE.require(
+            getattr(options, name) is not None,
+            f"--{name}",
+            None,
+            "the bus to send the frames on",
+        )
     stop = Stop()
     with stop_on_signals(stop):
         if not is_played:
@@ -93,23 +96,22 @@ def _simulate(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
 
     robot = load_robot(options.file)
     bus = resolve(robot, str(options.file))
-    if bus.file.interface == "virtual":
-        Place(str(options.file), "bus").refuse(
-            "interface",
-            "virtual",
-            "udp_multicast or socketcan",
-            text="other programs cannot join it",
-        )
+    Place(str(options.file), "bus").require(
+        bus.file.interface != "virtual",
+        "interface",
+        "virtual",
+        "udp_multicast or socketcan",
+        text="other programs cannot join it",
+    )
     if options.replay is None:
         mechanism = driven_plant(robot, bus)
     else:
         recording = read_recording(options.replay)
-        if recording.samples is None:
-            raise BadInputError(
-                recording.no_samples, place=str(options.replay), expected="some to replay"
-            )
+        samples = Place(str(options.replay)).given(
+            recording.samples, text=recording.no_samples, expected="some to replay"
+        )
         mechanism = DrivenPlant(
-            plant=TablePlant(recording.samples, recording.sample_rate_hz),
+            plant=TablePlant(samples, recording.sample_rate_hz),
             loops=cascaded_loops(robot, np.ones(robot.n)),  # they have no effect
         )
     end_s = time.monotonic() + (float("inf") if options.duration is None else options.duration)

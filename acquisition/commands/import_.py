@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from ..errors import BadInputError, one_line
+from ..errors import COMMAND_LINE, Place, one_line
 from ..options import RecordOptions
 from .command_line import Progress, add_options, add_overwrite, add_path
 
@@ -110,9 +110,7 @@ def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
 
     out, tables = options.output, options.tables
     if options.mapping and (options.topic or options.map or not is_log(tables[0])):
-        raise BadInputError(
-            key="--mapping", value=options.mapping[0], expected="an EtherCAT capture"
-        )
+        COMMAND_LINE.refuse("--mapping", options.mapping[0], "an EtherCAT capture")
     robot = None if options.robot is None else load_robot(options.robot)
     payload = (
         None if options.payload is None or robot is None else parse_payload(options.payload, robot)
@@ -123,12 +121,9 @@ def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
         return import_recording(tables[0], out, robot, str(options.robot or ""))
     if not bag and options.map is None and _propose(options, robot):
         return None
-    if robot is None:
-        raise BadInputError(
-            key="--robot",
-            value=None,
-            expected="the robot's description; only recordings have their own",
-        )
+    robot = COMMAND_LINE.given(
+        robot, "--robot", None, "the robot's description; only recordings have their own"
+    )
     if bag:
         _refuse_as_bag(options)
         topic, _, other = (name.strip() for name in (options.topic or "").partition(","))
@@ -228,63 +223,62 @@ def _refuse_bag_options(options: argparse.Namespace) -> None:
         ("--effort-unit", options.effort_unit),
         ("--resample-hz", options.resample_hz),
     ):
-        if value is not None:
-            raise BadInputError(
-                "is only for ROS 2 bags",
-                key=name,
-                value=value,
-                expected="none; for tables, time.resample_hz and effort.unit in MAP.toml",
-            )
+        COMMAND_LINE.require(
+            value is None,
+            name,
+            value,
+            "none; for tables, time.resample_hz and effort.unit in MAP.toml",
+            text="is only for ROS 2 bags",
+        )
 
 
 def _refuse_as_bag(options: argparse.Namespace) -> None:
-    if options.map is not None:
-        raise BadInputError(
-            "is only for tables",
-            key="--map",
-            value=str(options.map),
-            expected="no --map with a bag",
-        )
-    if len(options.tables) > 1:
-        raise BadInputError("is a second bag", place=str(options.tables[1]), expected="one")
-    if options.effort_unit is None:
-        raise BadInputError(
-            "a bag does not contain it",
-            key="--effort-unit",
-            value=None,
-            expected="the unit that the driver's manual states: 'N m', A, ...",
-        )
-    if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
-        raise BadInputError(
-            key="--resample-hz", value=options.resample_hz, expected="a number above 0"
-        )
+    COMMAND_LINE.require(
+        options.map is None,
+        "--map",
+        str(options.map),
+        "no --map with a bag",
+        text="is only for tables",
+    )
+    _refuse_second(options.tables, "bag")
+    COMMAND_LINE.require(
+        options.effort_unit is not None,
+        "--effort-unit",
+        None,
+        "the unit that the driver's manual states: 'N m', A, ...",
+        text="a bag does not contain it",
+    )
+    COMMAND_LINE.require(
+        options.resample_hz is None or 0 < options.resample_hz < math.inf,
+        "--resample-hz",
+        options.resample_hz,
+        "a number above 0",
+    )
 
 
 def _refuse_as_recording(options: argparse.Namespace) -> None:
-    if len(options.tables) > 1:
-        raise BadInputError("is a second recording", place=str(options.tables[1]), expected="one")
-    if options.payload is not None:
-        raise BadInputError(
-            key="--payload",
-            value=options.payload,
-            expected=(
-                "none with a recording, whose payload is kept; `robot-identify fit --payload` "
-                "replaces it"
-            ),
-        )
+    _refuse_second(options.tables, "recording")
+    COMMAND_LINE.require(
+        options.payload is None,
+        "--payload",
+        options.payload,
+        "none with a recording, whose payload is kept; `robot-identify fit --payload` replaces it",
+    )
 
 
 def _refuse_as_log(paths: Sequence[Path]) -> None:
     from ..importing import is_log
 
-    tables = [path for path in paths if not is_log(path)]
-    if tables:
-        raise BadInputError(
-            "a table needs --map MAP.toml",
-            place=str(tables[0]),
-            expected=(
-                "the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, .trc)"
-            ),
+    for path in paths:
+        Place(str(path)).require(
+            is_log(path),
+            text="a table needs --map MAP.toml",
+            expected="the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, "
+            ".trc)",
         )
-    if len(paths) > 1:
-        raise BadInputError("is a second CAN log", place=str(paths[1]), expected="one")
+    _refuse_second(paths, "CAN log")
+
+
+def _refuse_second(paths: Sequence[Path], kind: str) -> None:
+    for path in paths[1:]:
+        Place(str(path)).refuse(text=f"is a second {kind}", expected="one")

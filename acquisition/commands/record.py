@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import BadInputError, BusFaultError, one_line
+from ..errors import COMMAND_LINE, BusFaultError, Place, one_line
 from ..options import RecordOptions
 from .command_line import add_flag, add_options, add_path, from_options
 from .terminal import STDIN, Notes, StatusLine
@@ -102,17 +102,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_options(options: argparse.Namespace) -> None:
-    if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
-        raise BadInputError(
-            key="--duration", value=options.duration_s, expected="more than 0, and finite"
-        )
-    moves = options.track is not None and not options.dry_run
-    if moves and not (options.yes or os.isatty(STDIN)):
-        raise BadInputError(
-            "nobody can confirm the joint positions",
-            place="--track",
-            expected="a terminal, or --yes",
-        )
+    COMMAND_LINE.require(
+        options.duration_s is None or 0 < options.duration_s < float("inf"),
+        "--duration",
+        options.duration_s,
+        "more than 0, and finite",
+    )
+    Place("--track").require(
+        options.track is None or options.dry_run or options.yes or os.isatty(STDIN),
+        text="nobody can confirm the joint positions",
+        expected="a terminal, or --yes",
+    )
 
 
 def _tell(text: str) -> None:
@@ -124,26 +124,28 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
     from ..session import INTERRUPTED
 
     if outcome.fault:  # the reason is printed before what was recorded
-        reason = "; ".join((outcome.reason, *outcome.reports))
-        _tell(f"robot-acquire: {out}: ended by a fault: {reason}")
+        reasons = "; ".join((outcome.reason, *outcome.reports))
+        _tell(f"robot-acquire: {out}: ended by a fault: {reasons}")
     for text in () if outcome.fault else recorded.warnings:
         _tell(f"warning: {text}")
     text = f"{out}: {robot.name}, {recorded.samples} samples, {recorded.frames} CAN frames"
     print(one_line(f"{text}; {outcome.reason}"))
-    if recorded.path is not None and recorded.path.absolute() != out.absolute():
-        raise BadInputError(f"was deleted: the recording is in {recorded.path}", place=str(out))
+    Place(str(out)).require(
+        recorded.path is None or recorded.path.absolute() == out.absolute(),
+        text=f"was deleted: the recording is in {recorded.path}",
+    )
     if outcome.fault:
         return 1
     if outcome.alarm:
         raise BusFaultError(outcome.alarm, place=str(out))
     if outcome.cut_short and outcome.reason != INTERRUPTED:
         raise BusFaultError(f"the session was cut short: {outcome.reason}", place=str(out))
-    if recorded.no_samples:
-        if recorded.path is None:
-            raise BadInputError(f"nothing was recorded, and no file is left: {recorded.no_samples}")
-        raise BadInputError(
-            f"no samples, but the frames are in the recording: {recorded.no_samples}"
-        )
+    left = (
+        "nothing was recorded, and no file is left"
+        if recorded.path is None
+        else "no samples, but the frames are in the recording"
+    )
+    COMMAND_LINE.require(not recorded.no_samples, text=f"{left}: {recorded.no_samples}")
     return 0
 
 

@@ -5,7 +5,7 @@ listening and SDO reads only.
 import argparse
 from contextlib import closing
 
-from ..errors import BadInputError, one_line
+from ..errors import COMMAND_LINE, Place, one_line
 from .command_line import Progress, add_bus, add_path
 
 
@@ -32,24 +32,25 @@ def run(options: argparse.Namespace) -> None:
     from .scanning import ARRAYS, OBJECTS, bus_lines, findings_of
 
     interface, bitrate, out = options.interface, options.bitrate, options.toml
-    if interface == "socketcan" and bitrate is not None:
-        raise BadInputError(
-            "of socketcan",
-            key="--bitrate",
-            value=bitrate,
-            expected=f"none: ip link set {options.channel} type can bitrate {bitrate}",
-        )
-    if bitrate not in BITRATES and (bitrate is not None or interface not in SHARED):
-        raise BadInputError(
-            "a wrong one destroys the frames of others",
-            key="--bitrate",
-            value=bitrate,
-            expected=f"one of {', '.join(map(str, BITRATES))}",
-        )
-    if out is not None and out.exists():
-        raise BadInputError(
-            "already exists", place=str(out), expected="a new name; descriptions are not replaced"
-        )
+    COMMAND_LINE.require(
+        interface != "socketcan" or bitrate is None,
+        "--bitrate",
+        bitrate,
+        f"none: ip link set {options.channel} type can bitrate {bitrate}",
+        text="of socketcan",
+    )
+    COMMAND_LINE.require(
+        bitrate in BITRATES or (bitrate is None and interface in SHARED),
+        "--bitrate",
+        bitrate,
+        f"one of {', '.join(map(str, BITRATES))}",
+        text="a wrong one destroys the frames of others",
+    )
+    Place(str(out)).require(
+        out is None or not out.exists(),
+        text="already exists",
+        expected="a new name; descriptions are not replaced",
+    )
     # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node
     # id of many new drives.
     file = BusFile(
@@ -64,12 +65,11 @@ def run(options: argparse.Namespace) -> None:
         uploads = Uploads(link, file, line.say)
         nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
     print(*table(findings_of(nodes, uploads.heard)), sep="\n")
-    if not nodes:
-        raise BadInputError(
-            "no node answers",
-            place=f"bus: {interface} {options.channel}",
-            expected="one at least: drives on, cable, terminators, bitrate",
-        )
+    Place(f"bus: {interface} {options.channel}").require(
+        nodes,
+        text="no node answers",
+        expected="one at least: drives on, cable, terminators, bitrate",
+    )
     if out is not None:
         text = "\n".join([*bus_lines(file, nodes, uploads.heard), ""])
         write_text(out, text)

@@ -88,19 +88,16 @@ DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FA
 def state_of(statusword: int) -> State:
     """State in a statusword (6041h). Raises `BusFaultError` for bits of no state."""
     for state in State:
-        mask, value = state.value
-        if statusword & mask == value:
+        if statusword & state.value[0] == state.value[1]:
             return state
     raise BusFaultError(f"statusword 0x{statusword:04X}", expected="the bits of a CiA 402 state")
 
 
 def command_of(controlword: int) -> Command | None:
     """Command in a controlword (6040h), None for bits of no command."""
-    for command in reversed(Command):  # a fault reset before all others
-        mask, value = command.value
-        if controlword & mask == value:
-            return command
-    return None
+    # a fault reset before all others
+    found = (c for c in reversed(Command) if controlword & c.value[0] == c.value[1])
+    return next(found, None)
 
 
 def toward(state: State, goal: State) -> Command | None:
@@ -114,10 +111,9 @@ def toward(state: State, goal: State) -> Command | None:
         if at is goal:
             return reached[at]
         steps: list[tuple[Command | None, State]] = [
-            (c, s) for (was, c), s in TRANSITIONS.items() if was is at
+            *((command, then) for (was, command), then in TRANSITIONS.items() if was is at),
+            *((None, then) for was, then in AUTOMATIC.items() if was is at),
         ]
-        if at in AUTOMATIC:
-            steps.append((None, AUTOMATIC[at]))
         for command, then in steps:
             if then not in reached:
                 reached[then] = command if at is state else reached[at]

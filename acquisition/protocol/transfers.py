@@ -253,9 +253,12 @@ def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
     Raises `SdoAbortedError` or `NoAnswerError`.
     """
     if answer.kind == "abort":
-        meaning = next((words for words, code in ABORTS.items() if code == answer.number), "abort")
         raise SdoAbortedError(
-            meaning, node=node, index=answer.index, code=answer.number, place=place
+            next((words for words, code in ABORTS.items() if code == answer.number), "abort"),
+            node=node,
+            index=answer.index,
+            code=answer.number,
+            place=place,
         )
     if answer.kind != wanted:
         raise NoAnswerError(

@@ -127,8 +127,12 @@ class Joint(TomlTable, frozen=True):
             expected = f"{replacement} for a {self.type} joint"
             self.require(value is None, _key(quantity, other), value, expected)
         limits = getattr(self, self.key("position"))
-        is_range = limits is None or limits[0] < limits[1]
-        self.require(is_range, self.key("position"), limits, "[lowest, highest]")
+        self.require(
+            limits is None or limits[0] < limits[1],
+            self.key("position"),
+            limits,
+            "[lowest, highest]",
+        )
         if isinstance(self.friction, tuple):
             for term in self.friction:
                 self.require(self.friction.count(term) <= 1, "friction", term, "each term once")

@@ -117,8 +117,11 @@ class Bus:
     @property
     def bits(self) -> int:
         """Bits of SYNC and one frame of each PDO, with the worst case of bit stuffing."""
-        pdos = [pdo for drive in self.drives for pdo in (*drive.tpdos, *drive.rpdos)]
-        return cia.frame_bits(0) + sum(cia.frame_bits(pdo.length) for pdo in pdos)
+        return cia.frame_bits(0) + sum(
+            cia.frame_bits(pdo.length)
+            for drive in self.drives
+            for pdo in (*drive.tpdos, *drive.rpdos)
+        )
 
     @property
     def load(self) -> float:
@@ -206,14 +209,16 @@ def refuse_pdos(bus: Bus, place: str) -> None:
                 pdo.bits <= cia.MAX_PDO_BITS, text=f"{pdo.length} bytes", expected="8 at most"
             )
             name = f"identifier 0x{pdo.can_id:03X}"
-            usual = range(cia.LOWEST_CAN_ID, cia.HIGHEST_CAN_ID + 1)
             at.require(
-                pdo.can_id in usual or pdo.can_id in FREE_CAN_IDS,
+                cia.LOWEST_CAN_ID <= pdo.can_id <= cia.HIGHEST_CAN_ID or pdo.can_id in FREE_CAN_IDS,
                 text=name,
                 expected=f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}",
             )
-            if pdo.can_id in used:
-                at.refuse(text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own")
+            at.require(
+                pdo.can_id not in used,
+                text=f"{name} is that of {used.get(pdo.can_id)}",
+                expected="one of its own",
+            )
             used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
@@ -278,7 +283,7 @@ def check_carriers(bus: Bus) -> None:
     for drive in bus.drives:
         at = Place(f"node {drive.node}")
         mode = f"{cia.MODE_OF_OPERATION + axis_of(drive):04X}:0"
-        known = {str(entry) for entry in (drive.control, drive.target)} | {mode}
+        known = {str(drive.control), str(drive.target), mode}
         for entry in (drive.control, drive.target):
             at.require(
                 drive.carrier(entry, "rpdo") is not None,

@@ -74,8 +74,10 @@ def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
     mass, at, center = text.partition("@")
     center, within, half_width = center.partition("+-")
     try:
-        numbers = [float(x) for x in center.split(",")] if at else None
-        given = {"mass_kg": float(mass), "center_of_mass_m": numbers}
+        given = {
+            "mass_kg": float(mass),
+            "center_of_mass_m": [float(x) for x in center.split(",")] if at else None,
+        }
         stated = {"center_half_width_m": float(half_width)} if within else {}
         return msgspec.convert(msgspec.structs.asdict(robot.payload) | given | stated, Payload)
     except ValueError as error:  # of msgspec too

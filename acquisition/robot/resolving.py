@@ -20,7 +20,6 @@ say what an object is, each more exactly than the one before:
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 
@@ -180,22 +179,17 @@ def _drive(
     absent = [entry for entry in measured if drive.carrier(entry, "tpdo") is None]
     # What another master maps is only seen in its traffic.
     if absent and (confirmed is not None or file.mapping != "traffic"):
-        refused = confirmed.refused if confirmed is not None else ""
-        _refuse_unmapped(absent[0], mapped, refused, at.at("mapping"), file.mapping)
+        reasons = [
+            f": {index:04X}:{sub} {text}"
+            for (index, sub), text in mapped.items()
+            if isinstance(text, str) and 0x1800 <= index < 0x1C00
+        ]
+        reasons += [f": {confirmed.refused}"] if confirmed and confirmed.refused else [""]
+        Place(place).refuse(
+            text=f"{at.table}.mapping: no PDO from the drive carries {absent[0]}{reasons[0]}",
+            expected=f"one ({file.mapping})",
+        )
     return drive
-
-
-def _refuse_unmapped(
-    entry: cia.ObjectEntry, mapped: cia.Values, refused: str, at: Place, mapping: str
-) -> NoReturn:
-    unknown = [
-        f": {index:04X}:{sub} {text}"
-        for (index, sub), text in mapped.items()
-        if isinstance(text, str) and 0x1800 <= index < 0x1C00
-    ]
-    why = next(iter(unknown), refused and f": {refused}")
-    problem = f"{at.table}: no PDO from the drive carries {entry}{why}"
-    Place(at.name).refuse(text=problem, expected=f"one ({mapping})")
 
 
 def _mapped(objects: _Objects, confirmed: cia.Confirmed | None) -> cia.Values:
@@ -233,8 +227,7 @@ def _pdos(
     pdos, at = [], objects.at
     if objects.file.mapping != "table":
         return cia.pdos_of(way, mapped, objects.types, f"{at}: {at.table}.mapping")
-    files: tuple[PdoFile, ...] = getattr(objects.file, way) or _pack(default)
-    for k, written in enumerate(files):
+    for k, written in enumerate(getattr(objects.file, way) or _pack(default)):
         entries = tuple(objects.entry(f"{way}[{k}].objects", name) for name in written.objects)
         number = written.number or k + 1
         can_id = at.given(
@@ -291,11 +284,10 @@ def _effort(
         f"{motor.recorded_unit} as motor {motor.name!r} says, or {rule.unit} as effort_unit",
         text=f"gives {rule.unit}",
     )
-    times = f" x {rated:g} ({rule.rated})" if rule.rated else ""
-    parts = (
-        f"object {entry} ({meaning if known else 'as described'})",
-        *(() if word == "reference" else ("the actual value instead of the reference",)),
-        f"raw {entry.type} in {name}{times}",
-        f"sign {file.effort_sign or file.sign:+d}",
+    provenance = (
+        f"object {entry} ({meaning if known else 'as described'})"
+        f"{'' if word == 'reference' else ', the actual value instead of the reference'}"
+        f", raw {entry.type} in {name}{f' x {rated:g} ({rule.rated})' if rule.rated else ''}"
+        f", sign {file.effort_sign or file.sign:+d}"
     )
-    return cia.EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
+    return cia.EffortCodec(entry=entry, scale=scale, provenance=provenance)

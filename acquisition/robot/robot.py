@@ -20,7 +20,7 @@ from ..errors import Place
 from ..files import read_bytes, read_meshes
 from .bus import FILL_IN, BusFile, dictionary_label
 from .description import Capsule, Joint, Motor, RobotFile
-from .fit_tables import Controller, Identification, PayloadFile
+from .fit_tables import GAINS, Controller, Identification, PayloadFile
 from .toml import InvalidValueError, parse_toml
 
 # of the drives of a dry run, replaces [controller]
@@ -112,12 +112,11 @@ class Robot:
     @cached_property
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
-        return Place(f"robot {self.name}").given(
-            self.controller.bandwidth_hz,
-            "controller.bandwidth_hz",
-            None,
-            "the bandwidth of the position loop, Hz",
-        )
+        if self.controller.bandwidth_hz is None:
+            Place(f"robot {self.name}").refuse(
+                "controller.bandwidth_hz", None, "the bandwidth of the position loop, Hz"
+            )
+        return self.controller.bandwidth_hz
 
     @cached_property
     def gain_known(self) -> bool:
@@ -129,8 +128,9 @@ class Robot:
         """Drive gains (n,), motor torque per unit of recorded effort; ones if not known."""
         if self.identified_gain is not None:
             return self.identified_gain
-        gains = [1.0 if m.gain is None else m.gain for m in self.motors]
-        return np.broadcast_to(gains, self.n)  # read-only
+        return np.broadcast_to(  # read-only
+            [1.0 if m.gain is None else m.gain for m in self.motors], self.n
+        )
 
     @cached_property
     def saturation(self) -> Array:
@@ -226,15 +226,12 @@ def load_robot(path: str | PathLike[str]) -> Robot:
 # A new description may have no key without effect and no guard without effect; recordings that have
 # one can still be read.
 def _refuse_idle_keys(c: Controller, place: Place) -> None:
-    law = ("sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
-    idle = (
-        law
-        if c.structure is None
-        else ()
-        if c.structure in ("cascade_p_pi", "pid")
-        else ("integral_gain",)
-    )
-    for name in idle:
+    idle: dict[str | None, tuple[str, ...]] = {
+        None: ("sample_rate_hz", *GAINS, "velocity_estimate"),
+        "cascade_p_pi": (),
+        "pid": (),
+    }
+    for name in idle.get(c.structure, ("integral_gain",)):
         value = getattr(c, name)
         place.require(
             value is None,
@@ -261,8 +258,9 @@ def _companion(path: Path, name: str, key: str) -> bytes:
     try:
         return (path.parent / name).read_bytes()
     except (OSError, ValueError) as error:  # the latter for a zero character in the name
-        reason = error.strerror if isinstance(error, OSError) else error
-        Place(str(path)).refuse(key, name, text=f"cannot be read: {reason}")
+        Place(str(path)).refuse(
+            key, name, text=f"cannot be read: {getattr(error, 'strerror', error)}"
+        )
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
@@ -273,11 +271,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     `dictionary:<name>`; of a dry run `simulated_controller.toml`.
     """
     at = Place(place)
-    at.require(
-        "robot.toml" in files,
-        text="holds no robot.toml",
-        expected="the robot's description as an attachment",
-    )
+    if "robot.toml" not in files:
+        at.refuse(text="holds no robot.toml", expected="the robot's description as an attachment")
     f = parse_toml(files["robot.toml"], RobotFile, place)
     if (law := files.get(SIMULATED_CONTROLLER)) is not None:
         controller = parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")

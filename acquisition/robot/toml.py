@@ -5,6 +5,7 @@ and what was expected.
 import math
 import re
 import tomllib
+from collections.abc import Iterator
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -53,14 +54,15 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     """Decode TOML `text` into `kind`; errors have `place`, key, value and what was expected."""
     file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
-    file.require(
-        len(text) <= MAX_TOML_BYTES and longest <= MAX_LINE_BYTES,
-        text=f"{len(text)} bytes, a line of {longest}",
-        expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most",
-    )
+    if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
+        file.refuse(
+            text=f"{len(text)} bytes, a line of {longest}",
+            expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most",
+        )
     try:
         data = tomllib.loads(text.decode("utf-8"))
-        _refuse_nonfinite(data, "", file)
+        for key, number in _not_finite(data, ""):
+            file.refuse(key, number, "a finite number")
     except (ValueError, RecursionError) as error:  # bad UTF-8 and endless digits raise the first
         file.refuse(text=f"not valid TOML: {error}")
     try:
@@ -118,16 +120,11 @@ def _value_at(data: Any, path: str) -> Any:
     return data
 
 
-def _refuse_nonfinite(data: Any, key: str, file: Place) -> None:
-    file.require(not isinstance(data, float) or math.isfinite(data), key, data, "a finite number")
-    items = (
-        data.items()
-        if isinstance(data, dict)
-        else enumerate(data)
-        if isinstance(data, list)
-        else ()
-    )
-    for name, value in items:
-        _refuse_nonfinite(
-            value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), file
-        )
+def _not_finite(data: Any, key: str) -> Iterator[tuple[str, float]]:
+    """Keys and values of the numbers that are not finite."""
+    if isinstance(data, float) and not math.isfinite(data):
+        yield key, data
+    for name, value in data.items() if isinstance(data, dict) else ():
+        yield from _not_finite(value, f"{key}.{name}".lstrip("."))
+    for i, value in enumerate(data) if isinstance(data, list) else ():
+        yield from _not_finite(value, f"{key}[{i}]")

@@ -8,8 +8,14 @@ Every way out of motion leaves the drives disabled. It may use `simulated`, `bus
 from .logs import InlineLog, ProcessLog, Role
 from .process import Watchdog, WatchdogPipe, silence_s
 from .recorder import RecordedSummary, Recorder, Status, write_decoded
-from .replaying import replay
-from .running import INTERRUPTED, RecordOptions, UserInterface, record, stop_on_signals
+from .running import (
+    INTERRUPTED,
+    RecordOptions,
+    UserInterface,
+    record,
+    replay,
+    stop_on_signals,
+)
 from .session import Outcome, Stop, Task, run_active
 from .timing import (
     DEVIATIONS,

@@ -96,8 +96,12 @@ class ProcessLog:
         self._watchdog_pipe = WatchdogPipe(watching)
         self._frames: list[Frame] = []
         self.on_status: OnStatus = lambda status, stamp_ns: None
-        arguments = ((other, watched), path.absolute(), dict(robot.files), place, role, payload)
-        self._process = context.Process(target=run, args=arguments, name="recorder", daemon=True)
+        self._process = context.Process(
+            target=run,
+            args=((other, watched), path.absolute(), dict(robot.files), place, role, payload),
+            name="recorder",
+            daemon=True,
+        )
         # Signals are blocked while the process starts: a Ctrl-C of the whole group must not end it
         # before it ignores them.
         resource_tracker.ensure_running()  # its first start would unblock the signals

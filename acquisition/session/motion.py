@@ -14,7 +14,7 @@ from ..arrays import Array
 from ..bus import OPERATIONAL, Master, Orders
 from ..errors import BusFaultError
 from ..protocol import FOLLOWS, REMOTE, Command, State, error_words, status_words, toward
-from ..robot import Joint, Robot
+from ..robot import Robot
 
 ENABLE_S = 5.0  # for all drives to be enabled, or disabled
 # One transition at a time, so that a drive can decelerate and engage its brake
@@ -45,6 +45,7 @@ def enable(
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
         measured = [watch.counts for watch in watches if watch.counts is not None]
+        states = [watch.state for watch in watches if watch.state is not None]
         if len(measured) == len(watches):
             targets[:] = [
                 target if watch.state is State.OPERATION_ENABLED else counts
@@ -54,32 +55,30 @@ def enable(
             ]
         if all_enabled(master):
             return
-        if not targets or any(watch.state is None for watch in watches):
+        if not targets or len(states) < len(watches):
             yield None
             continue
         controls = []
-        for watch in watches:
-            command = (
-                toward(watch.state, State.OPERATION_ENABLED) if watch.state is not None else None
-            )
-            if watch.state is State.OPERATION_ENABLED:
-                command = Command.ENABLE_OPERATION
+        for watch, state in zip(watches, states, strict=True):
+            command = toward(state, State.OPERATION_ENABLED)
             if command is Command.FAULT_RESET and watch.drive.node not in in_fault:
                 raise BusFaultError(
                     "went into fault after the session began",
                     place=f"node {watch.drive.node} ({watch.drive.name})",
                     expected="switch on disabled, as before",
                 )
-            if command is Command.FAULT_RESET and k % 2:
+            if state is State.OPERATION_ENABLED:
+                command = Command.ENABLE_OPERATION
+            elif command is Command.FAULT_RESET and k % 2:
                 command = None  # a drive acts on the rising edge of this bit
             controls.append(command.controlword if command else 0)
         yield list(zip(controls, targets, strict=True))
-    states = ", ".join(
+    late = ", ".join(
         f"node {w.drive.node} {'silent' if w.statusword is None else status_words(w.statusword)}"
         for w in master.nodes
         if w.state is not State.OPERATION_ENABLED
     )
-    raise BusFaultError(f"not enabled after {ENABLE_S:g} s: {states}", expected="operation enabled")
+    raise BusFaultError(f"not enabled after {ENABLE_S:g} s: {late}", expected="operation enabled")
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
@@ -135,25 +134,23 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
         return BusFaultError(master.bus_error, place="bus")
     lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
     for watch in master.nodes:
-        node = f"node {watch.drive.node} ({watch.drive.name})"
-        if watch.emergency is not None:
-            return BusFaultError(f"emergency {error_words(watch.emergency)}", place=node)
-        if watch.booted:
-            return BusFaultError("has restarted", place=node)
-        if watch.started and watch.nmt != OPERATIONAL:
-            return BusFaultError(f"left operational (NMT state {watch.nmt})", place=node)
-        # A heartbeat that left the drive before START may arrive after it.
-        if watch.unstarted >= LOST_HEARTBEATS:
-            return BusFaultError(
+        unheard_ns = now_ns - watch.heard_ns if watch.beats and watch.heard_ns else 0
+        for is_fault, text in (
+            (watch.emergency is not None, f"emergency {error_words(watch.emergency or 0)}"),
+            (watch.booted, "has restarted"),
+            (
+                watch.started and watch.nmt != OPERATIONAL,
+                f"left operational (NMT state {watch.nmt})",
+            ),
+            (  # a heartbeat that left the drive before START may arrive after it
+                watch.unstarted >= LOST_HEARTBEATS,
                 f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})",
-                place=node,
-            )
-        if watch.beats and watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
-            return BusFaultError(
-                f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node
-            )
-        if watch.silent_syncs >= SILENT_SYNCS:
-            return BusFaultError(f"{watch.silent_syncs} SYNC not answered", place=node)
+            ),
+            (unheard_ns > lost_ns, f"heartbeat lost for {unheard_ns * 1e-9:.2f} s"),
+            (watch.silent_syncs >= SILENT_SYNCS, f"{watch.silent_syncs} SYNC not answered"),
+        ):
+            if is_fault:
+                return BusFaultError(text, place=f"node {watch.drive.node} ({watch.drive.name})")
     return None
 
 
@@ -190,50 +187,37 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
     """The fault of a joint: limits of position, speed, following error, and motion
     while drives are enabled.
     """
-    q, file = motion.measured[-1], master.bus.file
-    before = motion.measured[-1 - SPEED_SYNCS] if len(motion.measured) > SPEED_SYNCS else None
-    dq = None if before is None else (q - before) / (SPEED_SYNCS * file.sync_period_s)
+    q, file, at_rest = motion.measured[-1], master.bus.file, np.zeros(robot.n)
+    moved = q - motion.start if motion.enabling and motion.start is not None else at_rest
+    behind = at_rest if motion.target is None else np.abs(q - motion.target)
+    speed = at_rest
+    if len(motion.measured) > SPEED_SYNCS:
+        passed = np.abs(q - motion.measured[-1 - SPEED_SYNCS])
+        speed = passed / (SPEED_SYNCS * file.sync_period_s)
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
-        if not low <= q[i] <= high:
-            return _limit_fault(
-                joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}"
-            )
-        largest = (
-            float(np.radians(file.enable_motion_deg))
-            if joint.type == "revolute"
-            else file.enable_motion_m
+        still = (
+            np.radians(file.enable_motion_deg) if joint.type == "revolute" else file.enable_motion_m
         )
-        if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
-            return _limit_fault(
-                joint,
+        error, fastest = joint.si("following_error"), joint.si("speed")
+        for key, value, is_fault, per, expected in (
+            ("position", q[i], not low <= q[i] <= high, "", f"{low:.4g} to {high:.4g}"),
+            (
                 "motion while drives were enabled",
-                q[i] - motion.start[i],
-                joint.position_unit,
-                f"{largest:.4g} at most",
-            )
-        largest = joint.si("following_error")
-        if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
-            return _limit_fault(
-                joint,
-                "following error",
-                abs(q[i] - motion.target[i]),
-                joint.position_unit,
-                f"{largest:.4g} at most",
-            )
-        largest = joint.si("speed")
-        if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:
-            return _limit_fault(
-                joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most"
-            )
+                moved[i],
+                abs(moved[i]) > still,
+                "",
+                f"{still:.4g} at most",
+            ),
+            ("following error", behind[i], behind[i] > error, "", f"{error:.4g} at most"),
+            ("speed", speed[i], speed[i] > SPEED_MARGIN * fastest, "/s", f"{fastest:.4g} at most"),
+        ):
+            if is_fault:
+                return BusFaultError(
+                    place=joint.name,
+                    key=key,
+                    value=float(value),
+                    shown=f"{value:.4g} {joint.position_unit}{per}",
+                    expected=expected,
+                )
     return None
-
-
-def _limit_fault(joint: Joint, key: str, value: float, unit: str, expected: str) -> BusFaultError:
-    return BusFaultError(
-        place=joint.name,
-        key=key,
-        value=float(value),
-        shown=f"{value:.4g} {unit}",
-        expected=expected,
-    )

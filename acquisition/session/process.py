@@ -195,13 +195,15 @@ def run(
             recorder.close()
         connection.send(("done", done))
     except (RobotIdimError, OSError) as error:
-        problem = (
-            error.args[0]
-            if isinstance(error, RobotIdimError)
-            else f"{path}: cannot be written: {error.strerror}"
-        )
         with suppress(OSError):
-            connection.send(("failed", problem))
+            connection.send(
+                (
+                    "failed",
+                    error.args[0]
+                    if isinstance(error, RobotIdimError)
+                    else f"{path}: cannot be written: {error.strerror}",
+                )
+            )
     finally:
         if bus is not None:
             bus.shutdown()
@@ -212,10 +214,8 @@ def _master_ids(robot: Robot, place: str) -> Ints:
     session is this program.
     """
     bus = resolve(robot, place)
-    ids = [HEARTBEAT + bus.file.master_node] + [bus.file.sync_can_id] * (
-        bus.file.sync_producer == "recorder"
-    )
-    return np.array([*ids, *command_ids(bus)])
+    sync = [bus.file.sync_can_id] if bus.file.sync_producer == "recorder" else []
+    return np.array([HEARTBEAT + bus.file.master_node, *sync, *command_ids(bus)])
 
 
 def _record(
@@ -273,8 +273,8 @@ def _record(
             block["time_ns"] = clock.continued(block["time_ns"])
             # The kernel marks frames sent by any program of this machine; SENT means
             # sent by this session.
-            by_us = np.where(np.isin(block["can_id"], ours), SENT, 0)
-            block["flags"] = (block["flags"] & (0xFF ^ SENT)) | by_us
+            block["flags"] &= 0xFF ^ SENT
+            block["flags"][np.isin(block["can_id"], ours)] |= SENT
             recorder.add(block)
             if receiver.error is not None:
                 recorder.event(clock.now_ns(), "fault", f"bus: cannot be read: {receiver.error}")

@@ -77,7 +77,7 @@ class Recorder:
         assert robot.bus is not None
         self._path, self._robot, self._place = path, robot, place
         file = robot.bus
-        self._bus: Bus | None = None if file.mapped_by_traffic else resolve(robot, place)
+        self._bus = None if file.mapped_by_traffic else resolve(robot, place)
         header = recording.Header(
             robot=robot,
             source=source,
@@ -179,8 +179,8 @@ class Recorder:
         self._writer.flush()
         self._watch_file()
         # by its descriptor, as the file may have been renamed
-        written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}"))
-        frames = written.frames.get(self.channel, np.zeros(0, recording.FRAME))
+        written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}")).frames
+        frames = written.get(self.channel, np.zeros(0, recording.FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         if self._fd_frames:
             text = f"frames left out: {self._fd_frames} of CAN FD"

@@ -1,4 +1,6 @@
-"""Sessions of the command `record`: link, recorder, status."""
+"""What the commands `record` and `emulate` run: sessions with link, recorder and status; frames of
+a recording, sent again onto an idle bus.
+"""
 
 import signal
 import time
@@ -8,7 +10,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
+
 from ..bus import (
+    LISTEN_S,
     SHARED,
     Confirm,
     Link,
@@ -19,12 +24,24 @@ from ..bus import (
     open_link,
     refuse_unsupervised,
     second_stop,
+    service_of,
 )
-from ..errors import BadInputError, RefusedError, RobotIdimError
+from ..errors import COMMAND_LINE, Place, RefusedError, RobotIdimError
 from ..options import RecordOptions
+from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
+from ..recording import (
+    ERROR,
+    EXTENDED,
+    REMOTE_REQUEST,
+    Block,
+    Recording,
+    read_recording,
+    resolve_mapped,
+)
 from ..robot import (
     FILL_IN,
     Bus,
+    BusFile,
     Payload,
     Robot,
     check_limits,
@@ -77,13 +94,12 @@ def record(
     of options, description, bus or file are raised as `RobotIdimError` before it runs.
     """
     refuse_taken(out)
-    if robot.bus is None:
-        raise BadInputError(
-            place=place,
-            key="bus",
-            value=None,
-            expected="its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`",
-        )
+    file = Place(place).given(
+        robot.bus,
+        "bus",
+        None,
+        "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`",
+    )
     if options.passive and (options.track is not None or options.dry_run):
         raise RefusedError(
             "sends nothing",
@@ -91,27 +107,25 @@ def record(
             place="--passive",
             expected="no --track and no --dry-run",
         )
-    if robot.bus.mapped_by_traffic and not options.passive:
-        raise BadInputError(
-            place=place,
-            key="mapping",
-            value="traffic",
-            expected="'table' or 'dictionary' in an active session",
-        )
+    Place(place).require(
+        options.passive or not file.mapped_by_traffic,
+        "mapping",
+        "traffic",
+        "'table' or 'dictionary' in an active session",
+    )
     payload = None if options.payload is None else parse_payload(options.payload, robot)
-    task = _task_of(robot, robot.bus.sync_period_s, options, operator)
-    bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)  # before anything opens
+    task = _task_of(robot, file.sync_period_s, options, operator)
+    bus = None if file.mapped_by_traffic else resolve(robot, place)  # before anything opens
     if bus is None or options.passive:
-        if words := listening_words(robot.bus):
+        if words := listening_words(file):
             operator.note(words)
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
-    opened = (
+    with (
         _simulated(bus, robot, out, place, payload)
         if options.dry_run
         else _on_bus(bus, robot, out, place, options, payload)
-    )
-    with opened as (link, log):
+    ) as (link, log):
         log.on_status = _left_shown(task, bus.file.sync_period_s, link.now_ns(), operator)
         # After the recorder has started.
         with real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted:
@@ -143,21 +157,21 @@ def _task_of(
     robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface
 ) -> Task:
     """The task in the options. Raises `RobotIdimError` for options that contradict each other."""
-    if options.track is not None and options.duration_s is not None:
-        raise BadInputError(
-            "lasts as long as its reference", place="--track", expected="no --duration"
-        )
-    if options.track is None and options.speed != 1.0:
-        raise BadInputError(
-            "applies to a reference only",
-            key="--speed",
-            value=options.speed,
-            expected="--track with it",
-        )
-    if not 0 < options.speed <= 1:
-        raise BadInputError(
-            key="--speed", value=options.speed, expected="more than 0, and 1 at most"
-        )
+    Place("--track").require(
+        options.track is None or options.duration_s is None,
+        text="lasts as long as its reference",
+        expected="no --duration",
+    )
+    COMMAND_LINE.require(
+        options.track is not None or options.speed == 1.0,
+        "--speed",
+        options.speed,
+        "--track with it",
+        text="applies to a reference only",
+    )
+    COMMAND_LINE.require(
+        0 < options.speed <= 1, "--speed", options.speed, "more than 0, and 1 at most"
+    )
     if options.track is None:
         return Task(duration_s=options.duration_s, notes=operator.notes)
     reference = table_reference(options.track, robot, period_s, options.speed)
@@ -165,14 +179,10 @@ def _task_of(
     task = Task(reference=reference, place=str(options.track), notes=operator.notes)
     if options.dry_run:
         return task
-    if lines := lines_to_fill_in(robot):
-        raise BadInputError(
-            FILL_IN,
-            place="robot.toml",
-            key="lines",
-            value=lines,
-            expected="none in [bus], [[motor]] and limits of joints",
-        )
+    lines = lines_to_fill_in(robot)
+    Place("robot.toml").require(
+        not lines, "lines", lines, "none in [bus], [[motor]] and limits of joints", text=FILL_IN
+    )
     return replace(
         task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm)
     )
@@ -290,12 +300,93 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
 
     # An ignored SIGHUP stays ignored (`nohup`). SIGINT is handled also in background jobs,
     # where shells ignore it.
-    numbers = [
-        n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN
-    ]
-    before = {number: signal.signal(number, asked) for number in numbers}
+    before = {
+        number: signal.signal(number, asked)
+        for number in STOPPING
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this computer
+
+
+def replay(
+    path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False
+) -> int:
+    """Send the frames that the drives of a recording sent, and its SYNCs, in their order
+    and with their timing.
+
+    Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed,
+    and `onto_bus` allows interfaces with hardware. Returns the number of frames sent. Raises
+    `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives,
+    another node sends before or between these frames, or the bus accepts none.
+    """
+    COMMAND_LINE.require(speed > 0, "--speed", speed, "more than 0")
+    if file.interface not in WITHOUT_HARDWARE and not onto_bus:
+        raise RefusedError(
+            "hardware may be on this bus",
+            what="sending",
+            key="--interface",
+            value=file.interface,
+            expected=f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}",
+        )
+    frames, described = from_drives(read_recording(path), str(path))
+    due_s = np.maximum.accumulate((frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed)
+    count = 0
+
+    def listen_until(until_s: float) -> None:
+        """Wait. Raises `RefusedError` at the first frame that is not our own."""
+        while not stop.reason:
+            left_s = until_s - time.monotonic()
+            frame = link.take(min(max(left_s, 0.0), 0.1))
+            if frame is not None and not frame.flags & ERROR:
+                sent = f"{count} frames were" if count else "nothing was"
+                raise RefusedError(
+                    f"{service_of(frame, described.sync_can_id)} received",
+                    what="sending",
+                    place=f"{file.interface} {file.channel}",
+                    expected=f"an idle bus; {sent} sent",
+                )
+            if left_s <= 0:
+                return
+
+    with closing(open_link(file, passive=False)) as link:
+        listen_until(time.monotonic() + max(LISTEN_S, 1.5 * described.heartbeat_s))
+        start_s = time.monotonic()
+        for row, at_s in zip(frames, due_s.tolist(), strict=True):
+            listen_until(start_s + at_s)
+            if stop.reason:
+                break
+            link.send(int(row["can_id"]), row["data"].tobytes()[: row["length"]])
+            count += 1
+    return count
+
+
+def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
+    """Frames that the drives of the recording sent, and SYNC, from the channel with the most
+    frames; and the bus as described.
+
+    Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and
+    heartbeats. Error frames, remote requests and 29-bit frames are left out. Raises `BadInputError`
+    where no frame is left.
+    """
+    at = Place(place)
+    at.require(recording.frames, text="holds no CAN frames", expected="a recording of drives")
+    frames = max(recording.frames.values(), key=len)
+    _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")
+    ids = [
+        bus.file.sync_can_id,
+        *(pdo.can_id for drive in bus.drives for pdo in drive.tpdos),
+        *(s + drive.node for drive in bus.drives for s in (EMERGENCY, ANSWER, HEARTBEAT)),
+    ]
+    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
+    found: Block = frames[plain & np.isin(frames["can_id"], ids)]
+    at.require(
+        len(found), text="holds no frame of its drives, and no SYNC", expected="some to send"
+    )
+    return found, bus.file

@@ -175,6 +175,7 @@ class _Session:
 
     def prepare(self) -> None:
         """Check, configure and start the drives. Raises `RobotIdimError` where a check fails."""
+        track = self._task.reference is not None
         if self._task.reference is not None:
             check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
@@ -185,11 +186,10 @@ class _Session:
         # Only reads: a drive that another program has enabled stays as it is.
         self._in_fault = bus.refuse_enabled(self._master)
         self.note("mark", *(f"node {node}: found in fault" for node in self._in_fault))
-        if self._task.reference is not None:
+        if track:
             self.note("mark", *self._task.before_motion(self._master))
             # takes the frames received while the operator was asked
             self._master.wait(self._link.now_ns())
-        track = self._task.reference is not None
         needs = bus.read_needs(self._master, track=track)
         self.addressed = True
         self.note("warning", *bus.configure(self._master, needs, track=track))

@@ -8,19 +8,17 @@ lock-step repeats bit for bit.
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing
 
 import numpy as np
 
 from .. import protocol as cia
 from ..arrays import Array, Bools, Ints
 from ..bus import Frame, Tap, open_link
-from ..errors import BusFaultError
 from ..recording import SENT
 from ..robot import Bus, Robot, axis_index
 from .mechanism import SUBSTEPS, DrivenPlant, cubic, driven_plant
 from .node import Sent, SimulatedNode, Supervision, simulated_node
-from .units import units_and_limits
 
 # Times the following-error limits of the joints that a motor moves: the drive (6065h)
 # reacts after the session.
@@ -90,11 +88,7 @@ class SimulatedDrives:
                 node.values[key] = node.initial[key] = int(
                     cia.saturated(np.array(limit / unit), "U32")
                 )
-        for i, node in enumerate(self.nodes):
-            stated = units_and_limits(bus, i) if node.drive.dictionary is None else {}
-            node.types |= dict.fromkeys(stated.keys() - node.types, "U32")
-            node.values |= stated
-            node.initial |= stated
+
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._next_heartbeat = [0] * robot.n
         # State of the loops: target, the way to it, speed at it (times the period), integral of the
@@ -204,8 +198,8 @@ class SimulatedDrives:
         self._run_loops(start, enabled, lambda share: cubic(share, travel, first, last))
         self._target, self._travel, self._speed, self._held = target, travel, last, ~enabled
         for i, node in enumerate(self.nodes):
-            stays = node.values.get((cia.QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
-            if stopping[i] and travel[i] == 0.0 and not stays:
+            option = node.values.get((cia.QUICK_STOP_OPTION, 0), 2)
+            if stopping[i] and travel[i] == 0.0 and option not in QUICK_STOP_STAYS:
                 node.state = cia.State.SWITCH_ON_DISABLED
 
     def _run_loops(
@@ -240,17 +234,10 @@ class SimulatedDrives:
         """Motor targets (n,) from 607Ah; the present position where a drive is not
         enabled or in another mode.
         """
-        target = position.copy()
-        for i, node in enumerate(self.nodes):
-            if (
-                enabled[i]
-                and node.values.get((cia.MODE_DISPLAY, 0), 8)
-                == cia.Mode.CYCLIC_SYNCHRONOUS_POSITION
-            ):
-                target[i] = node.drive.position_codec.si(
-                    np.array(node.values[node.drive.target.key])
-                )
-        return target
+        mode = cia.Mode.CYCLIC_SYNCHRONOUS_POSITION
+        follows = enabled & [n.values.get((cia.MODE_DISPLAY, 0), mode) == mode for n in self.nodes]
+        counts = np.array([node.values.get(node.drive.target.key, 0) for node in self.nodes])
+        return np.where(follows, self._positions.si(counts), position)
 
     def _measured(self) -> tuple[Array, Array]:
         """Measured positions and speeds, (n,) of the motors."""
@@ -341,8 +328,7 @@ def serve(
     `stopped` is called at least every 50 ms, and True ends the simulation; `ready` is called once
     the drives have booted. Raises `BusFaultError` where the bus cannot be opened or fails.
     """
-    link = open_link(drives.bus.file, passive=False)
-    try:
+    with closing(open_link(drives.bus.file, passive=False)) as link:
         drives.set_heartbeats(IDLE_HEARTBEAT_MS)
         sent = drives.boot()
         ready()
@@ -358,6 +344,3 @@ def serve(
             # heartbeats are sent on a busy bus too
             if frame is None or (due is not None and due <= now_ns):
                 sent = sent + drives.advance(link.now_ns())
-    finally:
-        with suppress(BusFaultError):
-            link.close()

@@ -3,6 +3,9 @@ PDOs, and its supervision.
 """
 
 from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
 
 from .. import protocol as cia
 from ..protocol import Key
@@ -52,24 +55,19 @@ class SimulatedNode:
         """The heartbeat message."""
         return [(cia.HEARTBEAT + self.drive.node, bytes([self.nmt]))]
 
-    def emergency(self, code: int, register: int = 1) -> Sent:
+    def emergency(self, code: int) -> Sent:
         """Enter fault reaction; the emergency message (CiA 301, 7.2.7)."""
         self.state = cia.State.FAULT_REACTION_ACTIVE
-        return self.error(code, register)
+        return self.error(code)
 
-    def error(self, code: int, register: int = 1) -> Sent:
+    def error(self, code: int) -> Sent:
         """An emergency message without a change of state; the objects of the
         last error are set too.
         """
-        for key, value in (((0x1001, 0), register), ((0x1003, 1), code), ((0x603F, 0), code)):
-            if key in self.values:
-                self.values[key] = value
-        return [
-            (
-                cia.EMERGENCY + self.drive.node,
-                code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]),
-            )
-        ]
+        last = {(0x1001, 0): 1, (0x1003, 1): code, (0x603F, 0): code}
+        self.values |= {key: value for key, value in last.items() if key in self.values}
+        data = code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0])
+        return [(cia.EMERGENCY + self.drive.node, data)]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
         """The answers to a frame other than SYNC."""
@@ -136,9 +134,8 @@ class SimulatedNode:
         self.values[key] = value
         if key == (cia.CONTROLWORD, 0):
             command = cia.command_of(value)
-            # acts on the rising edge only
-            held = command is cia.Command.FAULT_RESET and before & 0x80
-            if command is not None and not held:
+            # a fault reset acts on the rising edge only
+            if command is not None and not (command is cia.Command.FAULT_RESET and before & 0x80):
                 # illegal commands are ignored
                 self.state = cia.TRANSITIONS.get((self.state, command), self.state)
                 self.values[self.drive.status.index, 0] = self.statusword  # read by SDO, too
@@ -171,11 +168,8 @@ class SimulatedNode:
         index, sub = key
         for communication, mapping in cia.PARAMETERS.values():
             if mapping <= index < mapping + cia.MAX_PDOS:
-                active = (
-                    not self.values.get((index - mapping + communication, 1), cia.NOT_VALID)
-                    & cia.NOT_VALID
-                )
-                if active or (sub and self.values.get((index, 0))):
+                can_id = self.values.get((index - mapping + communication, 1), cia.NOT_VALID)
+                if not can_id & cia.NOT_VALID or (sub and self.values.get((index, 0))):
                     return "not possible in this state"
                 if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(
                     value & 0xFF
@@ -206,6 +200,29 @@ def _entries_of(index: int, count: int) -> dict[Key, str]:
     return {(index, sub): "U32" if sub else "U8" for sub in range(count + 1)}
 
 
+def _units_and_limits(drive: Drive) -> dict[Key, int]:
+    """Raw texts, modes, position units and limits of the description; 0 where it states none, or
+    the motor slides.
+    """
+    per_turn = Fraction(drive.file.counts_per_turn or 0).limit_denominator(1000)
+    position, velocity, motor_speed = cia.MOTION_LIMITS
+    texts = zip(cia.TEXTS, (b"sim", b"none", b"none"), strict=True)  # of four bytes: in one frame
+    values = {
+        (cia.SUPPORTED_MODES, 0): 1 << cia.Mode.CYCLIC_SYNCHRONOUS_POSITION - 1,
+        **{(index, 0): int.from_bytes(text, "little") for index, text in texts},
+    }
+    speeds = {velocity: drive.motion.speed or 0.0}
+    if per_turn:
+        for index, units in zip(cia.POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):
+            values |= {(index, 1): units.numerator, (index, 2): units.denominator}
+        speeds[motor_speed] = drive.motion.rpm or 0.0
+    values |= {(index, 0): int(cia.saturated(np.array(x), "U32")) for index, x in speeds.items()}
+    if drive.motion.position is not None:
+        low, high = cia.saturated(np.array(drive.motion.position), "I32").tolist()
+        values |= {(position, 1): low, (position, 2): high}
+    return values
+
+
 def simulated_node(drive: Drive) -> SimulatedNode:
     """A drive with the objects of its dictionary; without one, the usual objects and
     those in the description.
@@ -224,10 +241,10 @@ def simulated_node(drive: Drive) -> SimulatedNode:
             ):
                 values[index, sub] = value | cia.NOT_VALID
     else:
-        used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
+        named = drive.status, drive.control, drive.position, drive.target, drive.effort.entry
         types = (
             dict(cia.STANDARD)
-            | {entry.key: entry.type for entry in (*used, *drive.extras)}
+            | {entry.key: entry.type for entry in (*named, *drive.extras)}
             | {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
             | _entries_of(cia.IDENTITY, 4)
             | _entries_of(cia.CONSUMER_HEARTBEAT, CONSUMERS)
@@ -236,9 +253,12 @@ def simulated_node(drive: Drive) -> SimulatedNode:
             for k in range(4):
                 types |= _entries_of(communication + k, 1) | {(communication + k, 2): "U8"}
                 types |= _entries_of(mapping + k, 8)
+        stated = _units_and_limits(drive)
+        types |= dict.fromkeys(stated.keys() - types, "U32")
         # CiA 402: fault signal; off; quick stop ramp.
         values = (
             dict.fromkeys(types, 0)
+            | stated
             | {
                 (cia.DEVICE_TYPE, 0): 0x00020192,
                 (cia.CONSUMER_HEARTBEAT, 0): CONSUMERS,
@@ -314,8 +334,8 @@ class Supervision:
 
     def due_ns(self) -> int | None:
         """When a heartbeat or SYNC is next due to count as lost; None if nothing is supervised."""
-        sync = [] if self._sync_lost_ns is None else [self._sync_lost_ns]
-        return min([*self._deadlines().values(), *sync], default=None)
+        due = (*self._deadlines().values(), self._sync_lost_ns)
+        return min((time_ns for time_ns in due if time_ns is not None), default=None)
 
     def advance(self, now_ns: int) -> Sent:
         """React to lost heartbeats and lost SYNC; the emergency messages."""

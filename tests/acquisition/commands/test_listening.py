@@ -20,7 +20,7 @@ from acquisition.bus import Frame, open_link, other_node, service_of, sign_of_ma
 from acquisition.commands import main
 from acquisition.errors import BusFaultError, RefusedError, RobotIdimError
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
-from acquisition.session import InlineLog, Stop, Task, replay, replaying
+from acquisition.session import InlineLog, Stop, Task, replay, running
 from acquisition.simulated import LockStepLink, SimulatedDrives
 
 ROBOT = robot_of(bus_text(2))
@@ -88,7 +88,7 @@ def test_replay_is_refused_on_active_bus(tracked, can_id, monkeypatch):
         closing(open_link(file, passive=False)) as ours,
     ):
         somebody.send(can_id, b"\x01")
-        monkeypatch.setattr(replaying, "open_link", lambda *_, **__: ours)
+        monkeypatch.setattr(running, "open_link", lambda *_, **__: ours)
         with pytest.raises(RefusedError) as caught:
             replay(tracked, file, Stop())
     assert service_of(Frame(0, can_id, b"\x01"), 0x80) in caught.value.why
@@ -117,7 +117,7 @@ def test_replay_keeps_recorded_timing(tracked, monkeypatch):
     frames = next(iter(recording.frames.values())).copy()
     frames["time_ns"] += 1_700_000_000_000_000_000
     monkeypatch.setattr(
-        replaying, "read_recording", lambda _: replace(recording, frames={"test": frames})
+        running, "read_recording", lambda _: replace(recording, frames={"test": frames})
     )
     # A clock that waiting alone moves: what else this machine does cannot decide.
     now_s, sent = [0.0], []
@@ -126,8 +126,8 @@ def test_replay_keeps_recorded_timing(tracked, monkeypatch):
         send=lambda can_id, data: sent.append((now_s[-1], can_id)),
         close=lambda: None,
     )
-    monkeypatch.setattr(replaying, "open_link", lambda *_, **__: link)
-    monkeypatch.setattr(replaying, "time", SimpleNamespace(monotonic=lambda: now_s[-1]))
+    monkeypatch.setattr(running, "open_link", lambda *_, **__: link)
+    monkeypatch.setattr(running, "time", SimpleNamespace(monotonic=lambda: now_s[-1]))
     assert replay(tracked, bus_file(), Stop(), speed=4.0) == len(sent)
     syncs_s = np.array([at_s for at_s, can_id in sent if can_id == 0x80])
     recorded_ns = frames["time_ns"][frames["can_id"] == 0x80]
@@ -145,7 +145,7 @@ def test_replay_stops_at_first_foreign_frame(tracked, monkeypatch):
         return Frame(0, 0x701, b"\0") if len(sent) == 20 else None
 
     link = SimpleNamespace(take=take, send=lambda *frame: sent.append(frame), close=lambda: None)
-    monkeypatch.setattr(replaying, "open_link", lambda *_, **__: link)
+    monkeypatch.setattr(running, "open_link", lambda *_, **__: link)
     with pytest.raises(RefusedError) as caught:
         replay(tracked, bus_file(), Stop(), speed=1000.0)
     assert len(sent) == 20

@@ -366,7 +366,7 @@ def test_given_objects_have_given_types(kind, homed, monkeypatch):
     run, master = connected(robot_of(text), padded)
     run.drives.nodes[1].types[0x2000, 1] = "U8"
     run.drives.nodes[1].values[0x2000, 1] = 0
-    assert is_homed(master, master.bus.drives[1], master.bus.file.drive[1]) is homed
+    assert is_homed(master, master.bus.drives[1]) is homed
 
 
 def test_scan_accepts_answers_without_size(monkeypatch):

@@ -1,0 +1,349 @@
+"""What listens and reads before a drive is commanded: whether another master is there, a drive is
+enabled or not homed, and where the joints are, to be confirmed; and a scan of the nodes of an
+unknown bus, over a link that can send nothing but SDO reads.
+
+Before homing, the zero of an incremental encoder is the position at which it was switched on:
+position limits do not hold yet.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .. import protocol as cia
+from ..arrays import Array
+from ..errors import NoAnswerError, RefusedError, SdoAbortedError
+from ..recording import ERROR
+from ..robot import Bus, BusFile, Drive, Robot, axis_of, parse_homed
+from .frames import Frame, other_node, service_of, sign_of_master
+from .links import MasterLink
+from .master import SDO_TIMEOUT_NS, Master
+
+LISTEN_S = 0.5
+
+
+def listen_for_others(master: Master) -> RefusedError | None:
+    """Listen for half a second; the error for another master, else for a device that is not
+    described. Nothing is sent.
+    """
+    device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
+    while master.link.now_ns() < until_ns:
+        frame = master.link.receive(until_ns)
+        if frame is None or frame.flags & ERROR:
+            continue
+        if frame.can_id & 0x780 == cia.ANSWER:
+            master.dispatch(frame)
+        sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
+        if sign is not None:
+            return RefusedError(
+                f"{sign}: another master is active",
+                what="sending",
+                place="bus",
+                expected="none; `robot-acquire record --passive` records without sending. "
+                "Nothing was sent",
+            )
+        if node is not None:
+            device = RefusedError(
+                f"heartbeat of node {node}: a device that robot.toml does not describe, or a "
+                "wrong node id",
+                what="sending",
+                place="bus",
+                key="other_nodes",
+                value=master.bus.file.other_nodes,
+                expected=f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing "
+                "was sent",
+            )
+    return device
+
+
+def refuse_enabled(master: Master) -> list[int]:
+    """Nodes in fault, found by reading only.
+
+    Raises `RefusedError`: a drive is enabled, or two are one node.
+    """
+    in_fault = []
+    for drive in master.bus.drives:
+        state = master.state(drive)
+        if state not in cia.DISABLED:
+            raise RefusedError(
+                f"{state.words} before the session began, but no other master was heard",
+                what="the session",
+                place=f"node {drive.node}",
+                expected="switch on disabled; `robot-acquire disable` with this robot.toml "
+                "disables it",
+            )
+        if state is cia.State.FAULT:
+            in_fault.append(drive.node)
+    # for a second device's answer to the last request
+    master.wait(master.link.now_ns() + 30_000_000)
+    master.refuse_doubled()
+    return in_fault
+
+
+ERROR_REGISTER, ERROR_FIELD, ERROR_CODE = 0x1001, 0x1003, 0x603F
+# Shows joint positions, and drives in fault that would be reset, to the operator; True
+# where both are confirmed.
+Confirm = Callable[[list[str], list[str]], bool]
+
+
+def joint_positions(robot: Robot, master: Master) -> Array:
+    """Joint positions (n,) in rad or m, read by SDO.
+
+    Raises `RefusedError` where a drive does not answer.
+    """
+    return joints_of(
+        robot,
+        master.bus,
+        [
+            cia.signed(master.read(drive.node, *drive.position.key), drive.position.bits)
+            for drive in master.bus.drives
+        ],
+    )
+
+
+def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
+    """Joint positions (n,) in rad or m of the drives' `counts` (n), in the order of the drives."""
+    motors = [
+        drive.position_codec.si(np.array(c)) for drive, c in zip(bus.drives, counts, strict=True)
+    ]
+    return np.asarray(robot.joint_position(np.array(motors, dtype=float)[None])[0])
+
+
+def position_words(robot: Robot, q: Array) -> list[str]:
+    """One text for each joint, in degrees or metres: `joint_1 = 12.34 deg`."""
+    return [
+        f"{joint.name} = {value:.5f} m"
+        if joint.type == "prismatic"
+        else f"{joint.name} = {np.rad2deg(value):.2f} deg"
+        for joint, value in zip(robot.joints, q, strict=True)
+    ]
+
+
+def is_homed(master: Master, drive: Drive) -> bool | None:
+    """Whether the drive's object or bit named by `homed` is set; None where the
+    description names none.
+    """
+    if drive.file.homed is None:
+        return None
+    index, sub, bit = parse_homed(drive.file.homed)
+    value = master.read(drive.node, index, sub)
+    return bool(value if bit is None else value >> bit & 1)
+
+
+def confirm_motion(
+    robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False
+) -> list[str]:
+    """Refuse drives that are not homed, then ask the operator about the measured joint
+    positions and drives in fault.
+
+    With `reset_faults` drives in fault are reset without asking. Returns the confirmed texts, one
+    for each joint and drive in fault: `joint_1 = 12.34 deg`. Raises `RefusedError`: not homed, no
+    answer, or not confirmed.
+    """
+    for drive in master.bus.drives:
+        if is_homed(master, drive) is False:
+            raise RefusedError(
+                "not set",
+                what="motion",
+                place=f"node {drive.node} ({drive.name})",
+                key="homed",
+                value=drive.file.homed,
+                expected="a homed drive before motion",
+            )
+    words = position_words(robot, joint_positions(robot, master))
+    in_fault = [drive for drive in master.bus.drives if master.state(drive) is cia.State.FAULT]
+    faults = [
+        f"in fault: {error_report(master, drive) or f'node {drive.node} ({drive.name})'}"
+        for drive in in_fault
+    ]
+    if confirm(words, [] if reset_faults else faults):
+        return words + faults
+    if faults and not reset_faults:
+        raise RefusedError(
+            f"not confirmed: {'; '.join(faults)}",
+            what="motion",
+            place="drives",
+            expected="yes to their reset, or --reset-faults. Nothing was moved",
+        )
+    raise RefusedError(
+        f"joint angles not confirmed ({', '.join(words)}): nothing was moved", what="motion"
+    )
+
+
+def error_report(master: Master, drive: Drive) -> str:
+    """Error register (1001h), last error (1003h:1) and error code (603Fh) in one line; empty where
+    a drive has none of them.
+    """
+    values = []
+    for index, sub, name in (
+        (ERROR_REGISTER, 0, "error register 1001"),
+        (ERROR_FIELD, 1, "last error 1003:1"),
+        (ERROR_CODE + axis_of(drive), 0, f"error code {ERROR_CODE + axis_of(drive):04X}"),
+    ):
+        try:
+            value = master.read(drive.node, index, sub)
+        except (NoAnswerError, SdoAbortedError):
+            continue  # many drives lack one of them
+        values.append(
+            f"{name} = "
+            + (f"0x{value:02X}" if index == ERROR_REGISTER else cia.error_words(value & 0xFFFF))
+        )
+    return f"node {drive.node} ({drive.name}): {', '.join(values)}" if values else ""
+
+
+REQUEST_INTERVAL_NS = 1_000_000
+# a server may abort the upload before, which was too long for one frame, in place of an answer
+TRIES = 2
+MAX_UNANSWERED = 2  # objects in a row; then a node is asked for nothing more
+MAX_ENTRIES = 8  # of an array
+
+
+class Reading(NamedTuple):
+    """The value (or text) of an object, and what is wrong with the answer: none, an abort,
+    another size; else empty.
+    """
+
+    value: int | None
+    problem: str = ""
+    text: str = ""
+
+
+NO_ANSWER = Reading(None, "no answer")
+Readings = dict[tuple[int, int], Reading]  # by index and sub-index
+
+
+class Uploads:
+    """A link that sends SDO read requests only, and from the first frame of another master or
+    error frame on nothing.
+
+    `heard`: the services received, by node. `say` is called with the node of each request.
+    """
+
+    def __init__(
+        self, link: MasterLink, file: BusFile, say: Callable[[str], None] = lambda text: None
+    ) -> None:
+        self.bus, self.heard = Bus(file=file, drives=()), dict[int, set[str]]()
+        self._link, self._say, self._received, self._refusal = link, say, deque[Frame](), ""
+        self._sent = self._next_ns = 0
+
+    def now_ns(self) -> int:
+        """Time of the link."""
+        return self._link.now_ns()
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a read request, a millisecond after the last one and after a look at all
+        frames received until then.
+        """
+        while (frame := self._link.receive(self._next_ns)) is not None:
+            self._received.append(self._checked(frame))
+        is_read = data[:1] == b"\x40" and data[4:] == bytes(4)
+        is_read |= data[:1] in (b"\x60", b"\x70") and data[1:] == bytes(7)  # the next segment
+        if not cia.REQUEST < can_id <= cia.REQUEST + 127 or not is_read:
+            self._refusal = f"frame 0x{can_id:03X} is no SDO read"
+        self._refuse()
+        self._say(f"asking node {can_id - cia.REQUEST} of 1 to 127")
+        self._next_ns, self._sent = self.now_ns() + REQUEST_INTERVAL_NS, self._sent + 1
+        self._link.send(can_id, data)
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame.
+
+        Raises `RefusedError` for one of another master, and for an error frame.
+        """
+        frame = None if self._received else self._link.receive(until_ns)
+        return self._received.popleft() if self._received else frame and self._checked(frame)
+
+    def _checked(self, frame: Frame) -> Frame:
+        if frame.flags & ERROR:
+            self._refusal = (
+                f"error frame: {cia.error_frame_words(frame.can_id, frame.data)} (is the bitrate "
+                "right, is the bus terminated?)"
+            )
+        elif sign := sign_of_master(frame, self.bus):
+            self._refusal = f"{sign}: another master is active"
+        self._refuse()
+        service, _, node = service_of(frame, self.bus.file.sync_can_id).rpartition(" of node ")
+        if service:
+            self.heard.setdefault(int(node), set()).add(service)
+        return frame
+
+    def _refuse(self) -> None:
+        if self._refusal:
+            sent = f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"
+            raise RefusedError(
+                self._refusal, what="sending", place="bus", expected=f"none during a scan; {sent}"
+            )
+
+
+def scan_nodes(
+    uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]
+) -> dict[int, Readings]:
+    """Listen, find the nodes that answer 1000h, and read `objects` and the
+    entries of `arrays` of each.
+    """
+    master, request = Master(uploads, uploads.bus), cia.read_request(cia.DEVICE_TYPE, 0)
+    master.wait(uploads.now_ns() + round(LISTEN_S * 1e9))
+    for node in range(1, 128):
+        master.post(node, request)
+    master.wait(uploads.now_ns() + SDO_TIMEOUT_NS)
+    found = [node for node in range(1, 128) if master.answered(node, request) is not None]
+    return {node: _read_node(master, node, objects, arrays) for node in found}
+
+
+def _read_node(
+    master: Master, node: int, objects: Sequence[tuple[int, int]], arrays: Sequence[int]
+) -> Readings:
+    readings, keys, unanswered = Readings(), [*objects, *((index, 0) for index in arrays)], 0
+    for index, sub in keys:
+        reading = _read(master, node, index, sub) if unanswered < MAX_UNANSWERED else NO_ANSWER
+        unanswered = unanswered + 1 if reading is NO_ANSWER else 0
+        readings[index, sub] = reading
+        if index in arrays and not sub:
+            keys += [(index, k + 1) for k in range(min(reading.value or 0, MAX_ENTRIES))]
+    master.refuse_doubled()
+    return readings
+
+
+def upload_segments(master: Master, node: int, index: int) -> cia.Transfer:
+    """The value whose upload has begun with an answer of kind `other`, or an abort.
+
+    Raises as `Master.upload`.
+    """
+    data = b""
+    for k in range(64):  # 448 bytes
+        request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")  # with the toggle bit
+        answer = master.exchange(node, request, f"node {node}")
+        if answer[0] >> 5:
+            return cia.answer_of(answer)
+        master.unanswered[node] -= 1
+        data += answer[1 : 8 - (answer[0] >> 1 & 7)]
+        if answer[0] & 1:
+            master.unanswered[node] -= 1  # the request that began it
+            break
+    return cia.Transfer(kind="value", index=index, data=data)
+
+
+def _read(master: Master, node: int, index: int, sub: int) -> Reading:
+    size, signed = cia.BITS[cia.object_type(index, sub)] // 8, cia.object_type(index, sub)[0] == "I"
+    for _ in range(TRIES):
+        try:
+            answer = master.upload(node, index, sub)
+            if answer.kind == "other" and index in cia.TEXTS:
+                answer = upload_segments(master, node, index)
+        except NoAnswerError:
+            continue
+        if answer.kind == "other":
+            return Reading(None, f"more than 4 bytes: expected {size}")
+        try:
+            cia.check_answer(answer, "value", node, "")
+        except SdoAbortedError as error:
+            return Reading(None, f"{error.meaning} (0x{error.code:08X})")
+        if index in cia.TEXTS:
+            return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
+        return Reading(
+            int.from_bytes(answer.data[:size], "little", signed=signed),
+            "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}",
+        )
+    return NO_ANSWER
