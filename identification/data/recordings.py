@@ -2,7 +2,7 @@
 recordings are of one robot.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -142,8 +142,8 @@ def _with_recorded_controller(
         f"{path.name}: the given [controller] is not used: the drives of a dry run have their own"
     )
     is_other = robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz)
-    files = {**robot.files, SIMULATED_CONTROLLER: law}
-    return robot_from_files(files, str(path)), (warning,) * is_other
+    found = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
+    return found, (warning,) * is_other
 
 
 def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[str, Array]:
@@ -167,12 +167,14 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
     """Another description may correct ratios and gains, but cannot change volts
     to amperes or rad to m.
     """
-    motors = zip(was.motors, robot.motors, strict=True)
-    joints = zip(was.joints, robot.joints, strict=True)
-    for key, before, now in (
-        *((f"motor {a.name}", a.recorded_unit, b.recorded_unit) for a, b in motors),
-        *((f"joint {a.name}", a.position_unit, b.position_unit) for a, b in joints),
-    ):
+    units = (
+        [
+            *((f"motor {motor.name}", motor.recorded_unit) for motor in of.motors),
+            *((f"joint {joint.name}", joint.position_unit) for joint in of.joints),
+        ]
+        for of in (was, robot)
+    )
+    for (key, before), (_, now) in zip(*units, strict=True):
         if before != now:
             raise BadInputError(
                 place=str(path),
@@ -217,9 +219,8 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
         if whole
         else float(np.abs(off).max())
     )
-    if whole and off_grid <= ON_GRID:
-        return since, round(1e9 / period, 6), off_grid
-    grid = np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
+    is_grid = whole and off_grid <= ON_GRID
+    grid = since if is_grid else np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
     return grid, round(1e9 / period, 6), off_grid
 
 
@@ -321,7 +322,8 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
                 value=other.robot.n,
                 expected=f"{first.robot.n}, as in {first.recording}",
             )
-        for key, value, wanted in _compare(other.robot, first.robot):
+        each, wanted_of = _identity(other.robot, first.robot), _identity(first.robot, first.robot)
+        for (key, value), (_, wanted) in zip(each, wanted_of, strict=True):
             if value != wanted:
                 raise BadInputError(
                     place=other.recording,
@@ -332,18 +334,26 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
                 )
 
 
-def _compare(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
-    """What must agree between two robots with as many joints: key and both values."""
-    for mine, others in zip(a.joints, b.joints, strict=True):
-        for name in JOINT_KEYS:
-            yield f"joint {mine.name}: {name}", getattr(mine, name), getattr(others, name)
-        yield f"joint {mine.name}: friction", _friction(mine), _friction(others)
-    for motor, other in zip(a.motors, b.motors, strict=True):
-        for name in MOTOR_KEYS:
-            yield f"motor {motor.name}: {name}", getattr(motor, name), getattr(other, name)
-    for key, x, y in (("gravity_m_s2", a.gravity, b.gravity), ("motor_matrix", a.R, b.R)):
-        yield key, np.asarray(x).tolist(), np.asarray(y).tolist()
-    yield "urdf", "the same" if a.urdf == b.urdf else "another", "the same"
+def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:
+    """What must be that of the `first` robot, with as many joints: keys and values."""
+    of_joints = [(joint, name) for joint in robot.joints for name in (*JOINT_KEYS, "friction")]
+    return [
+        *(
+            (
+                f"joint {joint.name}: {name}",
+                _friction(joint) if name == "friction" else getattr(joint, name),
+            )
+            for joint, name in of_joints
+        ),
+        *(
+            (f"motor {motor.name}: {name}", getattr(motor, name))
+            for motor in robot.motors
+            for name in MOTOR_KEYS
+        ),
+        ("gravity_m_s2", np.asarray(robot.gravity).tolist()),
+        ("motor_matrix", np.asarray(robot.R).tolist()),
+        ("urdf", "the same" if robot.urdf == first.urdf else "another"),
+    ]
 
 
 def _friction(joint: Joint) -> tuple[str, ...]:

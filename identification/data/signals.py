@@ -6,19 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from typing import Any, TypedDict, Unpack
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition.errors import Place
+from acquisition.errors import BadInputError, Place
 from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL, Event, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
 from ..arrays import Array, Bools
-from ..errors import BadInputError
 
 NAME = "arrays"  # in place of a recording's name
 MAX_OFF_RATE = 0.05  # from the rate of the recording that arrays are of; less is a correction
@@ -87,14 +86,14 @@ class Signals:
 
     def __post_init__(self) -> None:
         N, n = self.q.shape
-        parts = {name: getattr(self, name) for name in COLUMNS}
-        for name, part in parts.items():
+        parts = {name: of for name in COLUMNS if (of := getattr(self, name)) is not None}
+        for name, array in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
-            if part is not None and part.shape != shape:
+            if array.shape != shape:
                 raise BadInputError(
                     place=self.recording,
                     key=f"{name}.shape",
-                    value=part.shape,
+                    value=array.shape,
                     expected=f"{shape}, as q has",
                 )
         if n != (joints := len(self.robot.joints)):
@@ -113,17 +112,16 @@ class Signals:
                 expected=f"the drive gains of robot {self.robot.name}",
             )
         for name, array in parts.items():
-            if array is not None:
-                if not np.isfinite(array).all():
-                    row = int(np.argwhere(~np.isfinite(array))[0, 0])
-                    raise BadInputError(
-                        place=self.recording,
-                        key=f"{name}[{row}]",
-                        value=array[row].tolist(),
-                        expected="finite numbers",
-                    )
-                array.flags.writeable = False
-                release_pages(array)
+            if not np.isfinite(array).all():
+                row = int(np.argwhere(~np.isfinite(array))[0, 0])
+                raise BadInputError(
+                    place=self.recording,
+                    key=f"{name}[{row}]",
+                    value=array[row].tolist(),
+                    expected="finite numbers",
+                )
+            array.flags.writeable = False
+            release_pages(array)
 
     def load(self) -> "Signals":
         """Itself, as what is read already."""
@@ -172,23 +170,15 @@ class Signals:
 OF_FILES = WeakValueDictionary[int, Signals]()
 
 
-class OptionalColumns(TypedDict, total=False):
-    """Optional arrays (N, n), by their names in a recording."""
-
-    velocity: ArrayLike | None
-    known_torque: ArrayLike | None
-    feedforward: ArrayLike | None
-
-
 def signals_from_arrays(
     q: ArrayLike,
     effort: ArrayLike,
     sample_rate_hz: float,
     robot: Robot,
     q_ref: ArrayLike | None = None,
-    **columns: Unpack[OptionalColumns],
+    **columns: ArrayLike | None,
 ) -> Signals:
-    """Signals from arrays (N, n), which are copied; arguments and errors as
+    """Signals from arrays (N, n), which are copied, of `OPTIONAL` ones too; arguments and errors as
     of `identification.fit`.
 
     Of a log that is faster than its robot only the new rows are taken, with a warning in `events`;
@@ -238,8 +228,9 @@ def signals_from_arrays(
         doubts += check_recorded_velocities(
             robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME
         )
-    rows = {"stamp_ns": 1e9 * signals.t_s, "position": signals.q, "effort": signals.effort}
-    measured, text = measured_rows(rows, robot)
+    measured, text = measured_rows(
+        {"stamp_ns": 1e9 * signals.t_s, "position": signals.q, "effort": signals.effort}, robot
+    )
     return replace(
         signals,
         measured=measured if text else None,
