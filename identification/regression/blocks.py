@@ -180,6 +180,8 @@ def predicted_torque(
         motion,
         stride,
     ).swapaxes(0, 1)
-    each = zip(models, rigid, strict=True)
-    tau = [one.torque(motion.q, motion.dq, motion.ddq, rigid=of_links) for one, of_links in each]
+    tau = [
+        one.torque(motion.q, motion.dq, motion.ddq, rigid=of_links)
+        for one, of_links in zip(models, rigid, strict=True)
+    ]
     return np.reshape(tau, (*beta.shape[:-1], *motion.q.shape))

@@ -189,5 +189,6 @@ def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
     joint of the same type.
     """
     limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
-    each = zip(joints, peak > limits, strict=True)
-    return tuple(joint.name for joint, moves in each if not moves)
+    return tuple(
+        joint.name for joint, stands in zip(joints, ~(peak > limits), strict=True) if stands
+    )

@@ -1,7 +1,7 @@
 """The input of a fit: a recording, the settings, the model of the robot and its base parameters."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,7 +16,6 @@ from ..data import RecordingFile, Signals
 from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
 from .filtering import decimation_reach, nearby
-from .known_lag import LAG_REACH
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
     Overrides,
@@ -25,6 +24,7 @@ from .settings import (
     rule_cutoff_hz,
     with_bandwidth,
 )
+from .span_band_lag import LAG_REACH
 
 FIRST_MINUTES_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
 # numbers of the regressor of a block, 64 MB; short blocks spend more time on margins
@@ -76,12 +76,6 @@ class Problem:
             release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
 
-    def row_times_s(self) -> Array:
-        """(rows,) instants of the decimated rows, s: decimation keeps the last sample and
-        every n_d-th before it.
-        """
-        return np.asarray(self.with_samples().signals.t_s[self.settings.instants])
-
     @property
     def kinds(self) -> list[str]:
         """(b,) kinds of the base parameters that are of joints; empty for those of links."""
@@ -112,10 +106,8 @@ class Problem:
         """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit
         has none or a higher one.
         """
-        settings = self.settings
-        if settings.filtered and settings.cutoff_hz is not None:
-            return settings.cutoff_hz
-        return rule_cutoff_hz(self.signals)
+        own_hz = self.settings.cutoff_hz if self.settings.filtered else None
+        return rule_cutoff_hz(self.signals) if own_hz is None else own_hz
 
     def measured_samples(self, beside: int = 0) -> Bools:
         """Which samples (N,) are far from all that were not measured: by half a period of the
@@ -157,11 +149,14 @@ class Problem:
         """The same behind the filters behind which torque errors are told."""
         settings = self.settings.for_errors(self.signals.sample_rate_hz)
         if settings is self.settings:
-            text = (
-                f"{self.signals.recording} is too short for the filters behind which torque errors "
-                "are told: they include noise that passes those of the fit"
+            settings = replace(
+                settings,
+                warnings=(
+                    *settings.warnings,
+                    f"{self.signals.recording} is too short for the filters behind which torque "
+                    "errors are told: they include noise that passes those of the fit",
+                ),
             )
-            settings = replace(settings, warnings=(*settings.warnings, text))
         stated = self.signals.motion_hz is None
         signals = self.signals if stated else replace(self.signals, motion_hz=None)
         return replace(self, signals=signals, settings=settings)
@@ -173,12 +168,14 @@ class Problem:
         s, fs = self.settings, self.signals.sample_rate_hz
         if (stop := s.start + round(FIRST_MINUTES_S * fs)) >= s.stop:
             return self
-        signals, settings = (
-            self.signals.first(stop + round(MARGIN_S * fs)),
-            replace(s, used=range(s.start, stop)),
+        signals = self.signals.first(stop + round(MARGIN_S * fs))
+        return replace(
+            self,
+            signals=signals,
+            source=None,
+            motion=FilteredMotion(signals),
+            settings=replace(s, used=range(s.start, stop)),
         )
-        motion = FilteredMotion(signals)
-        return replace(self, signals=signals, source=None, motion=motion, settings=settings)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
         """The same without friction terms that are regrouped with nothing;
@@ -198,13 +195,16 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
     )
     for name in gains:
         if name not in names:
-            expected = f"one of {', '.join(names)}"
-            raise BadInputError(place=place, key="gains", value=name, expected=expected)
+            raise BadInputError(
+                place=place, key="gains", value=name, expected=f"one of {', '.join(names)}"
+            )
     for name, gain in names.items():
         if gain is None and name not in gains:
-            expected = f"drive_gain, or {name} among the gains to identify"
             raise BadInputError(
-                place=place, key=f"motor {name}: drive_gain", value=None, expected=expected
+                place=place,
+                key=f"motor {name}: drive_gain",
+                value=None,
+                expected=f"drive_gain, or {name} among the gains to identify",
             )
 
 
@@ -217,8 +217,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     if overrides.gains:
         if "all" not in overrides.gains:
             _refuse_unknown_motors(signals, overrides.gains)
-        robot = replace(signals.robot, identified_gain=signals.robot.gain)
-        signals = replace(signals, robot=robot)
+        signals = replace(signals, robot=replace(signals.robot, identified_gain=signals.robot.gain))
     signals = with_bandwidth(signals)
     motion = FilteredMotion(signals)
     settings = make_settings(signals, overrides, motion)
@@ -238,7 +237,7 @@ def with_common_band(problems: Sequence[Problem]) -> list[Problem]:
     return [replace(one, settings=replace(one.settings, band_hz=band_hz)) for one in problems]
 
 
-def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
+def row_blocks(problem: Problem) -> Iterator[tuple[slice, slice]]:
     """The rows of the span used, in blocks: the rows that the filters need samples of, and in these
     the rows of the block itself. The borders depend only on the recording.
 
@@ -248,8 +247,7 @@ def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
     n_d, rows = problem.settings.decimation, len(problem.settings.instants)
     margin = -(-decimation_reach(n_d) // n_d)
     series = int(problem.model.nonzero[:, problem.base.columns].sum())
-    size, found = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1), list[tuple[slice, slice]]()
+    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
     for first, last in pairwise([*range(0, max(1, rows - margin), size), rows]):
         low, high = max(0, first - margin), min(rows, last + margin)
-        found.append((slice(low, high), slice(first - low, last - low)))
-    return found
+        yield slice(low, high), slice(first - low, last - low)

@@ -173,11 +173,8 @@ class Unknowns:
 
     def start(self, lags_s: Sequence[float]) -> Array:
         """x (p,) of nothing but described gains, what is stated, and known lags."""
-        x = np.zeros(len(self.all))
-        x[self.gains] = 1.0
-        x[len(self.names) : len(x) - len(lags_s)] = [stated.value for stated in self.held]
-        x[self.lags] = lags_s
-        return x
+        gains, held = np.ones(len(self.motors)), [stated.value for stated in self.held]
+        return np.asarray(np.r_[np.zeros(self.gains.start), gains, held, lags_s])
 
     @property
     def plain(self) -> bool:
@@ -231,8 +228,10 @@ def make_unknowns(
     names = _base_names(problems[0], labels, friction)
     carried = payload_columns(problems, labels, scale=bool(motors))
     payloads = tuple(dict.fromkeys(payload for payload in carried if payload is not None))
-    arm = [*dict.fromkeys(chain.from_iterable(zip(*names, strict=True)))]
-    arm += [name for payload in payloads for name in payload.names]
+    arm = [
+        *dict.fromkeys(chain.from_iterable(zip(*names, strict=True))),
+        *(name for payload in payloads for name in payload.names),
+    ]
     free = (*arm, *(gain_name(robot.motors[m].name) for m in motors))
     held = (*_held_gains(robot, motors, len(free)), *_held_payloads(payloads, free))
     groups = lag_groups(problems)
@@ -344,6 +343,5 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
 def _labels(recordings: Sequence[str]) -> list[str]:
     """Short names of recordings: without their endings, and numbered if these are not unique."""
     stems = [Path(name).stem for name in recordings]
-    if len(set(stems)) == len(stems):
-        return stems
-    return [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]
+    unique = len(set(stems)) == len(stems)
+    return stems if unique else [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]

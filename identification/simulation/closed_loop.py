@@ -199,26 +199,19 @@ class ClosedLoop:
             except ArithmeticError as error:
                 reason, rows = str(error), rows - 1
             off = out[0, first * substeps : rows : substeps] - q_ref[first : -(-rows // substeps)]
-            if (left := _first_beyond(off, bound)) is not None:
-                k = first + left[0]
-                rows, t_s = k * substeps, (self._instants + k) * substeps * self._h
-                reason = f"the simulated robot leaves its reference at joint {left[1]}, {t_s:.3f} s"
+            far = np.argwhere(~(np.abs(off) < bound))  # or not finite
+            if len(far):
+                rows = (first + int(far[0, 0])) * substeps
+                t_s = (self._instants * substeps + rows) * self._h
+                reason = (
+                    "the simulated robot leaves its reference at joint "
+                    f"{1 + far[0, 1]}, {t_s:.3f} s"
+                )
             if reason is not None:
                 break
         self._q, self._v, self._instants = q, v, self._instants + N
         out[2, :rows] = np.diff(out[1, :rows], axis=0, append=np.reshape(v, (1, n))) / self._h
         return out[:, :rows], reason
-
-
-def _first_beyond(off: Array, bound: Array) -> tuple[int, int] | None:
-    """The first row of deviations (K, n) beyond a bound (n,), or not finite, and the number of the
-    joint; None if there is none.
-    """
-    far = ~(np.abs(off) < bound)
-    if not far.any():
-        return None
-    row = int(far.any(axis=1).argmax())
-    return row, 1 + int(far[row].argmax())
 
 
 class RigidBodyPlant:

@@ -143,14 +143,13 @@ def _followed(
         [100 * float(a / b) if b > 0 else None for a, b in np.linalg.norm(pair, axis=1).T]
         for pair in ((errors, sizes), (torque - measured, measured))
     ]
-    by_joint = tuple(
-        DirectModelResidual(name=joint.name, position_error_percent=a, torque_error_percent=b)
-        for joint, a, b in zip(problem.signals.robot.joints, *percents, strict=True)
-    )
     return replace(
         found,
         motion=Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau),
         error=q - wanted,
         percent=100 * float(np.linalg.norm(errors) / np.linalg.norm(sizes)),
-        by_joint=by_joint,
+        by_joint=tuple(
+            DirectModelResidual(name=joint.name, position_error_percent=a, torque_error_percent=b)
+            for joint, a, b in zip(problem.signals.robot.joints, *percents, strict=True)
+        ),
     )

@@ -118,8 +118,8 @@ def unstated_limits(problem: Problem) -> list[str]:
 def _motor_efforts(problem: Problem) -> Iterator[Array]:
     """The recorded efforts (K, n) of the motors in the span used, in blocks."""
     # As recorded: a spline that corrects a lag would overshoot the limit.
-    blocks = _blocks(problem, problem.signals.effort)
-    return (problem.signals.robot.motor_effort(effort) for (effort,) in blocks)
+    for (effort,) in _blocks(problem, problem.signals.effort):
+        yield problem.signals.robot.motor_effort(effort)
 
 
 def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:

@@ -261,11 +261,10 @@ class SimulatedRecording:
             span = self.decimation.samples(near, self.N)
             k = np.arange(span.start, span.stop)
             steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
-            q, dq = _on_lines(steps, along[:2])
             # The acceleration is that of the middle of a step; a torque stands for the middle of
             # the controller's instants.
-            (ddq,) = _on_lines(steps - 0.5, along[2:3])
-            (tau,) = _on_lines(steps - self.loop.middle, along[3:])
+            early = (0.0, 0.0, 0.5, self.loop.middle)
+            q, dq, ddq, tau = (_on_lines(steps - by, y) for by, y in zip(early, along, strict=True))
             x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
             if self.instants > CHUNK:
                 release_pages(along)
@@ -275,13 +274,12 @@ class SimulatedRecording:
 
 
 def _on_lines(at: Array, x: Array) -> Array:
-    """Series x (k, N, n) at places (K,), on straight lines between their samples; beyond the ends,
-    the end samples.
+    """Series x (N, n) at places (K,), on straight lines between their samples; beyond the ends, the
+    end samples.
     """
-    last = x.shape[1] - 1
-    low = np.clip(at, 0, last).astype(np.intp)
+    low = np.clip(at, 0, len(x) - 1).astype(np.intp)
     share = np.clip(at - low, 0, 1)[:, None]
-    return x[:, low] + share * (x[:, np.minimum(low + 1, last)] - x[:, low])
+    return np.asarray(x[low] + share * (x[np.minimum(low + 1, len(x) - 1)] - x[low]))
 
 
 def predicted_motion(problem: Problem) -> FilteredMotion:
@@ -290,8 +288,7 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
     """
     if (r := problem.signals.q_ref) is None:
         return problem.motion
-    used = problem.settings.used
-    span = used.start, used.stop
+    span = problem.settings.start, problem.settings.stop
     return problem.motion.once(("predicted", *span), lambda: _predicted(problem.signals, r, *span))
 
 
