@@ -4,7 +4,15 @@ It owns `Problem`, a recording with its settings and its model, and the terms wh
 the rows. It may use `model` and the rooms below.
 """
 
-from .blocks import Candidate, MotionBlock, motion_blocks, predicted_torque
+from .blocks import (
+    Candidate,
+    MotionBlock,
+    motion_blocks,
+    predicted_torque,
+    refuse_standing_joints,
+    sample_weights,
+    weights_at,
+)
 from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass, lowpass_reach
 from .lag import LAG_ORDERS, combined_lag, lags_in
 from .motion import (
@@ -44,4 +52,3 @@ from .settings import (
 from .span_band_lag import NOTHING, Lag
 from .terms import friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_places, make_unknowns
-from .weights import refuse_standing_joints, sample_weights, weights_at
