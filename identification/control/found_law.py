@@ -102,15 +102,18 @@ class FoundLaw:
         return delay_s if fits and abs(delay_s) > half_s else 0.0
 
 
-def law_of_recording(robot: Robot, found: FoundLaw | None) -> ControlLaw | None:
-    """The law that the description has or, without one, that was found; None for neither.
+def law_of_recording(problem: Problem, found: FoundLaw | None) -> ControlLaw | None:
+    """The law that the description has or, without one, that was found; None for neither. Along a
+    measured position it has the model's gravity, as the position has the sag.
 
     Raises `BadInputError` for an incomplete description.
     """
-    described = described_law(robot)
-    if described is None and found is not None and found.reason is None:
-        return replace(found.law, G=robot.gain)  # those that a fit identified
-    return described
+    law = described_law(problem.robot)
+    if law is None and found is not None and found.reason is None:
+        law = replace(found.law, G=problem.robot.gain)  # those that a fit identified
+    if law is None or problem.signals.q_ref is not None or law.gravity == "measured":
+        return law
+    return replace(law, gravity="reference")
 
 
 def law_of(problem: Problem) -> FoundLaw | None:
@@ -298,13 +301,13 @@ def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s
     """Of a motor Kp, Kd, Ki, their half-widths, and delay, its half-width, lag, its deviation,
     s, (10,); NaN if undetermined. If gains are `stated` (3,), the lag is that with these.
     """
-    letters, sd_s, found = STRUCTURES[name], motor.known.sd_s, np.full(10, np.nan)
+    letters, found = STRUCTURES[name], np.full(10, np.nan)
     _, rho, J = motor.solved(letters, late_s, *x[-2:])
     rows, names = np.zeros(len(rho), dtype=np.intp), tuple(map(str, range(J.shape[1])))
     with suppress(NoFitError):
         whole = System.whole(J, rho, rows, names)
         sd_L = intervals_of(whole, ordinary_least_squares(whole)).sigma[-1]
-        sd_L = 1 / math.hypot(1 / sd_L, 1 / max(sd_s, 1e-12))
+        sd_L = 1 / math.hypot(1 / sd_L, 1 / max(motor.known.sd_s, 1e-12))
         sd_L = math.hypot(sd_L, LEAST_LAG_SD / motor.rate_hz)
         whole = whole.with_columns(np.arange(len(names) - 1))
         held = ordinary_least_squares(whole)

@@ -138,12 +138,10 @@ def _with_recorded_controller(
     law = was.files.get(SIMULATED_CONTROLLER)
     if law is None:
         return robot, ()
-    warning = (
-        f"{path.name}: the given [controller] is not used: the drives of a dry run have their own"
-    )
     is_other = robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz)
     found = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
-    return found, (warning,) * is_other
+    warning = "the given [controller] is not used: the drives of a dry run have their own"
+    return found, (f"{path.name}: {warning}",) * is_other
 
 
 def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[str, Array]:
@@ -235,11 +233,15 @@ def _resample(grid: Array, since: Array, x: Array) -> Array:
 
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
     """The recorder's counters by name, over time in s from the first sample."""
-    rows = dict[str, list[tuple[float, float]]]()
-    for health in recording.health:
-        for name, count in health.counters.items():
-            rows.setdefault(name, []).append((1e-9 * (health.stamp_ns - first_ns), count))
-    return {name: (x[:, 0], x[:, 1]) for name, x in ((k, np.array(v)) for k, v in rows.items())}
+    rows = [(1e-9 * (one.stamp_ns - first_ns), one.counters) for one in recording.health]
+    names = dict.fromkeys(name for _, counters in rows for name in counters)
+    return {
+        name: (
+            np.array([t_s for t_s, counters in rows if name in counters]),
+            np.array([float(counters[name]) for _, counters in rows if name in counters]),
+        )
+        for name in names
+    }
 
 
 def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:

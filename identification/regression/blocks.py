@@ -71,13 +71,12 @@ class SampleWeights:
         """1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain
         below 1 at frequency 0.
         """
-        settings, parts = problem.settings, list[Array]()
-        decimation, N = settings.decimator, settings.stop - settings.start
+        settings, parts, decimation = problem.settings, list[Array](), problem.settings.decimator
         # negative for `ROWS`
         self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
         for near, inside in row_blocks(problem):
-            samples = decimation.samples(near, N)
-            off = 1 - self.between(settings.start + samples.start, settings.start + samples.stop)
+            at = settings.used[decimation.samples(near, len(settings.used))]
+            off = 1 - self.between(at.start, at.stop)
             parts.append(1 - decimation.filtered(off)[:, inside] / decimation.gain)
         share = np.concatenate(parts, axis=1).T
         share = np.where(self.ramps == ROWS, moving * share, share)
@@ -165,8 +164,8 @@ def _moves(problem: Problem) -> Bools:
         if not settings.filtered and low < high:
             off = problem.motion.between(low, high, settings.cutoff_hz).dq - dq[low - a : high - a]
             noise += off.sum(axis=0), (off**2).sum(axis=0)
-    threshold = 0.01 * (LOW_SPEED_PERCENT if percent is None else percent)
-    threshold = threshold * np.abs(speed[settings.start : settings.stop]).max(axis=0, initial=0.0)
+    peak = np.abs(speed[settings.start : settings.stop]).max(axis=0, initial=0.0)
+    threshold = 0.01 * (LOW_SPEED_PERCENT if percent is None else percent) * peak
     if percent is None:
         mean, square = noise / (settings.stop - settings.start)
         square, of_low_pass = (
@@ -346,10 +345,9 @@ def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
     settings, decimation = problem.settings, problem.settings.decimator
     stride = decimation.stride_behind(settings.cutoff_hz, problem.signals.sample_rate_hz)
     for near, inside in row_blocks(problem):
-        span = decimation.samples(near, settings.stop - settings.start)
-        start, stop = (settings.start + k for k in (span.start, span.stop))
+        at = settings.used[decimation.samples(near, len(settings.used))]
         yield MotionBlock(
-            **vars(problem.motion.between(start, stop, settings.cutoff_hz)),
+            **vars(problem.motion.between(at.start, at.stop, settings.cutoff_hz)),
             problem=problem,
             near=near,
             inside=inside,

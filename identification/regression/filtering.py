@@ -10,7 +10,7 @@ for published digits, is an option.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 from itertools import count
 
 import numpy as np
@@ -102,11 +102,10 @@ class Decimation:
                     value=x.shape[-1],
                     expected=f"more than {padding}",
                 )
-            first = (x.shape[-1] - 1) % r
             x = (
                 _decimated(x, r)
                 if self.smooth_ends
-                else _chebyshev(r).forward_backward(x, padding)[..., first::r]
+                else _chebyshev(r).forward_backward(x, padding)[..., (x.shape[-1] - 1) % r :: r]
             )
         return np.ascontiguousarray(x)
 
@@ -130,9 +129,7 @@ class Decimation:
         y = np.concatenate(
             [_decimated(head, r)[..., :k], passed, _decimated(tail, r)[..., -k:]], axis=-1
         )
-        for r in others:
-            y = _decimated(y, r)
-        return np.ascontiguousarray(y)
+        return np.ascontiguousarray(reduce(_decimated, others, y))
 
     @property
     def end_samples(self) -> int:

@@ -165,12 +165,11 @@ def motion_between(
     if cutoff_hz:
         part = lowpass(part, cutoff_hz, sample_rate_hz)
     dq = differentiate(part, sample_rate_hz)
-    ddq = differentiate(dq, sample_rate_hz)
     return Motion(
         t_s=np.arange(start, stop) / sample_rate_hz,
         q=np.array(part[inside]),
         dq=dq[inside],
-        ddq=ddq[inside],
+        ddq=differentiate(dq, sample_rate_hz)[inside],
         tau=np.array(tau[start:stop]),
     )
 

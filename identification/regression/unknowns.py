@@ -233,7 +233,7 @@ def make_unknowns(
         *(name for payload in payloads for name in payload.names),
     ]
     free = (*arm, *(gain_name(robot.motors[m].name) for m in motors))
-    held = (*_held_gains(robot, motors, len(free)), *_held_payloads(payloads, free))
+    held = _held(robot, motors, payloads, free)
     groups = lag_groups(problems)
     x = (*free, *(stated.name for stated in held), *(f"lag {g}" for g in range(len(groups))))
     return Unknowns(
@@ -262,28 +262,35 @@ def _base_names(
     ]
 
 
-def _held_gains(robot: Robot, motors: tuple[int, ...], free: int) -> list[Held]:
-    """The drive gains that are stated with a half-width, beside those of `motors`."""
-    return [
-        Held(name=gain_name(motor.name), value=1.0, half=half / gain, stated=np.zeros(free))
-        for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
-        if (half := motor.drive_gain_half_width) and m not in motors
-    ]
-
-
-def _held_payloads(payloads: Sequence[PayloadColumns], free: tuple[str, ...]) -> list[Held]:
-    """Masses and centres of mass that are stated with a half-width, in half-widths."""
-    return [
-        Held(
-            name=f"half-width {i}:{number}",
-            value=0.0,
-            half=1.0,
-            stated=stated,
-            column=partial(_with_payload, columns.payload, moves),
-        )
-        for number, columns in enumerate(payloads)
-        for i, (moves, stated) in enumerate(columns.half_widths(free))
-    ]
+def _held(
+    robot: Robot,
+    motors: tuple[int, ...],
+    payloads: Sequence[PayloadColumns],
+    free: tuple[str, ...],
+) -> tuple[Held, ...]:
+    """What is stated with a half-width: drive gains, beside those of `motors`, and masses and
+    centres of mass, in half-widths; `free` are the names of the free unknowns.
+    """
+    return (
+        *(
+            Held(
+                name=gain_name(motor.name), value=1.0, half=half / gain, stated=np.zeros(len(free))
+            )
+            for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
+            if (half := motor.drive_gain_half_width) and m not in motors
+        ),
+        *(
+            Held(
+                name=f"half-width {i}:{number}",
+                value=0.0,
+                half=1.0,
+                stated=stated,
+                column=partial(_with_payload, columns.payload, moves),
+            )
+            for number, columns in enumerate(payloads)
+            for i, (moves, stated) in enumerate(columns.half_widths(free))
+        ),
+    )
 
 
 def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
@@ -292,7 +299,7 @@ def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
     for k, problem in enumerate(problems):
         signals, known = problem.signals, problem.settings.known_lag
         same = signals.effort_object, signals.effort_timing, signals.sample_rate_hz
-        groups.setdefault((*same, known.sd_s == 0.0 and known.value_s), []).append(k)
+        groups.setdefault((*same, known.stated and known.value_s), []).append(k)
     return tuple(map(tuple, groups.values()))
 
 

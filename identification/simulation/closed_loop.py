@@ -70,8 +70,9 @@ class Friction:
         self._v_s = STICTION * np.maximum(fastest, 1e-9)
         self._rigid: Array | None = None  # torque of the links in the previous step
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
-        viscous = model.viscous, model.viscous_up, model.viscous_down
-        self._rotor, *self._sides = map(numbers.own, (model.rotor, *viscous))
+        self._rotor, *self._sides = map(
+            numbers.own, (model.rotor, model.viscous, model.viscous_up, model.viscous_down)
+        )
         self._V = self._sides[0]
         self._added = self._rotor + 0.5 * h * self._V
         self._set_modes(np.sign(self._S @ v), *np.zeros((3, len(fastest))))
@@ -182,9 +183,9 @@ class ClosedLoop:
         (N, n), rows, reason = q_ref.shape, 0, None
         out = np.empty((4, N * substeps, n))
         q_out, v_out, _, tau_out = out[..., 0] if self._numbers is FLOATS else out
-        pushed = reference.known_torque
-        if pushed is not None:
-            pushed = self._numbers.each(pushed)
+        pushed = (
+            None if reference.known_torque is None else self._numbers.each(reference.known_torque)
+        )
         control, friction, q, v = self._control, self._friction, self._q, self._v
         control.take(reference)
         for first in range(0, N, CHECK_EVERY):
@@ -315,11 +316,10 @@ def described_robot(
     model = loaded = direct_model(inverse, parameters)
     if payload is not None:
         loaded = direct_model(inverse, add_payload(inverse, parameters, payload))
-    ranges = np.array(
+    low, high = np.transpose(
         [joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints]
     )
-    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
-    M = model.inertia(poses)
+    M = model.inertia(np.random.default_rng(0).uniform(low, high, (POSES, robot.n)))
     if (reason := why_not_positive(M)) is not None:
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S

@@ -24,7 +24,7 @@ import numpy as np
 from acquisition.files import allocate, release_pages
 
 from ..arrays import Array, Ints
-from ..control import ControlLaw, ControllerKind, FoundLaw, Reference, default_law, law_of_recording
+from ..control import ControllerKind, FoundLaw, Reference, default_law, law_of_recording
 from ..data import Signals
 from ..estimation import r_factor
 from ..model import DirectModel, direct_model, inertias, why_not_positive
@@ -59,16 +59,6 @@ MIN_SINGULAR = 1e-6  # of columns of norm 1
 MOST_SAMPLES = 50_000  # of the regression, evenly spaced
 DESIGN_SAMPLES = 10_000  # whose columns are in memory
 EDGE = 2  # samples to each side of an acceleration
-
-
-def _loop_of(problem: Problem, found: FoundLaw | None) -> ControlLaw | None:
-    """Return the loop of the recording's control law; along a measured position with the model's
-    gravity, as the position has the sag.
-    """
-    loop = law_of_recording(problem.robot, found)
-    if loop is None or problem.signals.q_ref is not None or loop.gravity == "measured":
-        return loop
-    return replace(loop, gravity="reference")
 
 
 class SimulatedRecording:
@@ -126,7 +116,7 @@ class SimulatedRecording:
         self.N = -(-len(settings.used) // self.stride)
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop = _loop_of(problem, law)
+        loop = law_of_recording(problem, law)
         self.controller: ControllerKind = "surrogate" if loop is None else loop.kind
         M = self.model(prior).inertia(self.problem.poses)
         self.prior = inertias(M)
@@ -249,8 +239,7 @@ class SimulatedRecording:
     def _inputs(self) -> Iterator[tuple[int, Reference]]:
         """The loop's inputs, and the first instant of each part."""
         for first in range(0, self.instants, CHUNK):
-            last = min(self.instants, first + CHUNK)
-            yield first, self._whole or self.reference(first, last)
+            yield first, self._whole or self.reference(first, min(self.instants, first + CHUNK))
 
     def _block(self, near: slice, inside: slice, along: Array | FilteredMotion) -> MotionBlock:
         """A block of a simulated path, linear between steps, or of another motion."""
