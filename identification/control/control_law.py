@@ -214,9 +214,8 @@ def described_gains(controller: Controller) -> Array | None:
     """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
     is not described whole.
     """
-    integrates = controller.structure in INTEGRATING
-    keys = ["position_gain", "velocity_gain", *["integral_gain"] * integrates]
-    given = [getattr(controller, key) for key in keys]
+    given = [controller.position_gain, controller.velocity_gain]
+    given += [controller.integral_gain] * (controller.structure in INTEGRATING)
     if controller.structure is None or None in given:
         return None
     kp, kd, *ki = map(np.array, given)

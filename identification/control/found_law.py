@@ -352,10 +352,11 @@ def _lag_by_law(problem: Problem, found: FoundLaw | None) -> Lag | None:
     similar = found.residual_percent <= MAX_LAW_PERCENT
     if not similar.any():
         return None
-    value_s = float(found.lag_s[similar].mean()) - 0.5 * found.law.period_s
-    sd_s = float(np.hypot(found.lag_sd_s[similar].max(), DRIVE_DELAY_S))
     return replace(
-        problem.settings.lag, value_s=value_s, sd_s=sd_s, source="the described control law"
+        problem.settings.lag,
+        value_s=float(found.lag_s[similar].mean()) - 0.5 * found.law.period_s,
+        sd_s=float(np.hypot(found.lag_sd_s[similar].max(), DRIVE_DELAY_S)),
+        source="the described control law",
     )
 
 

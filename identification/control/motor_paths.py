@@ -58,8 +58,8 @@ class MotorPaths:
             return self._refined(letters, late_s, near[1][-2:])
         found = list[Found]()
         for by in ("i", "e") if "i" in letters else ("e",):
-            at = np.array([self._first_delay(letters, late_s, by), self.known.value_s])
-            found.append(self._refined(letters, late_s, at))
+            d = self._first_delay(letters, late_s, by)
+            found.append(self._refined(letters, late_s, np.array([d, self.known.value_s])))
             if found[-1][0] < MAX_RESIDUAL_PERCENT:
                 break
         return min(found, key=lambda one: one[0])

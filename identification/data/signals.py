@@ -1,7 +1,6 @@
 """Signals: measurements in SI units on a uniform grid, also from arrays in memory."""
 
 import hashlib
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -135,12 +134,8 @@ class Signals:
 
     def first(self, N: int) -> "Signals":
         """The first N samples, copied: a view would hold all of them."""
-        parts: dict[str, Any] = {
-            name: np.array(of[:N])
-            for name in (*COLUMNS, "measured")
-            if (of := getattr(self, name)) is not None
-        }
-        return replace(self, **parts)
+        parts = ((name, getattr(self, name)) for name in (*COLUMNS, "measured"))
+        return replace(self, **{name: np.array(of[:N]) for name, of in parts if of is not None})
 
     @property
     def of_drives(self) -> bool:
@@ -249,7 +244,7 @@ def _refuse_rate(rate_hz: float) -> None:
         unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
         step = float(np.median(np.diff(rate.ravel()) / unit))
         doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
-    if rate.ndim or rate.dtype.kind not in "iuf" or not 0 < rate_hz < math.inf:
+    if rate.ndim or rate.dtype.kind not in "iuf" or not 0 < rate_hz < np.inf:
         raise BadInputError(
             doubt,
             place=NAME,

@@ -60,27 +60,24 @@ class SampleWeights:
         settings, few = problem.settings, np.ones(moves.shape[1], dtype=bool)
         self._measured, self.moves = problem.measured_samples(), moves
         moving, self.ramps = moves[settings.instants], np.zeros(len(few))
+        decimation, blocks = settings.decimator, [*row_blocks(problem)]
+        spans = [settings.used[decimation.samples(at, len(settings.used))] for at, _ in blocks]
         for ramp in (settings.ramp_rows, *(one for one in RAMPS if one < settings.ramp_rows)):
             self.ramps[few] = ramp
-            self._set_rows(problem, moving)
+            # negative for `ROWS`
+            self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
+            off = [
+                decimation.filtered(1 - self.between(at.start, at.stop))[:, inside]
+                for at, (_, inside) in zip(spans, blocks, strict=True)
+            ]
+            # 1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain below 1
+            # at frequency 0.
+            share = (1 - np.concatenate(off, axis=1) / decimation.gain).T
+            share = np.where(self.ramps == ROWS, moving * share, share)
+            self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
             few = (self.of_rows**2).sum(axis=0) < MIN_ROWS_LEFT * moving.sum(axis=0)
             if not few.any():
                 break
-
-    def _set_rows(self, problem: Problem, moving: Bools) -> None:
-        """1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain
-        below 1 at frequency 0.
-        """
-        settings, parts, decimation = problem.settings, list[Array](), problem.settings.decimator
-        # negative for `ROWS`
-        self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
-        for near, inside in row_blocks(problem):
-            at = settings.used[decimation.samples(near, len(settings.used))]
-            off = 1 - self.between(at.start, at.stop)
-            parts.append(1 - decimation.filtered(off)[:, inside] / decimation.gain)
-        share = np.concatenate(parts, axis=1).T
-        share = np.where(self.ramps == ROWS, moving * share, share)
-        self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
 
     def between(self, start: int, stop: int) -> Array:
         """w (n, stop - start) of the samples `start` to `stop`."""

@@ -239,11 +239,8 @@ def _gain(r: int, rows: int) -> Array:
 
 def decimation_reach(factor: int) -> int:
     """Samples to each side that influence a decimated output."""
-    reach, stride = 0, 1
-    for r in decimation_passes(factor):
-        reach += stride * _chebyshev(r).reach
-        stride *= r
-    return reach
+    passes = decimation_passes(factor)
+    return sum(math.prod(passes[:k]) * _chebyshev(r).reach for k, r in enumerate(passes))
 
 
 def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:

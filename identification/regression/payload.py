@@ -177,13 +177,12 @@ def _columns(
     )
     grouping[np.abs(grouping) < TOLERANCE] = 0.0
     grouping[:, known] = 0.0
-    regrouped = np.count_nonzero(grouping, axis=1) > 1
     return PayloadColumns(
         payload=payload,
         model=model,
         names=tuple(
-            payload_name(LINK[place] + "R" * int(r), label)
-            for place, r in zip(places, regrouped, strict=True)
+            payload_name(LINK[place] + "R" * bool(np.count_nonzero(row) > 1), label)
+            for place, row in zip(places, grouping, strict=True)
         ),
         grouping=grouping,
         fixed=fixed,

@@ -147,19 +147,9 @@ class Problem:
     @cached_property
     def for_errors(self) -> "Problem":
         """The same behind the filters behind which torque errors are told."""
-        settings = self.settings.for_errors(self.signals.sample_rate_hz)
-        if settings is self.settings:
-            settings = replace(
-                settings,
-                warnings=(
-                    *settings.warnings,
-                    f"{self.signals.recording} is too short for the filters behind which torque "
-                    "errors are told: they include noise that passes those of the fit",
-                ),
-            )
         stated = self.signals.motion_hz is None
         signals = self.signals if stated else replace(self.signals, motion_hz=None)
-        return replace(self, signals=signals, settings=settings)
+        return replace(self, signals=signals, settings=self.settings.for_errors(self.signals))
 
     def first_minutes(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it

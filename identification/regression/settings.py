@@ -148,16 +148,21 @@ class Settings:
         """The samples (rows,) of the decimated rows: the last of the span, every n_d-th before."""
         return self.start + self.decimator.instants(len(self.used))
 
-    def for_errors(self, fs: float) -> "Settings":
-        """The same with the filters behind which torque errors are told; itself where the recording
-        is too short for them.
+    def for_errors(self, signals: Signals) -> "Settings":
+        """The same with the filters behind which torque errors are told; those of the fit, with a
+        warning, where the recording is too short for them.
         """
+        fs = signals.sample_rate_hz
         hz = min(LOOP_PER_BAND * self.band_hz, MAX_CUTOFF_SHARE * fs / CUTOFF_PER_BANDWIDTH)
         cutoff_hz, decimation = CUTOFF_PER_BANDWIDTH * hz, decimation_rule(fs, hz)
         border = border_samples(cutoff_hz, fs)
         used = range(max(self.widest.start, border), min(self.widest.stop, self.samples - border))
         if len(used) < MIN_ROWS * decimation:
-            return self
+            text = (
+                f"{signals.recording} is too short for the filters behind which torque errors "
+                "are told: they include noise that passes those of the fit"
+            )
+            return replace(self, warnings=(*self.warnings, text))
         return replace(
             self,
             cutoff_hz=cutoff_hz,
@@ -273,17 +278,16 @@ def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
     is shorter than the border of the low-pass, or than a period of the loop.
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
-    cutoff_hz = (_highest_hz(signals) if stated_hz is None else stated_hz) or None
-    if cutoff_hz is not None and cutoff_hz >= fs / 2:
-        if stated_hz is not None:
-            raise BadInputError(
-                place=signals.recording,
-                key="cut-off",
-                value=cutoff_hz,
-                shown=f"{cutoff_hz:g} Hz",
-                expected=f"below {fs / 2:g} Hz, half the rate",
-            )
-        cutoff_hz = None
+    if stated_hz is not None and stated_hz >= fs / 2:
+        raise BadInputError(
+            place=signals.recording,
+            key="cut-off",
+            value=stated_hz,
+            shown=f"{stated_hz:g} Hz",
+            expected=f"below {fs / 2:g} Hz, half the rate",
+        )
+    asked_hz = _highest_hz(signals) if stated_hz is None else stated_hz
+    cutoff_hz = asked_hz if 0 < asked_hz < fs / 2 else None
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
     if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:
         raise NoFitError(

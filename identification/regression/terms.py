@@ -47,8 +47,9 @@ class Drives:
         """
         problem, t_s = motion.problem, motion.t_s
         first = round(t_s[0] * problem.signals.sample_rate_hz)
-        tau = problem.drives(first, first + len(t_s), x[self.lag], self.factors(x))
-        return motion.with_torque(tau)
+        return motion.with_torque(
+            problem.drives(first, first + len(t_s), x[self.lag], self.factors(x))
+        )
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
         """Return -F[w sum_m kappa_m E_m(t + L)], (n, rows)."""
@@ -148,8 +149,7 @@ def friction_states(problem: Problem, beta: Array) -> tuple[Array, Array] | None
     """Speeds and loads (m, n), by states of a recording and base parameters beta (b,), to evaluate
     the power of further friction terms at; None where there is viscous and Coulomb friction only.
     """
-    joints = problem.signals.robot.joints
-    if not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
+    if not any(j.one_sided or set(j.terms) & set(SHAPES) for j in problem.signals.robot.joints):
         return None
     _, *motion = row_states(problem)
     return shaped_states(problem.model, motion[1], np.abs(torque_of_links(problem, beta, *motion)))

@@ -21,7 +21,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -229,7 +228,7 @@ def make_unknowns(
     carried = payload_columns(problems, labels, scale=bool(motors))
     payloads = tuple(dict.fromkeys(payload for payload in carried if payload is not None))
     arm = [
-        *dict.fromkeys(chain.from_iterable(zip(*names, strict=True))),
+        *dict.fromkeys(name for place in zip(*names, strict=True) for name in place),
         *(name for payload in payloads for name in payload.names),
     ]
     free = (*arm, *(gain_name(robot.motors[m].name) for m in motors))

@@ -5,7 +5,6 @@ Friction is stepped implicitly with stick phases, so that light joints do not ch
 `described_robot` is the entry point in the group `robot_idim.plants` that dry runs use.
 """
 
-import math
 from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -61,12 +60,11 @@ class Friction:
         speeds, later ones of kind `numbers`, `h` the step in s.
         """
         self._model, self._h, self._S, self._numbers = model, h, model.directions, numbers
-        at: Callable[[Any, Any], tuple[Any, Any]] = model.inertia_and_bias
-        solve = cholesky_solver(len(v))
+        self._at: Callable[[Any, Any], tuple[Any, Any]] = model.inertia_and_bias
+        self._solve = cholesky_solver(len(v))
         if numbers is FLOATS:
             M, bias = numbers.own(model.inertia_and_bias(0 * v, 0 * v)[0]), model.lone_bias()
-            at, solve = lambda q, _: (M, bias(q)), lambda A, b: b / A if A > 0 else None
-        self._at, self._solve = at, solve
+            self._at, self._solve = lambda q, _: (M, bias(q)), lambda A, b: b / A if A > 0 else None
         self._v_s = STICTION * np.maximum(fastest, 1e-9)
         self._rigid: Array | None = None  # torque of the links in the previous step
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
@@ -279,7 +277,7 @@ def open_loop(
     M is not positive.
     """
     (q, v), (rate_hz, most_s) = start, rate
-    steps, found = max(1, math.ceil(1 / (rate_hz * most_s))), np.empty_like(tau)
+    steps, found = max(1, int(np.ceil(1 / (rate_hz * most_s)))), np.empty_like(tau)
     h, found[0] = 1 / (rate_hz * steps), q
     friction = Friction(model, np.abs(model.directions) @ fastest, v, h)
     for k, (before, after) in enumerate(pairwise(tau)):
@@ -323,13 +321,12 @@ def described_robot(
     if (reason := why_not_positive(M)) is not None:
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
-    plant = RigidBodyPlant(
+    return RigidBodyPlant(
         loaded,
         middle_of_range(robot),
         speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
         step_s=duration_s / np.ceil(duration_s / MAX_PLANT_STEP_S),
-    )
-    return plant, drive_loops(robot, inertias(M))
+    ), drive_loops(robot, inertias(M))
 
 
 def drive_loops(robot: Robot, J: Array) -> "LoopGains":

@@ -10,12 +10,13 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import Array
+from ..control import ControllerKind
 from ..errors import NoFitError
 from ..estimation import one_thread
 from ..model import nearest_consistent
 from ..regression import Candidate, Equation, Motion, MotionBlock, Rows, rows_of_recording
 from ..report import DirectModelResidual
-from .simulated_recording import COARSE, FINE, ControllerKind, SimulatedRecording, predicted_motion
+from .simulated_recording import COARSE, FINE, SimulatedRecording, predicted_motion
 
 MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
@@ -28,7 +29,8 @@ class Simulated:
     """What a robot simulated in a recording gives.
 
     Attributes:
-        recording: its name; `controller`, `saturated`: as of `SimulatedRecording`.
+        recording: its name; `controller`: the kind of its control law; `saturated`: as of
+            `SimulatedRecording`.
         kind: `simulated`: with the physically consistent parameters nearest to those asked;
             `consistent`: the same, where the inertia matrix of those asked is not positive;
             `reference`: not simulated, the motion is that which the reference predicts.
@@ -108,7 +110,7 @@ def simulate(
     rows = rows_of_recording(equation, x, further, robot.motion(motion), of_lag=of_lag)
     found = Simulated(
         recording=robot.problem.signals.recording,
-        controller=robot.controller,
+        controller=robot.loop.kind,
         saturated=robot.saturated,
         kind=kind,
         reason=why,

@@ -24,7 +24,7 @@ import numpy as np
 from acquisition.files import allocate, release_pages
 
 from ..arrays import Array, Ints
-from ..control import ControllerKind, FoundLaw, Reference, default_law, law_of_recording
+from ..control import FoundLaw, Reference, default_law, law_of_recording
 from ..data import Signals
 from ..estimation import r_factor
 from ..model import DirectModel, direct_model, inertias, why_not_positive
@@ -72,8 +72,8 @@ class SimulatedRecording:
         problem: of the recording, with its samples.
         blocks: of the rows; `decimation` leads from the samples to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
-        loop: the control loop; `controller`: whether it is described or found in the recording, or
-            a PD of the stated bandwidth.
+        loop: the control loop, described or found in the recording, or a PD of the stated
+            bandwidth.
         saturated: percentage of the samples at each motor's limit, by motor and limit.
         start: the motion at the first instant.
         fastest: (c,) largest speeds of the reference along the directions of Coulomb friction.
@@ -117,7 +117,6 @@ class SimulatedRecording:
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
         loop = law_of_recording(problem, law)
-        self.controller: ControllerKind = "surrogate" if loop is None else loop.kind
         M = self.model(prior).inertia(self.problem.poses)
         self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())
@@ -130,9 +129,7 @@ class SimulatedRecording:
         duration_s = (self.N - 1) * self.stride / fs
         refuse_instants(problem, loop.period_s, duration_s, self.substeps)
         self.loop = (
-            loop
-            if self.controller == "surrogate" or why_not_positive(M)
-            else loop.slower(M, FINE * hz)
+            loop if loop.kind == "surrogate" or why_not_positive(M) else loop.slower(M, FINE * hz)
         )
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
         # of a short recording made once
@@ -177,9 +174,25 @@ class SimulatedRecording:
 
     def motion(self, along: Array | FilteredMotion) -> Iterator[MotionBlock]:
         """Return the motion of a simulated path (4, K, n), or another one with the recorded
-        torque, block by block.
+        torque, block by block; the path is linear between steps.
         """
-        return (self._block(*at, along) for at in self.blocks)
+        problem, fs = self.problem, self.problem.signals.sample_rate_hz
+        for near, inside in self.blocks:
+            if isinstance(along, FilteredMotion):
+                x = self.low_passed(along, near)
+            else:
+                k = np.r_[self.decimation.samples(near, self.N)]
+                steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
+                # The acceleration is that of the middle of a step; a torque stands for the middle
+                # of the controller's instants.
+                each = zip((0.0, 0.0, 0.5, self.loop.middle), along, strict=True)
+                q, dq, ddq, tau = (_on_lines(steps - early, series) for early, series in each)
+                x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
+                if self.instants > CHUNK:
+                    release_pages(along)
+            yield MotionBlock(
+                **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
+            )
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -199,9 +212,9 @@ class SimulatedRecording:
 
     def low_passed(self, of: FilteredMotion, near: slice) -> Motion:
         """Return a motion, low-passed by the rule, at the samples of these rows."""
-        span = self.decimation.samples(near, self.N)
-        first, last = (self.first + self.stride * k for k in (span.start, span.stop - 1))
-        return of.between(first, last + 1, self.cutoff_hz).part(slice(None, None, self.stride))
+        samples = range(self.first, self.problem.settings.stop, self.stride)
+        at = samples[self.decimation.samples(near, self.N)]
+        return of.between(at[0], at[-1] + 1, self.cutoff_hz).part(slice(None, None, self.stride))
 
     def reference(self, first: int, last: int) -> Reference:
         """Return the loop's inputs from its instant `first` to before `last`: the recorded
@@ -231,7 +244,7 @@ class SimulatedRecording:
         if feedforward is not None:  # held between samples: a cubic would overshoot
             held = np.minimum(each + 1e-6, settings.used.stop - 1).astype(np.intp)
             feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
-            if self.controller == "surrogate":  # a surrogate's output is torque at the joints
+            if self.loop.kind == "surrogate":  # a surrogate's output is torque at the joints
                 feedforward = self.problem.robot.joint_effort(feedforward)
         q, dq, ddq = np.split(sampled_at(at, np.hstack(paths)), 3, axis=1)
         return Reference(q, dq, ddq, known_torque=known, feedforward=feedforward)
@@ -240,26 +253,6 @@ class SimulatedRecording:
         """The loop's inputs, and the first instant of each part."""
         for first in range(0, self.instants, CHUNK):
             yield first, self._whole or self.reference(first, min(self.instants, first + CHUNK))
-
-    def _block(self, near: slice, inside: slice, along: Array | FilteredMotion) -> MotionBlock:
-        """A block of a simulated path, linear between steps, or of another motion."""
-        problem, fs = self.problem, self.problem.signals.sample_rate_hz
-        if isinstance(along, FilteredMotion):
-            x = self.low_passed(along, near)
-        else:
-            span = self.decimation.samples(near, self.N)
-            k = np.arange(span.start, span.stop)
-            steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
-            # The acceleration is that of the middle of a step; a torque stands for the middle of
-            # the controller's instants.
-            early = (0.0, 0.0, 0.5, self.loop.middle)
-            q, dq, ddq, tau = (_on_lines(steps - by, y) for by, y in zip(early, along, strict=True))
-            x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
-            if self.instants > CHUNK:
-                release_pages(along)
-        return MotionBlock(
-            **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
-        )
 
 
 def _on_lines(at: Array, x: Array) -> Array:
