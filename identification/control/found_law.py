@@ -15,7 +15,7 @@ A described law that gives the effort at its own instants tells the lag of the r
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -40,9 +40,11 @@ from .motor_paths import (
 # Columns of u: the error e, its rate f = w - v, speeds v measured and w of the reference, the
 # error's integral i, position q.
 STRUCTURES = {"pd": "ev", "pd_velocity_feedforward": "ef", "pid": "efi", "cascade_p_pi": "eviq"}
-# of no structure
-RIVALS = {"speed fed forward in part": "evw", "an integral without it": "evi", "both": "evwi"}
-LAWS = STRUCTURES | RIVALS
+LAWS = STRUCTURES | {  # rivals of no structure
+    "speed fed forward in part": "evw",
+    "an integral without it": "evi",
+    "both": "evwi",
+}
 LEAST_RESIDUAL_PERCENT = 0.1  # of the effort's variation; below, all are equal
 MIN_RATIO = 1.5  # of residuals, for one structure to be better than another
 MIN_ROWS = 60
@@ -141,51 +143,47 @@ def law_of(problem: Problem) -> FoundLaw | None:
     return None
 
 
-class _Fits:
-    """Least squares of all motors by any structure, each done once."""
+def _solver(motors: list[MotorPaths], period_s: float) -> Callable[[str, str], list[Found]]:
+    """Least squares of all motors by columns and the controller's estimate of the speed, each done
+    once.
+    """
 
-    def __init__(self, motors: list[MotorPaths], period_s: float) -> None:
-        self._motors, self._period_s = motors, period_s
-        self.solved = cache(self._solved)
-
-    def _solved(self, letters: str, estimate: str) -> list[Found]:
-        """By motor with the columns `letters`, by the controller's estimate of the speed."""
-        late_s, k = SPEED_DELAYS[estimate] * self._period_s, list(SPEED_DELAYS).index(estimate)
-        near = self.solved(letters, list(SPEED_DELAYS)[k - 1]) if k else [None] * len(self._motors)
-        pairs = zip(self._motors, near, strict=True)
+    @cache
+    def solved(letters: str, estimate: str) -> list[Found]:
+        late_s, k = SPEED_DELAYS[estimate] * period_s, list(SPEED_DELAYS).index(estimate)
+        near = solved(letters, list(SPEED_DELAYS)[k - 1]) if k else [None] * len(motors)
+        pairs = zip(motors, near, strict=True)
         return [one.solve(letters, late_s, found) for one, found in pairs]
 
-    def percents(self) -> dict[str, Array]:
-        """By structure what is left of the efforts (n,), by the best estimate of the speed."""
-        # without the reference's speed a delay of the measured one is one of it and a lag
-        return {
-            name: np.min(
-                [
-                    _percents(self.solved(letters, one))
-                    for one in (SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",))
-                ],
-                axis=0,
-            )
-            for name, letters in LAWS.items()
-        }
+    return solved
 
 
 def _select_law(
     robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: float
 ) -> FoundLaw:
     """The law by the described structure or, without one, the structure that fits best."""
-    controller, fits = robot.controller, _Fits(motors, period_s)
-    percent = fits.percents()
+    solved = _solver(motors, period_s)
+    percent = {
+        name: np.min(
+            [
+                _percents(solved(letters, one))
+                # without the reference's speed a delay of the measured one is one of it and a lag
+                for one in (SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",))
+            ],
+            axis=0,
+        )
+        for name, letters in LAWS.items()
+    }
     valid = {name: percent[name] <= MAX_RESIDUAL_PERCENT for name in LAWS}
     for name, letters in STRUCTURES.items():
-        valid[name] &= [(x[: len(letters)] > 0).all() for _, x in fits.solved(letters, "exact")]
+        valid[name] &= [(x[: len(letters)] > 0).all() for _, x in solved(letters, "exact")]
     clear = {name: valid[name] & _is_clear(name, percent) for name in LAWS}
     best = max(
         LAWS, key=lambda name: (clear[name].sum(), valid[name].sum(), -float(percent[name].max()))
     )
-    name = controller.structure or (best if best in STRUCTURES else "pd")
+    name = robot.controller.structure or (best if best in STRUCTURES else "pd")
     name = "pd" if name == "cascade_p_p" else name
-    found = _with_values(robot, motors, fits, name, (period_s, unknown_s))
+    found = _with_values(robot, motors, solved, name, (period_s, unknown_s))
     unlike = robot.motors[int(valid[name].argmin())].name
     reasons = (
         (not valid[name].all(), f"no linear law fits motor {unlike}"),
@@ -206,13 +204,17 @@ def _select_law(
 
 
 def _with_values(
-    robot: Robot, motors: list[MotorPaths], fits: _Fits, name: str, period_s: tuple[float, float]
+    robot: Robot,
+    motors: list[MotorPaths],
+    solved: Callable[[str, str], list[Found]],
+    name: str,
+    period_s: tuple[float, float],
 ) -> FoundLaw:
     """The law of a structure, with its estimate of the speed; `period_s`: of the controller, and
     how much of it is unknown.
     """
     letters, described = STRUCTURES[name], described_gains(robot.controller)
-    ways = {one: fits.solved(letters, one) for one in SPEED_DELAYS}
+    ways = {one: solved(letters, one) for one in SPEED_DELAYS}
     estimate = _estimate(ways, motors[0], robot.controller.velocity_estimate)
     late_s = SPEED_DELAYS[estimate] * period_s[0]
     known = [None] * len(motors) if described is None else described.T

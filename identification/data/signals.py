@@ -134,8 +134,12 @@ class Signals:
 
     def first(self, N: int) -> "Signals":
         """The first N samples, copied: a view would hold all of them."""
-        parts = ((name, getattr(self, name)) for name in (*COLUMNS, "measured"))
-        return replace(self, **{name: np.array(of[:N]) for name, of in parts if of is not None})
+        parts: dict[str, Any] = {
+            name: np.array(of[:N])
+            for name in (*COLUMNS, "measured")
+            if (of := getattr(self, name)) is not None
+        }
+        return replace(self, **parts)
 
     @property
     def of_drives(self) -> bool:
