@@ -214,8 +214,8 @@ def described_gains(controller: Controller) -> Array | None:
     """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
     is not described whole.
     """
-    given = [controller.position_gain, controller.velocity_gain]
-    given += [controller.integral_gain] * (controller.structure in INTEGRATING)
+    integral = [controller.integral_gain] * (controller.structure in INTEGRATING)
+    given = [controller.position_gain, controller.velocity_gain, *integral]
     if controller.structure is None or None in given:
         return None
     kp, kd, *ki = map(np.array, given)

@@ -338,14 +338,14 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
 
 def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:
     """What must be that of the `first` robot, with as many joints: keys and values."""
-    of_joints = [(joint, name) for joint in robot.joints for name in (*JOINT_KEYS, "friction")]
     return [
         *(
             (
                 f"joint {joint.name}: {name}",
                 _friction(joint) if name == "friction" else getattr(joint, name),
             )
-            for joint, name in of_joints
+            for joint in robot.joints
+            for name in (*JOINT_KEYS, "friction")
         ),
         *(
             (f"motor {motor.name}: {name}", getattr(motor, name))

@@ -60,15 +60,18 @@ class SampleWeights:
         settings, few = problem.settings, np.ones(moves.shape[1], dtype=bool)
         self._measured, self.moves = problem.measured_samples(), moves
         moving, self.ramps = moves[settings.instants], np.zeros(len(few))
-        decimation, blocks = settings.decimator, [*row_blocks(problem)]
-        spans = [settings.used[decimation.samples(at, len(settings.used))] for at, _ in blocks]
+        decimation, used = settings.decimator, settings.used
+        blocks = [
+            (used[decimation.samples(near, len(used))], inside)
+            for near, inside in row_blocks(problem)
+        ]
         for ramp in (settings.ramp_rows, *(one for one in RAMPS if one < settings.ramp_rows)):
             self.ramps[few] = ramp
             # negative for `ROWS`
             self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
             off = [
                 decimation.filtered(1 - self.between(at.start, at.stop))[:, inside]
-                for at, (_, inside) in zip(spans, blocks, strict=True)
+                for at, inside in blocks
             ]
             # 1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain below 1
             # at frequency 0.

@@ -85,8 +85,7 @@ class Decimation:
         """The samples of a series of N that give these rows: counted from the last one, which
         decimation keeps.
         """
-        before = N - self.rows(N) * self.factor
-        start, stop = (before + k * self.factor for k in (rows.start, rows.stop))
+        start, stop = (N - (self.rows(N) - k) * self.factor for k in (rows.start, rows.stop))
         return slice(max(0, start), stop)
 
     def filtered(self, x: Array) -> Array:
@@ -180,8 +179,8 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
 def _some_at_a_time(f: Callable[..., Array], *series: Array) -> Array:
     """f of series, each (E, ..., N), of as many of E at a time as the cache holds."""
     size = max(1, _IN_CACHE // max(1, *(x[:1].size for x in series)))
-    groups = (slice(k, k + size) for k in range(0, max(1, len(series[0])), size))
-    return np.concatenate([f(*(x[group] for x in series)) for group in groups])
+    starts = range(0, max(1, len(series[0])), size)
+    return np.concatenate([f(*(x[k : k + size] for x in series)) for k in starts])
 
 
 def _decimated(x: Array, r: int) -> Array:

@@ -14,7 +14,15 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools
 from ..data import RecordingFile, Signals
 from ..errors import BadInputError
-from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
+from ..model import (
+    BaseParameters,
+    DirectModel,
+    InverseModel,
+    JointTerm,
+    base_parameters,
+    direct_model,
+    poses_of,
+)
 from .filtering import decimation_reach, nearby
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
@@ -75,6 +83,10 @@ class Problem:
         if len(s.effort) > BLOCK_SAMPLES:
             release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
+
+    def direct_model(self, beta: Array) -> DirectModel:
+        """The robot with base parameters beta (b,)."""
+        return direct_model(self.model, self.base.standard_parameters(beta))
 
     @property
     def kinds(self) -> list[str]:

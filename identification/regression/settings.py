@@ -236,7 +236,7 @@ def make_settings(
     return Settings(
         cutoff_hz=cutoff_hz,
         decimator=decimator,
-        used=inside_borders(signals, widest, cutoff_hz, (decimator.factor, SPANS[kind])),
+        used=inside_borders(signals, widest, cutoff_hz, decimator.factor, SPANS[kind]),
         widest=widest,
         samples=len(signals.q),
         span_kind=kind,

@@ -159,17 +159,16 @@ def with_torque(signals: Signals, span: tuple[int, int], lag: Lag) -> range:
 
 
 def inside_borders(
-    signals: Signals, widest: range, cutoff_hz: float | None, told: tuple[int, str]
+    signals: Signals, widest: range, cutoff_hz: float | None, decimation: int, span: str
 ) -> range:
-    """The samples that the low-pass does not distort, where no cut is stated. What is `told` if
-    they are too few: samples of a row, and the span in words.
+    """The samples that the low-pass does not distort, where no cut is stated. If they are too few
+    for `decimation`, the error has the span in words.
     """
     stored, border = signals.robot.identification, border_samples(cutoff_hz, signals.sample_rate_hz)
     used = range(
         max(widest.start, border if stored.cut_start_samples is None else 0),
         min(widest.stop, len(signals.q) - (border if stored.cut_end_samples is None else 0)),
     )
-    decimation, span = told
     if len(used) < MIN_ROWS * decimation:
         raise NoFitError(
             place=signals.recording,

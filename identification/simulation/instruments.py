@@ -125,7 +125,7 @@ def simulate(
     why, gains = None, np.ones(len(robot.held))
     if asked is not None:
         beta, covariance, payload = asked
-        why = robot.gains(robot.model(beta))[1]
+        why = robot.gains(robot.problem.direct_model(beta))[1]
         kind = "simulated" if why is None else "consistent"
         if covariance is not None:
             with suppress(NoFitError):

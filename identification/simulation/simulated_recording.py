@@ -21,7 +21,7 @@ from acquisition.robot import Joint
 from ..arrays import Array, Bools
 from ..control import SATURATED, FoundLaw, Reference, default_law, law_of_recording
 from ..errors import BadInputError
-from ..model import DirectModel, direct_model, inertias, why_not_positive
+from ..model import DirectModel, inertias, why_not_positive
 from ..regression import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
@@ -106,7 +106,7 @@ class SimulatedRecording:
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
         loop = law_of_recording(problem, law)
-        M = self.model(prior).inertia(self.problem.poses)
+        M = problem.direct_model(prior).inertia(problem.poses)
         self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
@@ -147,7 +147,7 @@ class SimulatedRecording:
         controller's gains, equation (E); and why it cannot be simulated, or where it leaves its
         reference, or None.
         """
-        gains, reason = self.gains(model := self.model(beta))
+        gains, reason = self.gains(model := self.problem.direct_model(beta))
         if reason is not None:
             return np.zeros((4, 0, len(gains))), gains, reason
         loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
@@ -194,10 +194,6 @@ class SimulatedRecording:
         follows = self._gain_update and (self.prior_known or not self.loop.computed_torque)
         factors = inertias(M) / self.prior if follows else np.ones(len(self.prior))
         return factors, why_not_positive(M)
-
-    def model(self, beta: Array) -> DirectModel:
-        """Return the robot with base parameters (b,)."""
-        return direct_model(self.problem.model, self.problem.base.standard_parameters(beta))
 
     def low_passed(self, of: FilteredMotion, near: slice) -> Motion:
         """Return a motion, low-passed by the rule, at the samples of these rows."""
