@@ -214,8 +214,11 @@ def described_gains(controller: Controller) -> Array | None:
     """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
     is not described whole.
     """
-    integral = [controller.integral_gain] * (controller.structure in INTEGRATING)
-    given = [controller.position_gain, controller.velocity_gain, *integral]
+    given = [
+        controller.position_gain,
+        controller.velocity_gain,
+        *[controller.integral_gain] * (controller.structure in INTEGRATING),
+    ]
     if controller.structure is None or None in given:
         return None
     kp, kd, *ki = map(np.array, given)

@@ -100,8 +100,8 @@ def _count_by_joint(x: Array, m: Array, noise: Array, deviation: Array) -> Array
     above = np.abs(m) > MIN_DEVIATIONS * noise
     coarse = above & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)
-    counted = above, np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR
-    return np.stack([part.sum(axis=0) for part in counted], axis=1)
+    double, zero = np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR
+    return np.stack([part.sum(axis=0) for part in (above, double, zero)], axis=1)
 
 
 def _medians(x: Array, counts: Bools, blocks: int) -> Array:

@@ -86,11 +86,11 @@ class SampleWeights:
         """w (n, stop - start) of the samples `start` to `stop`."""
         far = 2 * max(0, *self._reach)
         low, high = max(0, start - far), min(len(self.moves), stop + far)
-        near, inside = self.moves[low:high], slice(start - low, stop - low)
-        of_rows = self._measured[low:high].astype(float)
+        near, measured = self.moves[low:high], self._measured[low:high].astype(float)
+        inside = slice(start - low, stop - low)
         return np.stack(
             [
-                (of_rows if reach < 0 else _ramped(near[:, j], reach))[inside]
+                (measured if reach < 0 else _ramped(near[:, j], reach))[inside]
                 for j, reach in enumerate(self._reach)
             ]
         )
@@ -261,8 +261,12 @@ class MotionBlock(Motion):
         few = self.stride > 1 and self.stride * self.decimation.end_samples < N
         if (strided := links & few).any():
             at, end = (N - 1) % self.stride, self.decimation.end_samples
-            spans = (slice(at, None, self.stride), slice(at + end + 1), slice(N - end - 1, None))
-            entries, parts = self._series(strided, *spans)
+            entries, parts = self._series(
+                strided,
+                slice(at, None, self.stride),
+                slice(at + end + 1),
+                slice(N - end - 1, None),
+            )
             found[entries] = self.decimation.filtered_strided(*parts)
         entries, parts = self._series(~strided, slice(None))
         found[entries] = self.decimation.filtered(*parts)
@@ -287,8 +291,9 @@ class MotionBlock(Motion):
         signals = self.problem.signals
         if signals.known_torque is None:
             return np.zeros(self.q.shape)
-        at = np.rint(self.t_s * signals.sample_rate_hz).astype(np.intp)
-        return np.asarray(signals.known_torque[at])
+        return np.asarray(
+            signals.known_torque[np.rint(self.t_s * signals.sample_rate_hz).astype(np.intp)]
+        )
 
     def weighted(self, x: Array, joints: Sequence[int] | Ints | slice = slice(None)) -> Array:
         """Return F[w x] (k, rows) of series x (k, N), one for each of some joints."""

@@ -183,8 +183,11 @@ class Problem:
         """The same without friction terms that are regrouped with nothing;
         warnings have the reasons.
         """
-        settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
-        return replace(self, base=self.base.without(left_out), settings=settings)
+        return replace(
+            self,
+            base=self.base.without(left_out),
+            settings=replace(self.settings, warnings=(*self.settings.warnings, *left_out.values())),
+        )
 
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:

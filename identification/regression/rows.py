@@ -64,8 +64,8 @@ class Equation:
     @property
     def apart(self) -> "Equation":
         """The same for tasks of other processes, without samples; itself if there are none."""
-        alone = self.work.workers == 1
-        return self if alone else replace(self, problem=self.problem.without_samples)
+        away = self.work.workers != 1
+        return replace(self, problem=self.problem.without_samples) if away else self
 
     def by_block(
         self, task: Callable[..., Any], x: Array, along: Iterable[MotionBlock | None] | None = None

@@ -106,8 +106,8 @@ def known_lag(signals: Signals, overrides: Overrides) -> Lag:
     acts, on average, half a period later. Without a described period it is that of the samples.
     `"none"` states a lag of 0.
     """
-    own, period_s = signals.robot.identification.torque_lag_s, 1 / signals.sample_rate_hz
-    given = own if overrides.torque_lag_s is None else overrides.torque_lag_s
+    stored = signals.robot.identification
+    given = stored.torque_lag_s if overrides.torque_lag_s is None else overrides.torque_lag_s
     if given is not None:
         value_s, sd_s, source = 0.0 if given == "none" else given, 0.0, "torque_lag_s"
     elif signals.effort_timing == "unknown":
@@ -116,7 +116,7 @@ def known_lag(signals: Signals, overrides: Overrides) -> Lag:
         held_s = 1 / (signals.robot.controller.sample_rate_hz or signals.sample_rate_hz)
         value_s = -0.5 * held_s if signals.effort_timing == "command" else 0.0
         sd_s, source = 0.25 * held_s, f"effort_timing {signals.effort_timing}"
-    return Lag(value_s=value_s, sd_s=sd_s, source=source, period_s=period_s)
+    return Lag(value_s=value_s, sd_s=sd_s, source=source, period_s=1 / signals.sample_rate_hz)
 
 
 def find_span(

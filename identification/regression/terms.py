@@ -98,10 +98,9 @@ class Load:
         """Return the derivatives (n, p, rows) by mu_j, and those by the links' parameters that load
         friction adds to their own.
         """
-        beta, W = self.arm.beta(x), np.zeros_like(motion.W)
-        links = motion.problem.base.links
-        each = zip(self.joints, self.places, *self._sizes(beta, motion), strict=True)
-        for j, place, size, s in each:
+        beta, W, links = self.arm.beta(x), np.zeros_like(motion.W), motion.problem.base.links
+        sizes = self._sizes(beta, motion)
+        for j, place, size, s in zip(self.joints, self.places, *sizes, strict=True):
             W[j, links] = beta[place] * s * motion.W[j, links]
             W[j, place] = size
         return np.asarray(self.arm.P.T @ W)

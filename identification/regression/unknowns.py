@@ -206,10 +206,9 @@ class Unknowns:
         """x with base parameters beta (b,), the same for every recording; no payloads, gains as
         described.
         """
-        values, found = dict(zip(map(base_name, self.arms[0].names), beta, strict=True)), x.copy()
-        found[: len(self.names)] = [values.get(base_name(name), 0.0) for name in self.names]
-        found[self.gains] = 1.0
-        return found
+        values = dict(zip(map(base_name, self.arms[0].names), beta, strict=True))
+        arm = [values.get(base_name(name), 0.0) for name in self.names[: self.gains.start]]
+        return np.asarray(np.r_[arm, np.ones(len(self.motors)), x[len(self.names) :]])
 
 
 def make_unknowns(
@@ -254,9 +253,10 @@ def _base_names(
     for kind in (friction if listed is None else listed) if len(labels) > 1 else ():
         with suppress(*[BadInputError] * (listed is None)):
             own += _own_places(problem, kind)
-    names = problem.base.names
     return [
-        tuple(own_name(name, label) if i in own else name for i, name in enumerate(names))
+        tuple(
+            own_name(name, label) if i in own else name for i, name in enumerate(problem.base.names)
+        )
         for label in labels
     ]
 

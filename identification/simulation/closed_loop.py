@@ -311,9 +311,8 @@ def described_robot(
     inverse = InverseModel(robot)
     base = base_parameters(inverse)
     parameters = base.standard_parameters(described_parameters(inverse, base))
-    model = loaded = direct_model(inverse, parameters)
-    if payload is not None:
-        loaded = direct_model(inverse, add_payload(inverse, parameters, payload))
+    model = direct_model(inverse, parameters)
+    carried = parameters if payload is None else add_payload(inverse, parameters, payload)
     low, high = np.transpose(
         [joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints]
     )
@@ -322,7 +321,7 @@ def described_robot(
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     return RigidBodyPlant(
-        loaded,
+        direct_model(inverse, carried),
         middle_of_range(robot),
         speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
         step_s=duration_s / np.ceil(duration_s / MAX_PLANT_STEP_S),

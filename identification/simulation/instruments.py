@@ -164,11 +164,10 @@ def _followed(
     few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
     for motion in along:
         q = robot.low_passed(problem.motion, motion.near).q
-        torque = motion.tau + motion.known_torque
         every = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
         own = motion.decimation.samples(motion.inside, len(q))  # those that no other block has
         parts = (motion.kept(x) if few else x[own] for x in every)
-        kept.append([*parts, motion.filtered(torque.T).T])
+        kept.append([*parts, motion.filtered((motion.tau + motion.known_torque).T).T])
     t_s, q, dq, ddq, tau, wanted, torque = map(np.concatenate, zip(*kept, strict=True))
     errors, sizes = (q - wanted) * moves, (wanted - wanted.mean(axis=0)) * moves
     percents = [

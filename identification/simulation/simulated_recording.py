@@ -296,8 +296,10 @@ def saturated_percents(problem: Problem) -> dict[str, float]:
     empty if none is stated.
     """
     robot, N = problem.signals.robot, len(problem.settings.used)
-    limits = SATURATED * robot.saturation
-    at = [(np.abs(effort) >= limits).sum(axis=0) for effort in _motor_efforts(problem)]
+    at = [
+        (np.abs(effort) >= SATURATED * robot.saturation).sum(axis=0)
+        for effort in _motor_efforts(problem)
+    ]
     return {
         f"{motor.name} ({motor.saturation:.4g} {motor.recorded_unit})": 100.0 * float(k) / N
         for motor, k in zip(robot.motors, np.sum(at, axis=0), strict=True)
