@@ -247,11 +247,6 @@ class MotionBlock(Motion):
         """Return the weights (n, rows) of the rows, 0 for those that do not count."""
         return sample_weights(self.problem).of_rows[self.near][self.inside].T
 
-    @property
-    def first(self) -> int:
-        """Its first row."""
-        return int(self.near.start + self.inside.start)
-
     @cached_property
     def W(self) -> Array:
         """Return the regressor (n, b, rows) F[w IDM]; columns of load friction are zero."""
@@ -376,8 +371,10 @@ def predicted_torque(
         motion,
         stride,
     ).swapaxes(0, 1)
-    tau = [
-        one.torque(motion.q, motion.dq, motion.ddq, rigid=of_links)
-        for one, of_links in zip(models, rigid, strict=True)
-    ]
-    return np.reshape(tau, (*beta.shape[:-1], *motion.q.shape))
+    return np.reshape(
+        [
+            one.torque(motion.q, motion.dq, motion.ddq, rigid=of_links)
+            for one, of_links in zip(models, rigid, strict=True)
+        ],
+        (*beta.shape[:-1], *motion.q.shape),
+    )
