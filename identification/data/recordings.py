@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.files import field_of
 from acquisition.recording import OPTIONAL, Block, Recording, in_gaps, measured_rows, read_recording
 from acquisition.robot import (
@@ -24,7 +25,6 @@ from acquisition.robot import (
 )
 
 from ..arrays import Array
-from ..errors import BadInputError
 from .signals import OF_FILES, Signals
 from .work import Work
 
@@ -113,12 +113,11 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 def _read(path: Path) -> tuple[Recording, Block]:
     """Read a recording that is whole, and its samples, of which there must be some."""
     recording = read_recording(path)
-    if recording.cut:
-        raise BadInputError(
-            "is cut off",
-            place=str(path),
-            expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
-        )
+    Place(str(path)).require(
+        not recording.cut,
+        expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
+        text="is cut off",
+    )
     if recording.samples is None or len(recording.samples) == 0:
         raise BadInputError(
             recording.no_samples,
@@ -174,13 +173,9 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
         for of in (was, robot)
     )
     for (key, before), (_, now) in zip(*units, strict=True):
-        if before != now:
-            raise BadInputError(
-                place=str(path),
-                key=f"unit of {key} in robot {robot.name}",
-                value=now,
-                expected=f"{before}, as recorded",
-            )
+        Place(str(path)).require(
+            before == now, f"unit of {key} in robot {robot.name}", now, f"{before}, as recorded"
+        )
 
 
 def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, float]:
@@ -191,10 +186,7 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
     agrees with theirs within 10 %. Refuses time that does not increase, and a gap far longer than
     the rows.
     """
-    if len(since) < 2:
-        raise BadInputError(
-            place=str(path), key="samples", value=len(since), expected="a trajectory"
-        )
+    Place(str(path)).require(len(since) >= 2, "samples", len(since), "a trajectory")
     steps = np.diff(since)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(since) * max(period, 1.0)))
@@ -311,30 +303,27 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
     """Refuse recordings of different robots, or the same recording twice."""
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
-        if other.sha256 and other.sha256 in seen:
-            raise BadInputError(
-                f"has the same content as {seen[other.sha256]}",
-                place=other.recording,
-                expected="each recording once",
-            )
+        place = Place(other.recording)
+        place.require(
+            not other.sha256 or other.sha256 not in seen,
+            expected="each recording once",
+            text=f"has the same content as {seen.get(other.sha256)}",
+        )
         seen[other.sha256] = other.recording
-        if other.robot.n != first.robot.n:
-            raise BadInputError(
-                place=other.recording,
-                key="joints",
-                value=other.robot.n,
-                expected=f"{first.robot.n}, as in {first.recording}",
-            )
+        place.require(
+            other.robot.n == first.robot.n,
+            "joints",
+            other.robot.n,
+            f"{first.robot.n}, as in {first.recording}",
+        )
         each, wanted_of = _identity(other.robot, first.robot), _identity(first.robot, first.robot)
         for (key, value), (_, wanted) in zip(each, wanted_of, strict=True):
-            if value != wanted:
-                raise BadInputError(
-                    place=other.recording,
-                    key=key,
-                    value=value,
-                    expected=f"{wanted!r}, as in {first.recording}: recordings of one fit are of "
-                    "one robot",
-                )
+            place.require(
+                value == wanted,
+                key,
+                value,
+                f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot",
+            )
 
 
 def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:

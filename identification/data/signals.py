@@ -84,41 +84,24 @@ class Signals:
     motion_hz: float | None = None
 
     def __post_init__(self) -> None:
-        N, n = self.q.shape
+        (N, n), place = self.q.shape, Place(self.recording)
         parts = {name: of for name in COLUMNS if (of := getattr(self, name)) is not None}
         for name, array in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
-            if array.shape != shape:
-                raise BadInputError(
-                    place=self.recording,
-                    key=f"{name}.shape",
-                    value=array.shape,
-                    expected=f"{shape}, as q has",
-                )
-        if n != (joints := len(self.robot.joints)):
-            raise BadInputError(
-                place=self.recording,
-                key="joints recorded",
-                value=n,
-                expected=f"{joints}, as the robot has",
-            )
-        if self.known_torque is not None and not self.robot.gain_known:
-            units = " and ".join(sorted(set(self.robot.effort_units)))
-            raise BadInputError(
-                f"cannot be added to efforts in {units}",
-                place=self.recording,
-                key="known_torque",
-                expected=f"the drive gains of robot {self.robot.name}",
-            )
+            place.require(array.shape == shape, f"{name}.shape", array.shape, f"{shape}, as q has")
+        joints = len(self.robot.joints)
+        place.require(n == joints, "joints recorded", n, f"{joints}, as the robot has")
+        units = " and ".join(sorted(set(self.robot.effort_units)))
+        place.require(
+            self.known_torque is None or self.robot.gain_known,
+            "known_torque",
+            expected=f"the drive gains of robot {self.robot.name}",
+            text=f"cannot be added to efforts in {units}",
+        )
         for name, array in parts.items():
             if not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0, 0])
-                raise BadInputError(
-                    place=self.recording,
-                    key=f"{name}[{row}]",
-                    value=array[row].tolist(),
-                    expected="finite numbers",
-                )
+                place.refuse(f"{name}[{row}]", array[row].tolist(), "finite numbers")
             array.flags.writeable = False
             release_pages(array)
 
@@ -186,8 +169,7 @@ def signals_from_arrays(
     from acquisition.importing import grid_of_new_rows
 
     for name in columns:
-        if name not in OPTIONAL:
-            raise BadInputError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
+        Place(NAME).require(name in OPTIONAL, name, expected=f"columns {', '.join(OPTIONAL)}")
     _refuse_rate(sample_rate_hz)
     of_file, doubts = OF_FILES.get(id(q)), list[str]()
     if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
@@ -248,23 +230,21 @@ def _refuse_rate(rate_hz: float) -> None:
         unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
         step = float(np.median(np.diff(rate.ravel()) / unit))
         doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
-    if rate.ndim or rate.dtype.kind not in "iuf" or not 0 < rate_hz < np.inf:
-        raise BadInputError(
-            doubt,
-            place=NAME,
-            key="sample_rate_hz",
-            value=rate_hz,
-            shown=f"{rate.size} values" if rate.size > 1 else "",
-            expected="the rate in Hz, a number above 0",
-        )
-    if rate_hz < 1:
-        raise BadInputError(
-            f"a period? the rate is {1 / rate_hz:g} Hz",
-            place=NAME,
-            key="sample_rate_hz",
-            value=rate_hz,
-            expected="1 or more",
-        )
+    Place(NAME).require(
+        not rate.ndim and rate.dtype.kind in "iuf" and 0 < rate_hz < np.inf,
+        "sample_rate_hz",
+        rate_hz,
+        "the rate in Hz, a number above 0",
+        text=doubt,
+        shown=f"{rate.size} values" if rate.size > 1 else "",
+    )
+    Place(NAME).require(
+        rate_hz >= 1,
+        "sample_rate_hz",
+        rate_hz,
+        "1 or more",
+        text=f"a period? the rate is {1 / rate_hz:g} Hz",
+    )
 
 
 def _copy(name: str, array: ArrayLike, n: int) -> Array:
@@ -274,8 +254,10 @@ def _copy(name: str, array: ArrayLike, n: int) -> Array:
         raise BadInputError(
             str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})"
         ) from error
-    if copied.ndim != 2 or copied.shape[1] != n or len(copied) < 2:
-        raise BadInputError(
-            place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first"
-        )
+    Place(NAME).require(
+        copied.ndim == 2 and copied.shape[1] == n and len(copied) >= 2,
+        f"{name}.shape",
+        copied.shape,
+        f"(N, {n}), time first",
+    )
     return copied

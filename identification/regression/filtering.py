@@ -16,8 +16,9 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.errors import NoFitError, Place
+
 from ..arrays import Array, Bools, Ints
-from ..errors import BadInputError, NoFitError
 
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
@@ -33,13 +34,13 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time);
     `cutoff_hz` is of one direction.
     """
-    if not 0 < cutoff_hz < sample_rate_hz / 2:
-        raise BadInputError(
-            key="cut-off",
-            value=cutoff_hz,
-            shown=f"{cutoff_hz:g} Hz",
-            expected=f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
-        )
+    Place("").require(
+        0 < cutoff_hz < sample_rate_hz / 2,
+        "cut-off",
+        cutoff_hz,
+        f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
+        shown=f"{cutoff_hz:g} Hz",
+    )
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
         raise NoFitError(key="samples to filter", value=len(x), expected=f"more than {padding}")

@@ -8,12 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from acquisition.errors import Place
 from acquisition.files import release_pages
 from acquisition.robot import Robot
 
 from ..arrays import Array, Bools
 from ..data import RecordingFile, Signals
-from ..errors import BadInputError
 from ..model import (
     BaseParameters,
     DirectModel,
@@ -196,21 +196,17 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
     """
     names, place = (
         {motor.name: motor.gain for motor in signals.robot.motors},
-        f"robot {signals.robot.name}",
+        Place(f"robot {signals.robot.name}"),
     )
     for name in gains:
-        if name not in names:
-            raise BadInputError(
-                place=place, key="gains", value=name, expected=f"one of {', '.join(names)}"
-            )
+        place.require(name in names, "gains", name, f"one of {', '.join(names)}")
     for name, gain in names.items():
-        if gain is None and name not in gains:
-            raise BadInputError(
-                place=place,
-                key=f"motor {name}: drive_gain",
-                value=None,
-                expected=f"drive_gain, or {name} among the gains to identify",
-            )
+        place.require(
+            gain is not None or name in gains,
+            f"motor {name}: drive_gain",
+            None,
+            f"drive_gain, or {name} among the gains to identify",
+        )
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:

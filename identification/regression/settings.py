@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from acquisition.errors import BadInputError, NoFitError
+from acquisition.errors import NoFitError, Place
 from acquisition.robot import (
     Edges,
     LowSpeed,
@@ -260,14 +260,13 @@ def make_settings(
 def _refuse_low_rate(signals: Signals) -> None:
     fs, bandwidth_hz = signals.sample_rate_hz, signals.robot.bandwidth_hz
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
-    if fs <= least_hz:
-        raise BadInputError(
-            place=signals.recording,
-            key="sample_rate_hz",
-            value=fs,
-            expected=f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in "
-            "Hz, not a period",
-        )
+    Place(signals.recording).require(
+        fs > least_hz,
+        "sample_rate_hz",
+        fs,
+        f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a "
+        "period",
+    )
 
 
 def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
@@ -278,15 +277,14 @@ def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
     is shorter than the border of the low-pass, or than a period of the loop.
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
-    if stated_hz is not None and stated_hz >= fs / 2:
-        raise BadInputError(
-            place=signals.recording,
-            key="cut-off",
-            value=stated_hz,
-            shown=f"{stated_hz:g} Hz",
-            expected=f"below {fs / 2:g} Hz, half the rate",
-        )
     asked_hz = _highest_hz(signals) if stated_hz is None else stated_hz
+    Place(signals.recording).require(
+        stated_hz is None or asked_hz < fs / 2,
+        "cut-off",
+        asked_hz,
+        f"below {fs / 2:g} Hz, half the rate",
+        shown=f"{asked_hz:g} Hz",
+    )
     cutoff_hz = asked_hz if 0 < asked_hz < fs / 2 else None
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
     if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:

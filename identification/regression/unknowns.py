@@ -25,10 +25,10 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Ints
-from ..errors import BadInputError
 from ..estimation import Estimate
 from ..report import base_name, gain_name, is_base, is_own, own_name
 from .blocks import MotionBlock
@@ -322,26 +322,25 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
 def _own_places(problem: Problem, kind: str) -> list[int]:
     """Places of the base parameters of a kind, each of which stands alone."""
     base, model, found = problem.base, problem.model, list[int]()
-    refused = partial(
-        BadInputError,
-        place=f"robot {problem.signals.robot.name}",
-        key="identification.own",
-        value=kind,
-    )
+    place, key = Place(f"robot {problem.signals.robot.name}"), "identification.own"
     columns = [c for c, term in model.terms.items() if term.kind == KINDS[kind]]
-    if not columns:
-        raise refused(
-            "no joint has it",
-            expected="offset = true of a joint" if kind == "Off" else "joints with this friction",
-        )
+    place.require(
+        columns,
+        key,
+        kind,
+        "offset = true of a joint" if kind == "Off" else "joints with this friction",
+        text="no joint has it",
+    )
     for c in columns:
         alone = np.flatnonzero((base.columns == c) & (np.count_nonzero(base.K, axis=1) == 1))
-        if not len(alone):
-            raise refused(
-                f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs "
-                "an offset)",
-                expected="a kind whose parameters stand alone in the base parameters",
-            )
+        place.require(
+            len(alone),
+            key,
+            kind,
+            "a kind whose parameters stand alone in the base parameters",
+            text=f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs "
+            "an offset)",
+        )
         found += alone.tolist()
     return found
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Bools
 from ..control import ARRAYS, FLOATS, Control, ControlLaw, Numbers, Reference, described_law
-from ..errors import BadInputError
 from ..model import (
     DirectModel,
     InverseModel,
@@ -301,13 +301,12 @@ def described_robot(
     """
     from acquisition.simulated import SUBSTEPS, middle_of_range
 
-    if payload is not None and not robot.gain_known:
-        raise BadInputError(
-            place=f"robot {robot.name}",
-            key="payload",
-            value=str(payload),
-            expected="drive gains of the motors: in A or V a mass has no weight",
-        )
+    Place(f"robot {robot.name}").require(
+        payload is None or robot.gain_known,
+        "payload",
+        str(payload),
+        "drive gains of the motors: in A or V a mass has no weight",
+    )
     inverse = InverseModel(robot)
     base = base_parameters(inverse)
     parameters = base.standard_parameters(described_parameters(inverse, base))

@@ -15,12 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.files import allocate, release_pages
 from acquisition.robot import Joint
 
 from ..arrays import Array, Bools
 from ..control import SATURATED, FoundLaw, Reference, default_law, law_of_recording
-from ..errors import BadInputError
 from ..model import DirectModel, inertias, why_not_positive
 from ..regression import (
     BLOCK_SAMPLES,
@@ -379,12 +379,11 @@ def refuse_instants(problem: Problem, period_s: float, duration_s: float, subste
             f"at least {MIN_INSTANTS} instants",
         ),
     ):
-        if wrong:
-            raise BadInputError(
-                what,
-                place=f"robot {signals.robot.name}",
-                key="controller.sample_rate_hz",
-                value=1 / period_s,
-                shown=f"{1 / period_s:g}",
-                expected=expected,
-            )
+        Place(f"robot {signals.robot.name}").require(
+            not wrong,
+            "controller.sample_rate_hz",
+            1 / period_s,
+            expected,
+            text=what,
+            shown=f"{1 / period_s:g}",
+        )
