@@ -36,7 +36,7 @@ efforts in every structure.
 
 import operator
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -98,6 +98,7 @@ class Reference:
     q: Array
     dq: Array
     ddq: Array
+    _: KW_ONLY
     known_torque: Array | None = None
     feedforward: Array | None = None
     seen: Callable[[Array, int], Array] | None = None

@@ -179,11 +179,8 @@ def _follow_the_law(problem: Problem, u: Array, used: slice, at: Ints) -> Bools:
     """Which rows (rows, n), at the samples `at` of those used, have few near them whose effort u
     (N, n) is at its limit, or that were not measured: neither follows the law.
     """
-    left: Ints = np.cumsum(
-        (np.abs(u) >= SATURATED * problem.signals.robot.saturation)
-        | ~problem.measured_samples()[used, None],
-        axis=0,
-    )
+    limited = np.abs(u) >= SATURATED * problem.signals.robot.saturation
+    left: Ints = np.cumsum(limited | ~problem.measured_samples()[used, None], axis=0)
     far = SATURATED_ROWS * problem.settings.decimator.factor
     return np.asarray(left[at + far] - left[at - far] <= MAX_SATURATED * 2 * far)
 

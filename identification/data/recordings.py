@@ -139,9 +139,8 @@ def _with_recorded_controller(
         return robot, ()
     is_other = robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz)
     found = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
-    return found, (
-        f"{path.name}: the given [controller] is not used: the drives of a dry run have their own",
-    ) * is_other
+    warning = "the given [controller] is not used: the drives of a dry run have their own"
+    return found, (f"{path.name}: {warning}",) * is_other
 
 
 def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[str, Array]:

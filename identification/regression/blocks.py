@@ -286,9 +286,8 @@ class MotionBlock(Motion):
         signals = self.problem.signals
         if signals.known_torque is None:
             return np.zeros(self.q.shape)
-        return np.asarray(
-            signals.known_torque[np.rint(self.t_s * signals.sample_rate_hz).astype(np.intp)]
-        )
+        at = np.rint(self.t_s * signals.sample_rate_hz).astype(np.intp)
+        return np.asarray(signals.known_torque[at])
 
     def weighted(self, x: Array, joints: Sequence[int] | Ints | slice = slice(None)) -> Array:
         """Return F[w x] (k, rows) of series x (k, N), one for each of some joints."""
