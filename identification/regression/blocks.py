@@ -247,6 +247,11 @@ class MotionBlock(Motion):
         """Return the weights (n, rows) of the rows, 0 for those that do not count."""
         return sample_weights(self.problem).of_rows[self.near][self.inside].T
 
+    @property
+    def first(self) -> int:
+        """Its first row."""
+        return int(self.near.start + self.inside.start)
+
     @cached_property
     def W(self) -> Array:
         """Return the regressor (n, b, rows) F[w IDM]; columns of load friction are zero."""

@@ -1,7 +1,7 @@
 """The input of a fit: a recording, the settings, the model of the robot and its base parameters."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -238,7 +238,7 @@ def with_common_band(problems: Sequence[Problem]) -> list[Problem]:
     return [replace(one, settings=replace(one.settings, band_hz=band_hz)) for one in problems]
 
 
-def row_blocks(problem: Problem) -> Iterator[tuple[slice, slice]]:
+def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
     """The rows of the span used, in blocks: the rows that the filters need samples of, and in these
     the rows of the block itself. The borders depend only on the recording.
 
@@ -248,7 +248,8 @@ def row_blocks(problem: Problem) -> Iterator[tuple[slice, slice]]:
     n_d, rows = problem.settings.decimation, len(problem.settings.instants)
     margin = -(-decimation_reach(n_d) // n_d)
     series = int(problem.model.nonzero[:, problem.base.columns].sum())
-    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
+    size, found = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1), list[tuple[slice, slice]]()
     for first, last in pairwise([*range(0, max(1, rows - margin), size), rows]):
         low, high = max(0, first - margin), min(rows, last + margin)
-        yield slice(low, high), slice(first - low, last - low)
+        found.append((slice(low, high), slice(first - low, last - low)))
+    return found

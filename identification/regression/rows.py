@@ -211,7 +211,6 @@ def _rows_of_block(
     the rows are split. What is `asked`: places (k,) of Z in x, further columns, filters of the lag.
     """
     (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
-    first = motion.near.start + motion.inside.start
     known = motion.problem.signals.known_torque
     instants, drives = len(motion.problem.settings.instants), motion.filtered(motion.tau.T)
     J, r = equation.columns(x, motion), equation.residual(x, motion)[:, None]
@@ -222,14 +221,14 @@ def _rows_of_block(
     if lag is not None:
         J[:, lags] = Z[:, lags]
         white, of_lag = lag.whitened(np.concatenate([Z[:, lag.of], J[:, lag.of], r], axis=1), z)
-        late = SpanRows.of_block(instants, first, white, of_lag)
+        late = SpanRows.of_block(instants, motion.first, white, of_lag)
     if further is not None:
         C, fast = further.columns(z), fast_for_lag(z, further.sliding)
         G = further.at_rest(motion)
     # not the columns of the lags: the rate of a recorded torque is noise
     each = G, C, Z[:, places], J[:, : -len(lags)]
     return (
-        SpanRows.of_block(instants, first, np.concatenate([*each, r], axis=1), share, fast),
+        SpanRows.of_block(instants, motion.first, np.concatenate([*each, r], axis=1), share, fast),
         late,
         (drives if known is None else drives + motion.filtered(motion.known_torque.T)).T,
         motion.kept(motion.dq),
