@@ -15,6 +15,5 @@ from .control_law import (
     default_law,
     described_law,
 )
-from .found_law import FoundLaw, law_of, law_of_recording
-from .lag_by_law import MAX_LAW_PERCENT, lag_without_fit
+from .found_law import MAX_LAW_PERCENT, FoundLaw, lag_without_fit, law_of, law_of_recording
 from .motor_paths import SATURATED

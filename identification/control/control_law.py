@@ -48,7 +48,8 @@ from ..errors import BadInputError
 from ..model import DirectModel
 
 ControllerKind = Literal["described", "found", "surrogate"]
-INTEGRATING = ("cascade_p_pi", "pid")  # structures
+# structures: with an integral, and whose position gain acts on a speed loop
+INTEGRATING, CASCADES = ("cascade_p_pi", "pid"), ("cascade_p_p", "cascade_p_pi")
 # Of estimates of the speed, in controller's periods.
 SPEED_DELAYS = {"exact": 0.0, "backward_difference": 0.5, "two_sample_mean": 1.0}
 SURROGATE_DAMPING = 0.8
@@ -135,12 +136,7 @@ class ControlLaw:
     @property
     def feedforward(self) -> float:
         """phi, the share of the reference's speed."""
-        return 0.0 if self.structure == "pd" or self.is_cascade else 1.0
-
-    @property
-    def is_cascade(self) -> bool:
-        """Whether the position gain acts on a speed loop."""
-        return self.structure.startswith("cascade")
+        return 0.0 if self.structure in ("pd", *CASCADES) else 1.0
 
     @property
     def computed_torque(self) -> bool:
@@ -150,16 +146,15 @@ class ControlLaw:
     @property
     def keys(self) -> dict[str, Any]:
         """The keys of `[controller]` that describe it, as `described_law` reads them."""
-        by = self.Kd if self.is_cascade else np.ones(len(self.Kd))
-        found = {
+        by = self.Kd if self.structure in CASCADES else np.ones(len(self.Kd))
+        return {
             "structure": self.structure,
             "sample_rate_hz": 1 / self.period_s,
             "position_gain": (self.Kp / by).tolist(),
             "velocity_gain": self.Kd.tolist(),
-            "integral_gain": (self.Ki / by).tolist(),
+            **({"integral_gain": (self.Ki / by).tolist()} if self.integrates else {}),
             "velocity_estimate": self.velocity_estimate,
         }
-        return {key: x for key, x in found.items() if key != "integral_gain" or self.integrates}
 
     @property
     def integrates(self) -> bool:
@@ -183,8 +178,7 @@ class ControlLaw:
         if self.computed_torque:
             return self
         loops = np.linalg.solve(M, (self.R.T * self.G * self.Kd) @ self.R)
-        fastest = float(np.abs(np.linalg.eigvals(loops)).max())
-        slowest_hz = max(rate_hz, fastest / MAX_DECAY)
+        slowest_hz = max(rate_hz, float(np.abs(np.linalg.eigvals(loops)).max()) / MAX_DECAY)
         m = max(1, int(1 / (slowest_hz * self.period_s) + 1e-9))
         return replace(self, period_s=m * self.period_s, periods=m)
 
@@ -220,18 +214,16 @@ def described_gains(controller: Controller) -> Array | None:
     """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
     is not described whole.
     """
-    integrates, cascades = controller.structure in INTEGRATING, _cascades(controller)
-    keys = ["position_gain", "velocity_gain", *["integral_gain"] * integrates]
-    given = [getattr(controller, key) for key in keys]
+    given = [
+        controller.position_gain,
+        controller.velocity_gain,
+        *[controller.integral_gain] * (controller.structure in INTEGRATING),
+    ]
     if controller.structure is None or None in given:
         return None
     kp, kd, *ki = map(np.array, given)
-    cascade = kd if cascades else 1.0
+    cascade = kd if controller.structure in CASCADES else 1.0
     return np.array([kp * cascade, kd, ki[0] * cascade if ki else 0.0 * kp])
-
-
-def _cascades(controller: Controller) -> bool:
-    return str(controller.structure).startswith("cascade")
 
 
 def described_law(robot: Robot) -> ControlLaw | None:
@@ -262,7 +254,7 @@ def described_law(robot: Robot) -> ControlLaw | None:
         Kp=gains[0],
         Kd=gains[1],
         Ki=gains[2],
-        position_share=np.array(c.position_gain) if _cascades(c) else np.ones(robot.n),
+        position_share=np.array(c.position_gain) if c.structure in CASCADES else np.ones(robot.n),
         saturation=robot.saturation,
         velocity_estimate=c.velocity_estimate or "backward_difference",
         gravity="measured" if c.gravity_feedforward else "none",
@@ -351,8 +343,9 @@ class Control:
             before.insert(0, q)
         u = self._u[k] - dot(self._P, q) - dot(self._D, dq)
         if self._at_q:
-            gravity = self._model.gravity(np.reshape(q, (1, -1)))[0]
-            u = u + self._numbers.own(self._to_motors.dot(gravity))
+            u = u + self._numbers.own(
+                self._to_motors.dot(self._model.gravity(np.reshape(q, (1, -1)))[0])
+            )
         if self._integrates:
             x = self._x[k] - dot(self._I, q)
             if self._of_speed:

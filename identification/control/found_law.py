@@ -10,9 +10,12 @@ effort are found by Gauss-Newton steps beside the gains. The speed v is dq, or d
 a period ago, by the controller's estimate. The data determine only d + L: the estimate with the
 smallest d and L is taken. A controller's integral is a sum of rectangles: that of the path and
 half a period of its integrand.
+
+A described law that gives the effort at its own instants tells the lag of the recorded torque too.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,7 +27,7 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..estimation import System, intervals_of, ordinary_least_squares
-from ..regression import Problem
+from ..regression import NOTHING, Lag, Problem
 from .control_law import SPEED_DELAYS, ControlLaw, described_gains, described_law
 from .motor_paths import (
     MAX_RESIDUAL_PERCENT,
@@ -37,14 +40,18 @@ from .motor_paths import (
 # Columns of u: the error e, its rate f = w - v, speeds v measured and w of the reference, the
 # error's integral i, position q.
 STRUCTURES = {"pd": "ev", "pd_velocity_feedforward": "ef", "pid": "efi", "cascade_p_pi": "eviq"}
-# of no structure
-RIVALS = {"speed fed forward in part": "evw", "an integral without it": "evi", "both": "evwi"}
-LAWS = STRUCTURES | RIVALS
+LAWS = STRUCTURES | {  # rivals of no structure
+    "speed fed forward in part": "evw",
+    "an integral without it": "evi",
+    "both": "evwi",
+}
 LEAST_RESIDUAL_PERCENT = 0.1  # of the effort's variation; below, all are equal
 MIN_RATIO = 1.5  # of residuals, for one structure to be better than another
 MIN_ROWS = 60
 # samples: no instant of a record is known better; those of the real EMPS are off by 0.006
 LEAST_LAG_SD = 4e-3
+MAX_LAW_PERCENT = 5.0  # of the effort's variation that a law does not give, where it tells the lag
+DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,15 +104,18 @@ class FoundLaw:
         return delay_s if fits and abs(delay_s) > half_s else 0.0
 
 
-def law_of_recording(robot: Robot, found: FoundLaw | None) -> ControlLaw | None:
-    """The law that the description has or, without one, that was found; None for neither.
+def law_of_recording(problem: Problem, found: FoundLaw | None) -> ControlLaw | None:
+    """The law that the description has or, without one, that was found; None for neither. Along a
+    measured position it has the model's gravity, as the position has the sag.
 
     Raises `BadInputError` for an incomplete description.
     """
-    described = described_law(robot)
-    if described is None and found is not None and found.reason is None:
-        return replace(found.law, G=robot.gain)  # those that a fit identified
-    return described
+    law = described_law(problem.robot)
+    if law is None and found is not None and found.reason is None:
+        law = replace(found.law, G=problem.robot.gain)  # those that a fit identified
+    if law is None or problem.signals.q_ref is not None or law.gravity == "measured":
+        return law
+    return replace(law, gravity="reference")
 
 
 def law_of(problem: Problem) -> FoundLaw | None:
@@ -121,79 +131,90 @@ def law_of(problem: Problem) -> FoundLaw | None:
     period_s = 1 / (controller.sample_rate_hz or signals.sample_rate_hz)
     # Of a controller that is not described the period is anything up to that of the samples.
     unknown_s = 0.0 if controller.sample_rate_hz else 0.25 * period_s
-    known = problem.settings.lag
-    known = replace(known, value_s=known.value_s + 0.5 * period_s)
+    lag = problem.settings.lag
     with suppress(NoFitError):  # too few samples to filter
-        motors = motor_paths(problem, known, period_s - 2 * unknown_s)
+        motors = motor_paths(
+            problem,
+            replace(lag, value_s=lag.value_s + 0.5 * period_s),
+            period_s - 2 * unknown_s,
+        )
         if min(len(motor.u) for motor in motors) >= MIN_ROWS:
             return _select_law(signals.robot, motors, period_s, unknown_s)
     return None
 
 
-class _Fits:
-    """Least squares of all motors by any structure, each done once."""
+def _solver(motors: list[MotorPaths], period_s: float) -> Callable[[str, str], list[Found]]:
+    """Least squares of all motors by columns and the controller's estimate of the speed, each done
+    once.
+    """
 
-    def __init__(self, motors: list[MotorPaths], period_s: float) -> None:
-        self._motors, self._period_s = motors, period_s
-        self.solved = cache(self._solved)
-
-    def _solved(self, letters: str, estimate: str) -> list[Found]:
-        """By motor with the columns `letters`, by the controller's estimate of the speed."""
-        late_s, k = SPEED_DELAYS[estimate] * self._period_s, list(SPEED_DELAYS).index(estimate)
-        none: list[Found | None] = [None] * len(self._motors)
-        near = self.solved(letters, list(SPEED_DELAYS)[k - 1]) if k else none
-        pairs = zip(self._motors, near, strict=True)
+    @cache
+    def solved(letters: str, estimate: str) -> list[Found]:
+        late_s, k = SPEED_DELAYS[estimate] * period_s, list(SPEED_DELAYS).index(estimate)
+        near = solved(letters, list(SPEED_DELAYS)[k - 1]) if k else [None] * len(motors)
+        pairs = zip(motors, near, strict=True)
         return [one.solve(letters, late_s, found) for one, found in pairs]
 
-    def percents(self) -> dict[str, Array]:
-        """By structure what is left of the efforts (n,), by the best estimate of the speed."""
-        percent = dict[str, Array]()
-        for name, letters in LAWS.items():
-            # without the reference's speed a delay of the measured one is one of it and a lag
-            estimates = SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",)
-            each = [_percents(self.solved(letters, one)) for one in estimates]
-            percent[name] = np.min(each, axis=0)
-        return percent
+    return solved
 
 
 def _select_law(
     robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: float
 ) -> FoundLaw:
     """The law by the described structure or, without one, the structure that fits best."""
-    controller, fits = robot.controller, _Fits(motors, period_s)
-    percent = fits.percents()
+    solved = _solver(motors, period_s)
+    percent = {
+        name: np.min(
+            [
+                _percents(solved(letters, one))
+                # without the reference's speed a delay of the measured one is one of it and a lag
+                for one in (SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",))
+            ],
+            axis=0,
+        )
+        for name, letters in LAWS.items()
+    }
     valid = {name: percent[name] <= MAX_RESIDUAL_PERCENT for name in LAWS}
     for name, letters in STRUCTURES.items():
-        valid[name] &= [(x[: len(letters)] > 0).all() for _, x in fits.solved(letters, "exact")]
+        valid[name] &= [(x[: len(letters)] > 0).all() for _, x in solved(letters, "exact")]
     clear = {name: valid[name] & _is_clear(name, percent) for name in LAWS}
     best = max(
         LAWS, key=lambda name: (clear[name].sum(), valid[name].sum(), -float(percent[name].max()))
     )
-    name = controller.structure or (best if best in STRUCTURES else "pd")
+    name = robot.controller.structure or (best if best in STRUCTURES else "pd")
     name = "pd" if name == "cascade_p_p" else name
-    found = _with_values(robot, motors, fits, name, (period_s, unknown_s))
-    reason = None
-    if not valid[name].all():
-        reason = f"no linear law fits motor {robot.motors[int(valid[name].argmin())].name}"
-    elif best != name:
-        reason = f"{best} fits better"
-    elif not clear[name].any():
-        reason = "several laws fit alike"
-    elif not (found.gains[found.used] > 0).all():
+    found = _with_values(robot, motors, solved, name, (period_s, unknown_s))
+    unlike = robot.motors[int(valid[name].argmin())].name
+    reasons = (
+        (not valid[name].all(), f"no linear law fits motor {unlike}"),
+        (best != name, f"{best} fits better"),
+        (not clear[name].any(), "several laws fit alike"),
         # by the speed that is taken, and determined at all
-        reason = f"gains of {name} are undetermined, or not positive"
-    rival = best if best != name and clear[best].any() else None
-    return replace(found, reason=reason, rival=rival, clear=clear[name])
+        (
+            not (found.gains[found.used] > 0).all(),
+            f"gains of {name} are undetermined, or not positive",
+        ),
+    )
+    return replace(
+        found,
+        reason=next((reason for holds, reason in reasons if holds), None),
+        rival=best if best != name and clear[best].any() else None,
+        clear=clear[name],
+    )
 
 
 def _with_values(
-    robot: Robot, motors: list[MotorPaths], fits: _Fits, name: str, period_s: tuple[float, float]
+    robot: Robot,
+    motors: list[MotorPaths],
+    solved: Callable[[str, str], list[Found]],
+    name: str,
+    period_s: tuple[float, float],
 ) -> FoundLaw:
     """The law of a structure, with its estimate of the speed; `period_s`: of the controller, and
     how much of it is unknown.
     """
     letters, described = STRUCTURES[name], described_gains(robot.controller)
-    ways = {one: fits.solved(letters, one) for one in SPEED_DELAYS}
+    ways = {one: solved(letters, one) for one in SPEED_DELAYS}
     estimate = _estimate(ways, motors[0], robot.controller.velocity_estimate)
     late_s = SPEED_DELAYS[estimate] * period_s[0]
     known = [None] * len(motors) if described is None else described.T
@@ -242,9 +263,10 @@ def _estimate(tried: dict[str, list[Found]], motor: MotorPaths, described: str |
     those that fit alike the one with the smallest delay and lag.
     """
     left = {one: _floored(_percents(found)) for one, found in tried.items()}
-    least = np.min(list(left.values()), axis=0)
-    alike = [one for one in tried if (left[one] < MIN_RATIO * least).all()]
-    alike = alike or [min(left, key=lambda one: float(left[one].sum()))]
+    limit = MIN_RATIO * np.min(list(left.values()), axis=0)
+    alike = [one for one in tried if (left[one] < limit).all()] or [
+        min(left, key=lambda one: float(left[one].sum()))
+    ]
     if described in alike:
         return described
     known, within_s = motor.known, math.hypot(motor.known.sd_s, 0.25 / motor.rate_hz)
@@ -281,13 +303,13 @@ def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s
     """Of a motor Kp, Kd, Ki, their half-widths, and delay, its half-width, lag, its deviation,
     s, (10,); NaN if undetermined. If gains are `stated` (3,), the lag is that with these.
     """
-    letters, sd_s, found = STRUCTURES[name], motor.known.sd_s, np.full(10, np.nan)
+    letters, found = STRUCTURES[name], np.full(10, np.nan)
     _, rho, J = motor.solved(letters, late_s, *x[-2:])
     rows, names = np.zeros(len(rho), dtype=np.intp), tuple(map(str, range(J.shape[1])))
     with suppress(NoFitError):
         whole = System.whole(J, rho, rows, names)
         sd_L = intervals_of(whole, ordinary_least_squares(whole)).sigma[-1]
-        sd_L = 1 / math.hypot(1 / sd_L, 1 / max(sd_s, 1e-12))
+        sd_L = 1 / math.hypot(1 / sd_L, 1 / max(motor.known.sd_s, 1e-12))
         sd_L = math.hypot(sd_L, LEAST_LAG_SD / motor.rate_hz)
         whole = whole.with_columns(np.arange(len(names) - 1))
         held = ordinary_least_squares(whole)
@@ -318,3 +340,42 @@ def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple
         / scale[-1]
     )
     return float(x[-1] + moves[-1]), float(sd)
+
+
+def _lag_by_law(problem: Problem, found: FoundLaw | None) -> Lag | None:
+    """Return the lag of the torque without an estimate, where the described control law gives the
+    effort; drives have loops that a description does not.
+
+    A command acts from its tick to the next one, on average half a period later; the drive's own
+    delay is not included.
+    """
+    if found is None or found.described is None or problem.signals.of_drives:
+        return None
+    similar = found.residual_percent <= MAX_LAW_PERCENT
+    if not similar.any():
+        return None
+    return replace(
+        problem.settings.lag,
+        value_s=float(found.lag_s[similar].mean()) - 0.5 * found.law.period_s,
+        sd_s=float(np.hypot(found.lag_sd_s[similar].max(), DRIVE_DELAY_S)),
+        source="the described control law",
+    )
+
+
+def lag_without_fit(group: Sequence[tuple[Problem, FoundLaw | None]]) -> Lag:
+    """Return the lag of a group of recordings as known without an estimate, by user, recording and
+    law: the mean of theirs, with the smallest deviation.
+    """
+    each, by_law_s = list[Lag](), None
+    for problem, found in group:
+        known, by_law = problem.settings.lag, _lag_by_law(problem, found)
+        if by_law is not None:
+            by_law_s = by_law.value_s if by_law_s is None else by_law_s
+            if not known.stated:
+                known = by_law if known.source == NOTHING else known.with_other(by_law)
+        each.append(known)
+    return replace(
+        min(each, key=lambda known: known.sd_s),
+        value_s=float(np.mean([known.value_s for known in each])),
+        by_law_s=by_law_s,
+    )

@@ -58,8 +58,8 @@ class MotorPaths:
             return self._refined(letters, late_s, near[1][-2:])
         found = list[Found]()
         for by in ("i", "e") if "i" in letters else ("e",):
-            at = np.array([self._first_delay(letters, late_s, by), self.known.value_s])
-            found.append(self._refined(letters, late_s, at))
+            d = self._first_delay(letters, late_s, by)
+            found.append(self._refined(letters, late_s, np.array([d, self.known.value_s])))
             if found[-1][0] < MAX_RESIDUAL_PERCENT:
                 break
         return min(found, key=lambda one: one[0])
@@ -151,16 +151,19 @@ def motor_paths(problem: Problem, known: Lag, period_s: float) -> list[MotorPath
         for x in (s.q_ref[used] @ R.T - first, s.q[used] @ R.T - first, u)
     )
     paths, held = [_paths(x, fs, step) for x in (r, q)], _gravity(problem, q[at] + first)
-    found = []
-    for rows, *of_motor, gravity, effort in zip(
-        free.T, *paths, held.transpose(2, 0, 1), u[at].T, strict=True
-    ):
-        beside = np.column_stack(
-            [np.ones(rows.sum()), *(x for x in gravity[:, rows] if x.any()), effort[rows]]
+    each = zip(free.T, *paths, held.transpose(2, 0, 1), u[at].T, strict=True)
+    return [
+        MotorPaths(
+            [_path(c, at[rows] // step, fs / step) for c in of_motor],
+            np.column_stack(
+                [np.ones(rows.sum()), *(x for x in gravity[:, rows] if x.any()), effort[rows]]
+            ),
+            fs / step,
+            known,
+            period_s,
         )
-        by_delay = [_path(c, at[rows] // step, fs / step) for c in of_motor]
-        found.append(MotorPaths(by_delay, beside, fs / step, known, period_s))
-    return found
+        for rows, *of_motor, gravity, effort in each
+    ]
 
 
 def _row_places(N: int, n_d: int, fs: float) -> Ints:

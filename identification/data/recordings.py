@@ -2,7 +2,7 @@
 recordings are of one robot.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.files import field_of
 from acquisition.recording import OPTIONAL, Block, Recording, in_gaps, measured_rows, read_recording
 from acquisition.robot import (
@@ -24,7 +25,6 @@ from acquisition.robot import (
 )
 
 from ..arrays import Array
-from ..errors import BadInputError
 from .signals import OF_FILES, Signals
 from .work import Work
 
@@ -113,12 +113,11 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 def _read(path: Path) -> tuple[Recording, Block]:
     """Read a recording that is whole, and its samples, of which there must be some."""
     recording = read_recording(path)
-    if recording.cut:
-        raise BadInputError(
-            "is cut off",
-            place=str(path),
-            expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
-        )
+    Place(str(path)).require(
+        not recording.cut,
+        expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
+        text="is cut off",
+    )
     if recording.samples is None or len(recording.samples) == 0:
         raise BadInputError(
             recording.no_samples,
@@ -138,12 +137,10 @@ def _with_recorded_controller(
     law = was.files.get(SIMULATED_CONTROLLER)
     if law is None:
         return robot, ()
-    warning = (
-        f"{path.name}: the given [controller] is not used: the drives of a dry run have their own"
-    )
     is_other = robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz)
-    files = {**robot.files, SIMULATED_CONTROLLER: law}
-    return robot_from_files(files, str(path)), (warning,) * is_other
+    found = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
+    warning = "the given [controller] is not used: the drives of a dry run have their own"
+    return found, (f"{path.name}: {warning}",) * is_other
 
 
 def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[str, Array]:
@@ -167,19 +164,17 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
     """Another description may correct ratios and gains, but cannot change volts
     to amperes or rad to m.
     """
-    motors = zip(was.motors, robot.motors, strict=True)
-    joints = zip(was.joints, robot.joints, strict=True)
-    for key, before, now in (
-        *((f"motor {a.name}", a.recorded_unit, b.recorded_unit) for a, b in motors),
-        *((f"joint {a.name}", a.position_unit, b.position_unit) for a, b in joints),
-    ):
-        if before != now:
-            raise BadInputError(
-                place=str(path),
-                key=f"unit of {key} in robot {robot.name}",
-                value=now,
-                expected=f"{before}, as recorded",
-            )
+    units = (
+        [
+            *((f"motor {motor.name}", motor.recorded_unit) for motor in of.motors),
+            *((f"joint {joint.name}", joint.position_unit) for joint in of.joints),
+        ]
+        for of in (was, robot)
+    )
+    for (key, before), (_, now) in zip(*units, strict=True):
+        Place(str(path)).require(
+            before == now, f"unit of {key} in robot {robot.name}", now, f"{before}, as recorded"
+        )
 
 
 def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, float]:
@@ -190,10 +185,7 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
     agrees with theirs within 10 %. Refuses time that does not increase, and a gap far longer than
     the rows.
     """
-    if len(since) < 2:
-        raise BadInputError(
-            place=str(path), key="samples", value=len(since), expected="a trajectory"
-        )
+    Place(str(path)).require(len(since) >= 2, "samples", len(since), "a trajectory")
     steps = np.diff(since)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(since) * max(period, 1.0)))
@@ -217,9 +209,8 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
         if whole
         else float(np.abs(off).max())
     )
-    if whole and off_grid <= ON_GRID:
-        return since, round(1e9 / period, 6), off_grid
-    grid = np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
+    is_grid = whole and off_grid <= ON_GRID
+    grid = since if is_grid else np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
     return grid, round(1e9 / period, 6), off_grid
 
 
@@ -234,11 +225,15 @@ def _resample(grid: Array, since: Array, x: Array) -> Array:
 
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
     """The recorder's counters by name, over time in s from the first sample."""
-    rows = dict[str, list[tuple[float, float]]]()
-    for health in recording.health:
-        for name, count in health.counters.items():
-            rows.setdefault(name, []).append((1e-9 * (health.stamp_ns - first_ns), count))
-    return {name: (x[:, 0], x[:, 1]) for name, x in ((k, np.array(v)) for k, v in rows.items())}
+    rows = [(1e-9 * (one.stamp_ns - first_ns), one.counters) for one in recording.health]
+    names = dict.fromkeys(name for _, counters in rows for name in counters)
+    return {
+        name: (
+            np.array([t_s for t_s, counters in rows if name in counters]),
+            np.array([float(counters[name]) for _, counters in rows if name in counters]),
+        )
+        for name in names
+    }
 
 
 def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
@@ -307,43 +302,49 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
     """Refuse recordings of different robots, or the same recording twice."""
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
-        if other.sha256 and other.sha256 in seen:
-            raise BadInputError(
-                f"has the same content as {seen[other.sha256]}",
-                place=other.recording,
-                expected="each recording once",
-            )
+        place = Place(other.recording)
+        place.require(
+            not other.sha256 or other.sha256 not in seen,
+            expected="each recording once",
+            text=f"has the same content as {seen.get(other.sha256)}",
+        )
         seen[other.sha256] = other.recording
-        if other.robot.n != first.robot.n:
-            raise BadInputError(
-                place=other.recording,
-                key="joints",
-                value=other.robot.n,
-                expected=f"{first.robot.n}, as in {first.recording}",
+        place.require(
+            other.robot.n == first.robot.n,
+            "joints",
+            other.robot.n,
+            f"{first.robot.n}, as in {first.recording}",
+        )
+        each, wanted_of = _identity(other.robot, first.robot), _identity(first.robot, first.robot)
+        for (key, value), (_, wanted) in zip(each, wanted_of, strict=True):
+            place.require(
+                value == wanted,
+                key,
+                value,
+                f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot",
             )
-        for key, value, wanted in _compare(other.robot, first.robot):
-            if value != wanted:
-                raise BadInputError(
-                    place=other.recording,
-                    key=key,
-                    value=value,
-                    expected=f"{wanted!r}, as in {first.recording}: recordings of one fit are of "
-                    "one robot",
-                )
 
 
-def _compare(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
-    """What must agree between two robots with as many joints: key and both values."""
-    for mine, others in zip(a.joints, b.joints, strict=True):
-        for name in JOINT_KEYS:
-            yield f"joint {mine.name}: {name}", getattr(mine, name), getattr(others, name)
-        yield f"joint {mine.name}: friction", _friction(mine), _friction(others)
-    for motor, other in zip(a.motors, b.motors, strict=True):
-        for name in MOTOR_KEYS:
-            yield f"motor {motor.name}: {name}", getattr(motor, name), getattr(other, name)
-    for key, x, y in (("gravity_m_s2", a.gravity, b.gravity), ("motor_matrix", a.R, b.R)):
-        yield key, np.asarray(x).tolist(), np.asarray(y).tolist()
-    yield "urdf", "the same" if a.urdf == b.urdf else "another", "the same"
+def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:
+    """What must be that of the `first` robot, with as many joints: keys and values."""
+    return [
+        *(
+            (
+                f"joint {joint.name}: {name}",
+                _friction(joint) if name == "friction" else getattr(joint, name),
+            )
+            for joint in robot.joints
+            for name in (*JOINT_KEYS, "friction")
+        ),
+        *(
+            (f"motor {motor.name}: {name}", getattr(motor, name))
+            for motor in robot.motors
+            for name in MOTOR_KEYS
+        ),
+        ("gravity_m_s2", np.asarray(robot.gravity).tolist()),
+        ("motor_matrix", np.asarray(robot.R).tolist()),
+        ("urdf", "the same" if robot.urdf == first.urdf else "another"),
+    ]
 
 
 def _friction(joint: Joint) -> tuple[str, ...]:

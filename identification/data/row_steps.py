@@ -83,10 +83,8 @@ def _count_of_all(around: Array, x: Array, m: Array, deviation: Array) -> Array:
     moving = (size > MIN_DEVIATIONS) & alike
     ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(len(x)), where=moving)
     multiple = np.rint(ratio)
-    is_multiple = (
-        (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE)
-    )
-    extra = np.where(is_multiple, multiple - 1, 0)
+    near = np.abs(ratio - multiple) < MAX_ERROR
+    extra = np.where(near & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0)
     odd = extra != 0
     # of neighbours that compensate each other
     group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]
@@ -100,8 +98,8 @@ def _count_by_joint(x: Array, m: Array, noise: Array, deviation: Array) -> Array
     above = np.abs(m) > MIN_DEVIATIONS * noise
     coarse = above & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)
-    counted = above, np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR
-    return np.stack([part.sum(axis=0) for part in counted], axis=1)
+    double, zero = np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR
+    return np.stack([part.sum(axis=0) for part in (above, double, zero)], axis=1)
 
 
 def _medians(x: Array, counts: Bools, blocks: int) -> Array:

@@ -1,24 +1,22 @@
 """Signals: measurements in SI units on a uniform grid, also from arrays in memory."""
 
 import hashlib
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from typing import Any, TypedDict, Unpack
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition.errors import Place
+from acquisition.errors import BadInputError, Place
 from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL, Event, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
 from ..arrays import Array, Bools
-from ..errors import BadInputError
 
 NAME = "arrays"  # in place of a recording's name
 MAX_OFF_RATE = 0.05  # from the rate of the recording that arrays are of; less is a correction
@@ -86,44 +84,26 @@ class Signals:
     motion_hz: float | None = None
 
     def __post_init__(self) -> None:
-        N, n = self.q.shape
-        parts = {name: getattr(self, name) for name in COLUMNS}
-        for name, part in parts.items():
-            shape = (N,) if name == "t_s" else (N, n)
-            if part is not None and part.shape != shape:
-                raise BadInputError(
-                    place=self.recording,
-                    key=f"{name}.shape",
-                    value=part.shape,
-                    expected=f"{shape}, as q has",
-                )
-        if n != (joints := len(self.robot.joints)):
-            raise BadInputError(
-                place=self.recording,
-                key="joints recorded",
-                value=n,
-                expected=f"{joints}, as the robot has",
-            )
-        if self.known_torque is not None and not self.robot.gain_known:
-            units = " and ".join(sorted(set(self.robot.effort_units)))
-            raise BadInputError(
-                f"cannot be added to efforts in {units}",
-                place=self.recording,
-                key="known_torque",
-                expected=f"the drive gains of robot {self.robot.name}",
-            )
+        (N, n), place = self.q.shape, Place(self.recording)
+        parts = {name: of for name in COLUMNS if (of := getattr(self, name)) is not None}
         for name, array in parts.items():
-            if array is not None:
-                if not np.isfinite(array).all():
-                    row = int(np.argwhere(~np.isfinite(array))[0, 0])
-                    raise BadInputError(
-                        place=self.recording,
-                        key=f"{name}[{row}]",
-                        value=array[row].tolist(),
-                        expected="finite numbers",
-                    )
-                array.flags.writeable = False
-                release_pages(array)
+            shape = (N,) if name == "t_s" else (N, n)
+            place.require(array.shape == shape, f"{name}.shape", array.shape, f"{shape}, as q has")
+        joints = len(self.robot.joints)
+        place.require(n == joints, "joints recorded", n, f"{joints}, as the robot has")
+        units = " and ".join(sorted(set(self.robot.effort_units)))
+        place.require(
+            self.known_torque is None or self.robot.gain_known,
+            "known_torque",
+            expected=f"the drive gains of robot {self.robot.name}",
+            text=f"cannot be added to efforts in {units}",
+        )
+        for name, array in parts.items():
+            if not np.isfinite(array).all():
+                row = int(np.argwhere(~np.isfinite(array))[0, 0])
+                place.refuse(f"{name}[{row}]", array[row].tolist(), "finite numbers")
+            array.flags.writeable = False
+            release_pages(array)
 
     def load(self) -> "Signals":
         """Itself, as what is read already."""
@@ -172,23 +152,15 @@ class Signals:
 OF_FILES = WeakValueDictionary[int, Signals]()
 
 
-class OptionalColumns(TypedDict, total=False):
-    """Optional arrays (N, n), by their names in a recording."""
-
-    velocity: ArrayLike | None
-    known_torque: ArrayLike | None
-    feedforward: ArrayLike | None
-
-
 def signals_from_arrays(
     q: ArrayLike,
     effort: ArrayLike,
     sample_rate_hz: float,
     robot: Robot,
     q_ref: ArrayLike | None = None,
-    **columns: Unpack[OptionalColumns],
+    **columns: ArrayLike | None,
 ) -> Signals:
-    """Signals from arrays (N, n), which are copied; arguments and errors as
+    """Signals from arrays (N, n), which are copied, of `OPTIONAL` ones too; arguments and errors as
     of `identification.fit`.
 
     Of a log that is faster than its robot only the new rows are taken, with a warning in `events`;
@@ -197,8 +169,7 @@ def signals_from_arrays(
     from acquisition.importing import grid_of_new_rows
 
     for name in columns:
-        if name not in OPTIONAL:
-            raise BadInputError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
+        Place(NAME).require(name in OPTIONAL, name, expected=f"columns {', '.join(OPTIONAL)}")
     _refuse_rate(sample_rate_hz)
     of_file, doubts = OF_FILES.get(id(q)), list[str]()
     if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
@@ -238,8 +209,9 @@ def signals_from_arrays(
         doubts += check_recorded_velocities(
             robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME
         )
-    rows = {"stamp_ns": 1e9 * signals.t_s, "position": signals.q, "effort": signals.effort}
-    measured, text = measured_rows(rows, robot)
+    measured, text = measured_rows(
+        {"stamp_ns": 1e9 * signals.t_s, "position": signals.q, "effort": signals.effort}, robot
+    )
     return replace(
         signals,
         measured=measured if text else None,
@@ -258,23 +230,21 @@ def _refuse_rate(rate_hz: float) -> None:
         unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
         step = float(np.median(np.diff(rate.ravel()) / unit))
         doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
-    if rate.ndim or rate.dtype.kind not in "iuf" or not 0 < rate_hz < math.inf:
-        raise BadInputError(
-            doubt,
-            place=NAME,
-            key="sample_rate_hz",
-            value=rate_hz,
-            shown=f"{rate.size} values" if rate.size > 1 else "",
-            expected="the rate in Hz, a number above 0",
-        )
-    if rate_hz < 1:
-        raise BadInputError(
-            f"a period? the rate is {1 / rate_hz:g} Hz",
-            place=NAME,
-            key="sample_rate_hz",
-            value=rate_hz,
-            expected="1 or more",
-        )
+    Place(NAME).require(
+        not rate.ndim and rate.dtype.kind in "iuf" and 0 < rate_hz < np.inf,
+        "sample_rate_hz",
+        rate_hz,
+        "the rate in Hz, a number above 0",
+        text=doubt,
+        shown=f"{rate.size} values" if rate.size > 1 else "",
+    )
+    Place(NAME).require(
+        rate_hz >= 1,
+        "sample_rate_hz",
+        rate_hz,
+        "1 or more",
+        text=f"a period? the rate is {1 / rate_hz:g} Hz",
+    )
 
 
 def _copy(name: str, array: ArrayLike, n: int) -> Array:
@@ -284,8 +254,10 @@ def _copy(name: str, array: ArrayLike, n: int) -> Array:
         raise BadInputError(
             str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})"
         ) from error
-    if copied.ndim != 2 or copied.shape[1] != n or len(copied) < 2:
-        raise BadInputError(
-            place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first"
-        )
+    Place(NAME).require(
+        copied.ndim == 2 and copied.shape[1] == n and len(copied) >= 2,
+        f"{name}.shape",
+        copied.shape,
+        f"(N, {n}), time first",
+    )
     return copied

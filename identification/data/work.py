@@ -3,6 +3,7 @@ the same to the last bit.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -23,7 +24,6 @@ class Work(NamedTuple):
         if (on := self.workers) == 1:
             return (yield from (function(*task) for task in tasks))
         from asyncio import CancelledError
-        from concurrent.futures import BrokenExecutor
 
         from joblib import Parallel, delayed
 
@@ -50,8 +50,6 @@ HERE = Work()
 
 def _cluster(address: str) -> dict[str, Any]:
     try:
-        from concurrent.futures import BrokenExecutor
-
         from distributed import get_client
         from joblib._dask import DaskDistributedBackend
 

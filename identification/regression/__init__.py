@@ -4,10 +4,17 @@ It owns `Problem`, a recording with its settings and its model, and the terms wh
 the rows. It may use `model` and the rooms below.
 """
 
-from .blocks import Candidate, MotionBlock, motion_blocks, predicted_torque
+from .blocks import (
+    Candidate,
+    MotionBlock,
+    motion_blocks,
+    predicted_torque,
+    refuse_standing_joints,
+    sample_weights,
+    weights_at,
+)
 from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass, lowpass_reach
-from .known_lag import NOTHING, Lag
-from .lag import combined_lag, lags_in
+from .lag import LAG_ORDERS, combined_lag, lags_in
 from .motion import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
@@ -42,6 +49,6 @@ from .settings import (
     rule_cutoff_hz,
     with_bandwidth,
 )
-from .states import LAG_ORDERS, friction_states, recorded_power, rigid_torque_at_rows, row_states
+from .span_band_lag import NOTHING, Lag
+from .terms import friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_places, make_unknowns
-from .weights import refuse_standing_joints, sample_weights, weights_at

@@ -10,14 +10,15 @@ for published digits, is an option.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.errors import NoFitError, Place
+
 from ..arrays import Array, Bools, Ints
-from ..errors import BadInputError, NoFitError
 
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
@@ -33,13 +34,13 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time);
     `cutoff_hz` is of one direction.
     """
-    if not 0 < cutoff_hz < sample_rate_hz / 2:
-        raise BadInputError(
-            key="cut-off",
-            value=cutoff_hz,
-            shown=f"{cutoff_hz:g} Hz",
-            expected=f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
-        )
+    Place("").require(
+        0 < cutoff_hz < sample_rate_hz / 2,
+        "cut-off",
+        cutoff_hz,
+        f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
+        shown=f"{cutoff_hz:g} Hz",
+    )
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
         raise NoFitError(key="samples to filter", value=len(x), expected=f"more than {padding}")
@@ -85,8 +86,7 @@ class Decimation:
         """The samples of a series of N that give these rows: counted from the last one, which
         decimation keeps.
         """
-        before = N - self.rows(N) * self.factor
-        start, stop = (before + k * self.factor for k in (rows.start, rows.stop))
+        start, stop = (N - (self.rows(N) - k) * self.factor for k in (rows.start, rows.stop))
         return slice(max(0, start), stop)
 
     def filtered(self, x: Array) -> Array:
@@ -102,11 +102,10 @@ class Decimation:
                     value=x.shape[-1],
                     expected=f"more than {padding}",
                 )
-            first = (x.shape[-1] - 1) % r
             x = (
                 _decimated(x, r)
                 if self.smooth_ends
-                else _chebyshev(r).forward_backward(x, padding)[..., first::r]
+                else _chebyshev(r).forward_backward(x, padding)[..., (x.shape[-1] - 1) % r :: r]
             )
         return np.ascontiguousarray(x)
 
@@ -130,9 +129,7 @@ class Decimation:
         y = np.concatenate(
             [_decimated(head, r)[..., :k], passed, _decimated(tail, r)[..., -k:]], axis=-1
         )
-        for r in others:
-            y = _decimated(y, r)
-        return np.ascontiguousarray(y)
+        return np.ascontiguousarray(reduce(_decimated, others, y))
 
     @property
     def end_samples(self) -> int:
@@ -183,8 +180,8 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
 def _some_at_a_time(f: Callable[..., Array], *series: Array) -> Array:
     """f of series, each (E, ..., N), of as many of E at a time as the cache holds."""
     size = max(1, _IN_CACHE // max(1, *(x[:1].size for x in series)))
-    groups = (slice(k, k + size) for k in range(0, max(1, len(series[0])), size))
-    return np.concatenate([f(*(x[group] for x in series)) for group in groups])
+    starts = range(0, max(1, len(series[0])), size)
+    return np.concatenate([f(*(x[k : k + size] for x in series)) for k in starts])
 
 
 def _decimated(x: Array, r: int) -> Array:
@@ -242,11 +239,8 @@ def _gain(r: int, rows: int) -> Array:
 
 def decimation_reach(factor: int) -> int:
     """Samples to each side that influence a decimated output."""
-    reach, stride = 0, 1
-    for r in decimation_passes(factor):
-        reach += stride * _chebyshev(r).reach
-        stride *= r
-    return reach
+    passes = decimation_passes(factor)
+    return sum(math.prod(passes[:k]) * _chebyshev(r).reach for k, r in enumerate(passes))
 
 
 def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:

@@ -31,11 +31,14 @@ from ..estimation import (
     weights_of,
 )
 from .blocks import MotionBlock
-from .known_lag import Lag
 from .problem import Problem
-from .states import LAG_ORDERS, fast_for_lag, fast_for_lag_by
+from .span_band_lag import Lag
 
 MIN_ROWS = 20  # of a joint that moves, behind the filter; with fewer the next order is taken
+MIN_LAG_SPEED_PERCENT = 20.0  # of the peak speed; a lag is looked for in faster rows
+# of its whitening filter: shorter, model error looks like a lag; longer, few rows are left, so that
+# where moves between reversals are short the next one is taken
+LAG_ORDERS = (6, 4, 2)
 CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
 
 
@@ -74,11 +77,10 @@ def lags_in(late: tuple[System, Array, int], now_s: Array, lags: Sequence[Lag]) 
         if system.Y.any():  # else the fit is exact
             step = instrumental_variables(system, Z, weights_of(system, system.Y))
             within, last = intervals_of(system, step, most=WHITE_COSINES), slice(-len(lags), None)
-            values, sd = (now_s + step.beta[last]).tolist(), within.sigma[last].tolist()
-            each = zip(known, values, sd, strict=True)
+            found = (now_s + step.beta[last]).tolist(), within.sigma[last].tolist()
             return [
                 replace(combined_lag(lag, (value, sd, within.freedom)), order=order)
-                for lag, value, sd in each
+                for lag, value, sd in zip(known, *found, strict=True)
             ]
     return known
 
@@ -94,7 +96,7 @@ class LagFilters:
         """
         self.of, self._sliding = of, np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
         used = [
-            fast_for_lag_by(problem, speed, self._sliding, k) & (share.T > 0) for k in LAG_ORDERS
+            _fast_by_speed(problem, speed, self._sliding, k) & (share.T > 0) for k in LAG_ORDERS
         ]
         rows = np.array([_behind(*one).sum(axis=1) for one in zip(used, LAG_ORDERS, strict=True)])
         # the first that leaves enough of all joints of which any does, or else some
@@ -122,8 +124,31 @@ class LagFilters:
         """
         A, _, followed = rows.rows(share)
         Z, J, r = np.split(A, [len(self.of), 2 * len(self.of)], axis=1)
-        system = System(W=J, Y=r[:, 0], names=tuple(names[i] for i in self.of), **followed)
-        return system, Z, self.order
+        own = tuple(names[i] for i in self.of)
+        return System(W=J, Y=r[:, 0], names=own, **followed), Z, self.order
+
+
+def fast_for_lag(motion: MotionBlock, peak: Array, order: int = LAG_ORDERS[0]) -> Bools:
+    """Rows (n, T) of a motion in which a lag shows, by the `peak` speeds (c,) along the
+    directions of Coulomb friction, behind a whitening filter of this order.
+    """
+    speed = motion.dq[motion.decimation.instants(len(motion.dq))]
+    return _fast_by_speed(motion.problem, speed, peak, order)[:, motion.inside]
+
+
+def _fast_by_speed(problem: Problem, speed: Array, peak: Array, order: int) -> Bools:
+    """Rows (n, T) in which a lag shows, by their speeds (T, n): no direction of Coulomb friction
+    that acts on the joint is slower than a share of its peak.
+    """
+    percent = max(MIN_LAG_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
+    directions = problem.model.coulomb_directions
+    slow = np.abs(speed @ directions.T) < 0.01 * percent * peak
+    fast = ~(slow @ (directions != 0)).T
+    # Not soon before a slow row, as zero-phase decimation spreads a reversal both ways; the
+    # whitening leaves out rows soon after one.
+    for _ in range(order):
+        fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
+    return np.asarray(fast)
 
 
 def _behind(used: Bools, order: int) -> Bools:

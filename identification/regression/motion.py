@@ -165,12 +165,11 @@ def motion_between(
     if cutoff_hz:
         part = lowpass(part, cutoff_hz, sample_rate_hz)
     dq = differentiate(part, sample_rate_hz)
-    ddq = differentiate(dq, sample_rate_hz)
     return Motion(
         t_s=np.arange(start, stop) / sample_rate_hz,
         q=np.array(part[inside]),
         dq=dq[inside],
-        ddq=ddq[inside],
+        ddq=differentiate(dq, sample_rate_hz)[inside],
         tau=np.array(tau[start:stop]),
     )
 
@@ -189,5 +188,6 @@ def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
     joint of the same type.
     """
     limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
-    each = zip(joints, peak > limits, strict=True)
-    return tuple(joint.name for joint, moves in each if not moves)
+    return tuple(
+        joint.name for joint, stands in zip(joints, ~(peak > limits), strict=True) if stands
+    )

@@ -68,8 +68,12 @@ class PayloadColumns:
             payload_parameters(self.model, payload),
             payload.mass_kg * payload.center_half_width_m,
         )
-        each = ((name, payload_parameter(name)) for name in self.names)
-        return {name: (float(phi[i]), half) for name, of in each for i in MOMENTS if LINK[i] == of}
+        return {
+            name: (float(phi[i]), half)
+            for name in self.names
+            for i in MOMENTS
+            if LINK[i] == payload_parameter(name)
+        }
 
     def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
         """By the half-width of the mass, and of each coordinate of a centre of mass that is not
@@ -173,13 +177,12 @@ def _columns(
     )
     grouping[np.abs(grouping) < TOLERANCE] = 0.0
     grouping[:, known] = 0.0
-    regrouped = np.count_nonzero(grouping, axis=1) > 1
     return PayloadColumns(
         payload=payload,
         model=model,
         names=tuple(
-            payload_name(LINK[place] + "R" * int(r), label)
-            for place, r in zip(places, regrouped, strict=True)
+            payload_name(LINK[place] + "R" * bool(np.count_nonzero(row) > 1), label)
+            for place, row in zip(places, grouping, strict=True)
         ),
         grouping=grouping,
         fixed=fixed,

@@ -8,15 +8,22 @@ from itertools import pairwise
 
 import numpy as np
 
+from acquisition.errors import Place
 from acquisition.files import release_pages
 from acquisition.robot import Robot
 
 from ..arrays import Array, Bools
 from ..data import RecordingFile, Signals
-from ..errors import BadInputError
-from ..model import BaseParameters, InverseModel, JointTerm, base_parameters, poses_of
+from ..model import (
+    BaseParameters,
+    DirectModel,
+    InverseModel,
+    JointTerm,
+    base_parameters,
+    direct_model,
+    poses_of,
+)
 from .filtering import decimation_reach, nearby
-from .known_lag import LAG_REACH
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
     Overrides,
@@ -25,6 +32,7 @@ from .settings import (
     rule_cutoff_hz,
     with_bandwidth,
 )
+from .span_band_lag import LAG_REACH
 
 FIRST_MINUTES_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
 # numbers of the regressor of a block, 64 MB; short blocks spend more time on margins
@@ -76,11 +84,9 @@ class Problem:
             release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
 
-    def row_times_s(self) -> Array:
-        """(rows,) instants of the decimated rows, s: decimation keeps the last sample and
-        every n_d-th before it.
-        """
-        return np.asarray(self.with_samples().signals.t_s[self.settings.instants])
+    def direct_model(self, beta: Array) -> DirectModel:
+        """The robot with base parameters beta (b,)."""
+        return direct_model(self.model, self.base.standard_parameters(beta))
 
     @property
     def kinds(self) -> list[str]:
@@ -112,10 +118,8 @@ class Problem:
         """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit
         has none or a higher one.
         """
-        settings = self.settings
-        if settings.filtered and settings.cutoff_hz is not None:
-            return settings.cutoff_hz
-        return rule_cutoff_hz(self.signals)
+        own_hz = self.settings.cutoff_hz if self.settings.filtered else None
+        return rule_cutoff_hz(self.signals) if own_hz is None else own_hz
 
     def measured_samples(self, beside: int = 0) -> Bools:
         """Which samples (N,) are far from all that were not measured: by half a period of the
@@ -155,16 +159,9 @@ class Problem:
     @cached_property
     def for_errors(self) -> "Problem":
         """The same behind the filters behind which torque errors are told."""
-        settings = self.settings.for_errors(self.signals.sample_rate_hz)
-        if settings is self.settings:
-            text = (
-                f"{self.signals.recording} is too short for the filters behind which torque errors "
-                "are told: they include noise that passes those of the fit"
-            )
-            settings = replace(settings, warnings=(*settings.warnings, text))
         stated = self.signals.motion_hz is None
         signals = self.signals if stated else replace(self.signals, motion_hz=None)
-        return replace(self, signals=signals, settings=settings)
+        return replace(self, signals=signals, settings=self.settings.for_errors(self.signals))
 
     def first_minutes(self) -> "Problem":
         """The first minutes of the span used, and some seconds more for the filters; itself if it
@@ -173,19 +170,24 @@ class Problem:
         s, fs = self.settings, self.signals.sample_rate_hz
         if (stop := s.start + round(FIRST_MINUTES_S * fs)) >= s.stop:
             return self
-        signals, settings = (
-            self.signals.first(stop + round(MARGIN_S * fs)),
-            replace(s, used=range(s.start, stop)),
+        signals = self.signals.first(stop + round(MARGIN_S * fs))
+        return replace(
+            self,
+            signals=signals,
+            source=None,
+            motion=FilteredMotion(signals),
+            settings=replace(s, used=range(s.start, stop)),
         )
-        motion = FilteredMotion(signals)
-        return replace(self, signals=signals, source=None, motion=motion, settings=settings)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
         """The same without friction terms that are regrouped with nothing;
         warnings have the reasons.
         """
-        settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
-        return replace(self, base=self.base.without(left_out), settings=settings)
+        return replace(
+            self,
+            base=self.base.without(left_out),
+            settings=replace(self.settings, warnings=(*self.settings.warnings, *left_out.values())),
+        )
 
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
@@ -194,18 +196,17 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
     """
     names, place = (
         {motor.name: motor.gain for motor in signals.robot.motors},
-        f"robot {signals.robot.name}",
+        Place(f"robot {signals.robot.name}"),
     )
     for name in gains:
-        if name not in names:
-            expected = f"one of {', '.join(names)}"
-            raise BadInputError(place=place, key="gains", value=name, expected=expected)
+        place.require(name in names, "gains", name, f"one of {', '.join(names)}")
     for name, gain in names.items():
-        if gain is None and name not in gains:
-            expected = f"drive_gain, or {name} among the gains to identify"
-            raise BadInputError(
-                place=place, key=f"motor {name}: drive_gain", value=None, expected=expected
-            )
+        place.require(
+            gain is not None or name in gains,
+            f"motor {name}: drive_gain",
+            None,
+            f"drive_gain, or {name} among the gains to identify",
+        )
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
@@ -217,8 +218,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     if overrides.gains:
         if "all" not in overrides.gains:
             _refuse_unknown_motors(signals, overrides.gains)
-        robot = replace(signals.robot, identified_gain=signals.robot.gain)
-        signals = replace(signals, robot=robot)
+        signals = replace(signals, robot=replace(signals.robot, identified_gain=signals.robot.gain))
     signals = with_bandwidth(signals)
     motion = FilteredMotion(signals)
     settings = make_settings(signals, overrides, motion)

@@ -21,13 +21,11 @@ from ..arrays import Array, Bools, Ints
 from ..data import HERE, Work
 from ..estimation import SpanRows, System, by_joint, one_thread, stacked
 from ..report import is_gain, motor_of
-from .blocks import Candidate, MotionBlock, motion_blocks, predicted_torque
-from .lag import LagFilters
+from .blocks import Candidate, MotionBlock, motion_blocks, predicted_torque, sample_weights
+from .lag import LagFilters, fast_for_lag
 from .problem import Problem
-from .states import fast_for_lag
 from .terms import Drives, Load, load_of
 from .unknowns import Arm, Stated, Unknowns, make_unknowns
-from .weights import sample_weights
 
 MOST_AT_ONCE = 16  # blocks that are sent to workers: a block has some 10 MB
 # numbers of the positions of all recordings whose measured motion is kept: a few times 8 MB in all
@@ -58,11 +56,6 @@ class Equation:
         few = self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT
         return tuple(motion_blocks(self.problem)) if few else ()
 
-    def prepare(self) -> None:
-        """Make W of what is kept, for all passes: blocks share what was made before."""
-        for motion in self.kept:
-            _ = motion.W
-
     def read(self) -> "Equation":
         """The same with the samples of its recording."""
         read = self.problem.with_samples()
@@ -71,8 +64,8 @@ class Equation:
     @property
     def apart(self) -> "Equation":
         """The same for tasks of other processes, without samples; itself if there are none."""
-        alone = self.work.workers == 1
-        return self if alone else replace(self, problem=self.problem.without_samples)
+        away = self.work.workers != 1
+        return replace(self, problem=self.problem.without_samples) if away else self
 
     def by_block(
         self, task: Callable[..., Any], x: Array, along: Iterable[MotionBlock | None] | None = None
@@ -101,14 +94,9 @@ class Equation:
         return self.arm, self.drives, *self.load, *self.stated
 
     def residual(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the residual (n, rows) about x (p,): the known torque that no term explains.
-
-        r(x) = F[w (known + drives(x) - arm(x) - load(x))]                           (C)
-        """
-        return np.asarray(
-            motion.weighted(motion.known_torque.T)
-            - sum(term.torque(x, motion) for term in self.terms)
-        )
+        """Return r(x) (n, rows), equation (C): the known torque that no term explains about x."""
+        explained = sum(term.torque(x, motion) for term in self.terms)
+        return np.asarray(motion.weighted(motion.known_torque.T) - explained)
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
         """Return J = -dr/dx (n, p, rows) about x (p,), or Z along another motion."""
@@ -195,15 +183,18 @@ class Rows:
         """The same without the columns of some parameters."""
         stay = np.array([name not in names for name in self.system.names])
         x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
-        Z = self.Z[:, stay] if self.Z.size else self.Z
-        return replace(self, x=x, Z=Z, system=self.system.with_columns(np.flatnonzero(stay)))
+        return replace(
+            self,
+            x=x,
+            Z=self.Z[:, stay] if self.Z.size else self.Z,
+            system=self.system.with_columns(np.flatnonzero(stay)),
+        )
 
     def linearised_at(self, x: Array) -> "Rows":
         """The same about other values of what is held and of the lags, to first order, without rows
         of the lag.
         """
-        f = len(self.system.names)
-        Y = self.system.Y - self.L @ (x - self.x)[f:]
+        Y = self.system.Y - self.L @ (x - self.x)[len(self.system.names) :]
         return replace(self, x=x, late=None, system=replace(self.system, Y=Y))
 
 
@@ -220,8 +211,8 @@ def _rows_of_block(
     the rows are split. What is `asked`: places (k,) of Z in x, further columns, filters of the lag.
     """
     (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
+    known = motion.problem.signals.known_torque
     instants, drives = len(motion.problem.settings.instants), motion.filtered(motion.tau.T)
-    has_known = motion.problem.signals.known_torque is not None
     J, r = equation.columns(x, motion), equation.residual(x, motion)[:, None]
     z = motion if z is None else z
     z = z.with_torque_of(equation.arm.beta(x)) if len(places) else z
@@ -229,8 +220,7 @@ def _rows_of_block(
     C, G, fast, late, of_lag = J[:, :0], J[:, :0], None, SpanRows(), share
     if lag is not None:
         J[:, lags] = Z[:, lags]
-        rows = np.concatenate([Z[:, lag.of], J[:, lag.of], r], axis=1)
-        white, of_lag = lag.whitened(rows, z)
+        white, of_lag = lag.whitened(np.concatenate([Z[:, lag.of], J[:, lag.of], r], axis=1), z)
         late = SpanRows.of_block(instants, motion.first, white, of_lag)
     if further is not None:
         C, fast = further.columns(z), fast_for_lag(z, further.sliding)
@@ -240,7 +230,7 @@ def _rows_of_block(
     return (
         SpanRows.of_block(instants, motion.first, np.concatenate([*each, r], axis=1), share, fast),
         late,
-        (drives + motion.filtered(motion.known_torque.T) if has_known else drives).T,
+        (drives if known is None else drives + motion.filtered(motion.known_torque.T)).T,
         motion.kept(motion.dq),
         of_lag.T,
         np.abs(drives).max(axis=1)[None],
@@ -282,11 +272,12 @@ def rows_of_recording(
     # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
     places = np.r_[: f * own, unknowns.lags] if own or further is not None else np.arange(0)
     task = partial(_rows_of_block, equation.apart, x, (places, further, lag))
-    # The robot may have been prepared for other weights.
-    motions = None if along is None else (replace(z, problem=equation.problem) for z in along)
-    equation.prepare()
-    collected, late, arrays = _collected(equation.by_block(task, x, motions))
-    tau, speed, share_of_lag, most, edges = arrays
+    for motion in equation.kept:  # W for all passes: blocks share what was made before
+        _ = motion.W
+    collected, late, (tau, speed, share_of_lag, most, edges) = _collected(
+        # The robot may have been prepared for other weights.
+        equation.by_block(task, x, along and (replace(z, problem=equation.problem) for z in along))
+    )
     rows, fast, followed = collected.rows(share)
     G, C, Z, J, r = np.split(rows, edges[0], axis=1)
     return Rows(
@@ -365,18 +356,27 @@ def torque_of_recording(
     (T, n) count, joint speed (T, n), rad/s or m/s, instants (T,), s, and rows of the fit there.
     """
     sets, s = sets or ([equation.arm.beta(x)],), (of := equation.problem).settings
-    rows, groups = len(s.instants), list[tuple[Ints, Array]]()
-    for spans, some in groupby(sets, len):  # their edges are where spans of the fit end
-        edges = s.stop - s.decimation * (rows + -np.arange(1, spans) * rows // spans)
-        groups.append((edges, np.stack([*some], axis=1)))
-    task = partial(_torque_of_block, groups)
+    rows = len(s.instants)
+    groups = [  # their edges are where spans of the fit end
+        (
+            s.stop - s.decimation * (rows + -np.arange(1, spans) * rows // spans),
+            np.stack([*some], axis=1),
+        )
+        for spans, some in groupby(sets, len)
+    ]
     equation = (replace(equation, problem=of.for_errors) if judged else equation).read()
-    tau, predicted, speed = zip(*equation.by_block(task, x), strict=True)
-    counts = sample_weights(problem := equation.problem).of_rows > 0
-    counts, t_s = counts & problem.measured_rows()[:, None], problem.row_times_s()
-    measured, of_sets = np.concatenate(tau), np.concatenate(predicted, axis=1)
-    at = np.searchsorted(s.instants, problem.settings.instants)
-    return measured, of_sets, counts, np.concatenate(speed), t_s, at
+    tau, predicted, speed = zip(
+        *equation.by_block(partial(_torque_of_block, groups), x), strict=True
+    )
+    problem = equation.problem
+    return (
+        np.concatenate(tau),
+        np.concatenate(predicted, axis=1),
+        (sample_weights(problem).of_rows > 0) & problem.measured_rows()[:, None],
+        np.concatenate(speed),
+        problem.signals.t_s[problem.settings.instants],
+        np.searchsorted(s.instants, problem.settings.instants),
+    )
 
 
 @one_thread

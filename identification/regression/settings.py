@@ -12,7 +12,7 @@ reference, and which the description states:
 Where no bandwidth is stated, low-pass, rows and simulated loop end where the motion does, by its
 spectrum. Between borders the samples are those of the recording's tracking phase or, without one,
 from the first motion to the last. They are fewer where the torque is recorded late or early, so
-that a lag of any likely value has samples: what is known of it is in `known_lag`.
+that a lag of any likely value has samples: what is known of it is in `span_band_lag`.
 
 Slow samples weigh nothing, by a threshold that least squares and instruments have each their own.
 What of this the description or an option states replaces the rule, with a warning where that
@@ -23,27 +23,34 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from acquisition import robot
-from acquisition.errors import BadInputError, NoFitError
-from acquisition.robot import Edges, LowSpeed
+from acquisition.errors import NoFitError, Place
+from acquisition.robot import (
+    Edges,
+    LowSpeed,
+    check_recorded_efforts,
+    check_recorded_positions,
+    low_speed_by_method,
+)
 
 from ..arrays import Ints
 from ..data import Signals
 from ..options import Overrides, Span
 from .filtering import MAX_PASS, Decimation, decimation_passes
-from .known_lag import Lag, known_lag
 from .motion import FilteredMotion
-from .span import (
+from .span_band_lag import (
     CUT_PERIODS,
     MIN_ROWS,
     SPANS,
+    Lag,
     SpanKind,
     border_samples,
     find_span,
     inside_borders,
+    known_lag,
+    motion_band_hz,
+    motion_end_hz,
     with_torque,
 )
-from .spectrum import motion_band_hz, motion_end_hz
 
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
@@ -141,16 +148,21 @@ class Settings:
         """The samples (rows,) of the decimated rows: the last of the span, every n_d-th before."""
         return self.start + self.decimator.instants(len(self.used))
 
-    def for_errors(self, fs: float) -> "Settings":
-        """The same with the filters behind which torque errors are told; itself where the recording
-        is too short for them.
+    def for_errors(self, signals: Signals) -> "Settings":
+        """The same with the filters behind which torque errors are told; those of the fit, with a
+        warning, where the recording is too short for them.
         """
+        fs = signals.sample_rate_hz
         hz = min(LOOP_PER_BAND * self.band_hz, MAX_CUTOFF_SHARE * fs / CUTOFF_PER_BANDWIDTH)
         cutoff_hz, decimation = CUTOFF_PER_BANDWIDTH * hz, decimation_rule(fs, hz)
         border = border_samples(cutoff_hz, fs)
         used = range(max(self.widest.start, border), min(self.widest.stop, self.samples - border))
         if len(used) < MIN_ROWS * decimation:
-            return self
+            text = (
+                f"{signals.recording} is too short for the filters behind which torque errors "
+                "are told: they include noise that passes those of the fit"
+            )
+            return replace(self, warnings=(*self.warnings, text))
         return replace(
             self,
             cutoff_hz=cutoff_hz,
@@ -194,18 +206,18 @@ def make_settings(
     of the recording. `motion` is that of the recording, if there is one.
     """
     _refuse_low_rate(signals)
-    stored, low_speed = signals.robot.identification, _low_speed(signals, overrides)
+    stored, given = signals.robot.identification, overrides.low_speed_percent
+    low_speed = low_speed_by_method(stored.low_speed if given is None else given)
     # A fit with --gains starts with gains of one where none is described: its
     # efforts are no torques yet.
     overloads = (
-        robot.check_recorded_efforts(signals.robot, signals.effort)
+        check_recorded_efforts(signals.robot, signals.effort)
         if signals.robot.identified_gain is None
         else ()
     )
-    positions = robot.check_recorded_positions(
-        signals.robot, signals.t_s, signals.q, signals.recording
-    )
-    cutoff_hz = _cutoff_hz(signals, overrides)
+    # 0 for no low-pass; None for that of the rule
+    stated_hz = stored.cutoff_hz if overrides.cutoff_hz is None else overrides.cutoff_hz
+    cutoff_hz = _cutoff_hz(signals, stated_hz)
     decimator = Decimation(
         factor=overrides.decimation or stored.decimation or _row_rule(signals),
         smooth_ends=(overrides.edges or stored.edges) == "smooth",
@@ -224,7 +236,7 @@ def make_settings(
     return Settings(
         cutoff_hz=cutoff_hz,
         decimator=decimator,
-        used=inside_borders(signals, widest, cutoff_hz, (decimator.factor, SPANS[kind])),
+        used=inside_borders(signals, widest, cutoff_hz, decimator.factor, SPANS[kind]),
         widest=widest,
         samples=len(signals.q),
         span_kind=kind,
@@ -237,9 +249,9 @@ def make_settings(
         overloads=overloads,
         warnings=(
             *signals.assumed,
-            *positions,
+            *check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording),
             *overloads,
-            *_warnings_of_filters(signals, overrides, cutoff_hz, decimator.factor),
+            *_warnings_of_filters(signals, stated_hz, cutoff_hz, decimator.factor),
             *(f"joint {name} does not move" for name in standing),
         ),
     )
@@ -248,47 +260,32 @@ def make_settings(
 def _refuse_low_rate(signals: Signals) -> None:
     fs, bandwidth_hz = signals.sample_rate_hz, signals.robot.bandwidth_hz
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
-    if fs <= least_hz:
-        raise BadInputError(
-            place=signals.recording,
-            key="sample_rate_hz",
-            value=fs,
-            expected=f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in "
-            "Hz, not a period",
-        )
+    Place(signals.recording).require(
+        fs > least_hz,
+        "sample_rate_hz",
+        fs,
+        f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a "
+        "period",
+    )
 
 
-def _low_speed(signals: Signals, overrides: Overrides) -> LowSpeed:
-    """The threshold of slow samples by method."""
-    stored, given = signals.robot.identification.low_speed, overrides.low_speed_percent
-    return robot.low_speed_by_method(stored if given is None else given)
-
-
-def _stated_cutoff_hz(signals: Signals, overrides: Overrides) -> float | None:
-    """The cut-off by option or description, 0 for no low-pass; None for that of the rule."""
-    stored_hz = signals.robot.identification.cutoff_hz
-    return stored_hz if overrides.cutoff_hz is None else overrides.cutoff_hz
-
-
-def _cutoff_hz(signals: Signals, overrides: Overrides) -> float | None:
-    """The cut-off; None for no low-pass, which the rule has where half the rate is below it.
+def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
+    """The cut-off, stated or, for None, by the rule; None for no low-pass, which the rule has where
+    half the rate is below it.
 
     Raises `BadInputError` for a stated one above half the rate, and `NoFitError` where a recording
     is shorter than the border of the low-pass, or than a period of the loop.
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
-    stated_hz = _stated_cutoff_hz(signals, overrides)
-    cutoff_hz = (_highest_hz(signals) if stated_hz is None else stated_hz) or None
-    if cutoff_hz is not None and cutoff_hz >= fs / 2:
-        if stated_hz is not None:
-            raise BadInputError(
-                place=signals.recording,
-                key="cut-off",
-                value=cutoff_hz,
-                shown=f"{cutoff_hz:g} Hz",
-                expected=f"below {fs / 2:g} Hz, half the rate",
-            )
-        cutoff_hz = None
+    asked_hz = _highest_hz(signals) if stated_hz is None else stated_hz
+    Place(signals.recording).require(
+        stated_hz is None or asked_hz < fs / 2,
+        "cut-off",
+        asked_hz,
+        f"below {fs / 2:g} Hz, half the rate",
+        shown=f"{asked_hz:g} Hz",
+    )
+    cutoff_hz = asked_hz if 0 < asked_hz < fs / 2 else None
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
     if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:
         raise NoFitError(
@@ -312,36 +309,39 @@ def _cutoff_hz(signals: Signals, overrides: Overrides) -> float | None:
 
 
 def _warnings_of_filters(
-    signals: Signals, overrides: Overrides, cutoff_hz: float | None, decimation: int
+    signals: Signals, stated_hz: float | None, cutoff_hz: float | None, decimation: int
 ) -> list[str]:
     """What low-pass and decimation do not follow of the rules."""
-    fs, bandwidth_hz, warnings = signals.sample_rate_hz, signals.robot.bandwidth_hz, list[str]()
+    fs, bandwidth_hz = signals.sample_rate_hz, signals.robot.bandwidth_hz
     highest_hz, passband_hz = _highest_hz(signals), 0.8 * fs / (2 * decimation)
-    if cutoff_hz is None and _stated_cutoff_hz(signals, overrides) is None:
-        warnings.append(
+    lowpass = "no low-pass" if cutoff_hz is None else f"low-pass at {cutoff_hz:.3g} Hz"
+    stated = signals.motion_hz is None
+    warnings = (
+        (
+            cutoff_hz is None and stated_hz is None,
             f"no low-pass: 5 times the bandwidth is {highest_hz:g} Hz, above half the rate, "
-            f"{fs / 2:g} Hz"
-        )
-    if signals.motion_hz is not None:
-        lowpass = "no low-pass" if cutoff_hz is None else f"low-pass at {cutoff_hz:.3g} Hz"
-        warnings.append(
+            f"{fs / 2:g} Hz",
+        ),
+        (
+            not stated,
             f"controller.bandwidth_hz is not stated: {lowpass}, a PD of {bandwidth_hz:.3g} Hz "
             "simulated if no loop is "
-            f"described; {signals.recording} has only noise above {signals.motion_hz:.3g} Hz"
-        )
-        return warnings
-    if cutoff_hz is not None and cutoff_hz < highest_hz * (1 - 1e-9):
-        warnings.append(
-            f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} "
-            "Hz: it distorts the "
-            "accelerations and the estimates"
-        )
-    if decimation > _row_rule(signals) and passband_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
-        warnings.append(
+            f"described; {signals.recording} has only noise above {highest_hz:.3g} Hz",
+        ),
+        (
+            stated and cutoff_hz is not None and cutoff_hz < highest_hz * (1 - 1e-9),
+            f"the cut-off of {cutoff_hz or 0.0:g} Hz is below 5 times the bandwidth of "
+            f"{bandwidth_hz:g} Hz: it distorts the accelerations and the estimates",
+        ),
+        (
+            stated
+            and decimation > _row_rule(signals)
+            and passband_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz,
             f"decimation by {decimation} keeps {passband_hz:g} Hz, less than twice the bandwidth "
-            f"of {bandwidth_hz:g} Hz"
-        )
-    return warnings
+            f"of {bandwidth_hz:g} Hz",
+        ),
+    )
+    return [text for holds, text in warnings if holds]
 
 
 def _highest_hz(signals: Signals) -> float:

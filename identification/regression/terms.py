@@ -4,18 +4,21 @@ A term is asked two things along a motion, measured or simulated: `torque`, the 
 that it explains, and `columns` (n, p, rows), the derivatives of that torque by the unknowns x (p,);
 all are weighted and decimated, in N m or N. The torques of `Drives` are negative, as they stand on
 the other side. J and Z are the same columns along two motions. The term `Arm` of links, rotors,
-friction and payload stands in `unknowns`.
+friction and payload stands in `unknowns`. What links and friction do is told at some rows, too.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..model import direct_model
-from .blocks import MotionBlock
+from ..model import SHAPES, friction_power, shaped_states
+from .blocks import MotionBlock, motion_blocks
 from .problem import Problem
 from .unknowns import Arm
+
+STATES = 300  # rows of a recording to evaluate friction at
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,8 +47,9 @@ class Drives:
         """
         problem, t_s = motion.problem, motion.t_s
         first = round(t_s[0] * problem.signals.sample_rate_hz)
-        tau = problem.drives(first, first + len(t_s), x[self.lag], self.factors(x))
-        return motion.with_torque(tau)
+        return motion.with_torque(
+            problem.drives(first, first + len(t_s), x[self.lag], self.factors(x))
+        )
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
         """Return -F[w sum_m kappa_m E_m(t + L)], (n, rows)."""
@@ -61,8 +65,7 @@ class Drives:
             E = np.linalg.solve(R.T, tau.T) / kappa[:, None]
             for m in np.flatnonzero(self.gains >= 0):
                 acts = np.flatnonzero(R[m])
-                column = motion.weighted(R[m, acts, None] * E[m], acts)
-                found[acts, self.gains[m]] = -column
+                found[acts, self.gains[m]] = -motion.weighted(R[m, acts, None] * E[m], acts)
         found[:, self.lag] = -motion.weighted(motion.rate(tau).T)
         return found
 
@@ -95,10 +98,9 @@ class Load:
         """Return the derivatives (n, p, rows) by mu_j, and those by the links' parameters that load
         friction adds to their own.
         """
-        beta, W = self.arm.beta(x), np.zeros_like(motion.W)
-        links = motion.problem.base.links
-        each = zip(self.joints, self.places, *self._sizes(beta, motion), strict=True)
-        for j, place, size, s in each:
+        beta, W, links = self.arm.beta(x), np.zeros_like(motion.W), motion.problem.base.links
+        sizes = self._sizes(beta, motion)
+        for j, place, size, s in zip(self.joints, self.places, *sizes, strict=True):
             W[j, links] = beta[place] * s * motion.W[j, links]
             W[j, place] = size
         return np.asarray(self.arm.P.T @ W)
@@ -129,5 +131,42 @@ def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Arr
     beta : (b,) their values; those that are not of links have no part in it.
     q, dq, ddq : (N, n) motion of the joints, rad or m, per s and per s².
     """
-    model = direct_model(problem.model, problem.base.standard_parameters(beta))
-    return model.torques_of_links(q, dq, ddq)
+    return problem.direct_model(beta).torques_of_links(q, dq, ddq)
+
+
+def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:
+    """About 300 rows (k,) of a recording, evenly spaced; q, dq, ddq (k, n) at their instants."""
+    rows, blocks = len(problem.settings.instants), motion_blocks(problem.with_samples())
+    wanted = np.arange(0, rows, max(1, rows // STATES))
+    parts = [[motion.kept(x) for x in (motion.q, motion.dq, motion.ddq)] for motion in blocks]
+    q, dq, ddq = (np.concatenate(x)[wanted] for x in zip(*parts, strict=True))
+    return wanted, q, dq, ddq
+
+
+def friction_states(problem: Problem, beta: Array) -> tuple[Array, Array] | None:
+    """Speeds and loads (m, n), by states of a recording and base parameters beta (b,), to evaluate
+    the power of further friction terms at; None where there is viscous and Coulomb friction only.
+    """
+    if not any(j.one_sided or set(j.terms) & set(SHAPES) for j in problem.signals.robot.joints):
+        return None
+    _, *motion = row_states(problem)
+    return shaped_states(problem.model, motion[1], np.abs(torque_of_links(problem, beta, *motion)))
+
+
+def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
+    """Friction power (m, p) per unit of the standard parameters at recorded speeds, by the link
+    torque of base parameters beta (b,); None without further friction terms.
+    """
+    found = [
+        friction_power(problem.model, np.arange(problem.model.p), *states)
+        for problem in problems
+        if (states := friction_states(problem, beta)) is not None
+    ]
+    return np.concatenate(found) if found else None
+
+
+def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
+    """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
+    motion = next(motion_blocks(problem.with_samples()))
+    q, dq, ddq = (motion.kept(x) for x in (motion.q, motion.dq, motion.ddq))
+    return dq, torque_of_links(problem, beta, q, dq, ddq)

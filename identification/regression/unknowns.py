@@ -21,15 +21,14 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Ints
-from ..errors import BadInputError
 from ..estimation import Estimate
 from ..report import base_name, gain_name, is_base, is_own, own_name
 from .blocks import MotionBlock
@@ -173,11 +172,8 @@ class Unknowns:
 
     def start(self, lags_s: Sequence[float]) -> Array:
         """x (p,) of nothing but described gains, what is stated, and known lags."""
-        x = np.zeros(len(self.all))
-        x[self.gains] = 1.0
-        x[len(self.names) : len(x) - len(lags_s)] = [stated.value for stated in self.held]
-        x[self.lags] = lags_s
-        return x
+        gains, held = np.ones(len(self.motors)), [stated.value for stated in self.held]
+        return np.asarray(np.r_[np.zeros(self.gains.start), gains, held, lags_s])
 
     @property
     def plain(self) -> bool:
@@ -210,10 +206,9 @@ class Unknowns:
         """x with base parameters beta (b,), the same for every recording; no payloads, gains as
         described.
         """
-        values, found = dict(zip(map(base_name, self.arms[0].names), beta, strict=True)), x.copy()
-        found[: len(self.names)] = [values.get(base_name(name), 0.0) for name in self.names]
-        found[self.gains] = 1.0
-        return found
+        values = dict(zip(map(base_name, self.arms[0].names), beta, strict=True))
+        arm = [values.get(base_name(name), 0.0) for name in self.names[: self.gains.start]]
+        return np.asarray(np.r_[arm, np.ones(len(self.motors)), x[len(self.names) :]])
 
 
 def make_unknowns(
@@ -231,10 +226,12 @@ def make_unknowns(
     names = _base_names(problems[0], labels, friction)
     carried = payload_columns(problems, labels, scale=bool(motors))
     payloads = tuple(dict.fromkeys(payload for payload in carried if payload is not None))
-    arm = [*dict.fromkeys(chain.from_iterable(zip(*names, strict=True)))]
-    arm += [name for payload in payloads for name in payload.names]
+    arm = [
+        *dict.fromkeys(name for place in zip(*names, strict=True) for name in place),
+        *(name for payload in payloads for name in payload.names),
+    ]
     free = (*arm, *(gain_name(robot.motors[m].name) for m in motors))
-    held = (*_held_gains(robot, motors, len(free)), *_held_payloads(payloads, free))
+    held = _held(robot, motors, payloads, free)
     groups = lag_groups(problems)
     x = (*free, *(stated.name for stated in held), *(f"lag {g}" for g in range(len(groups))))
     return Unknowns(
@@ -256,35 +253,43 @@ def _base_names(
     for kind in (friction if listed is None else listed) if len(labels) > 1 else ():
         with suppress(*[BadInputError] * (listed is None)):
             own += _own_places(problem, kind)
-    names = problem.base.names
     return [
-        tuple(own_name(name, label) if i in own else name for i, name in enumerate(names))
+        tuple(
+            own_name(name, label) if i in own else name for i, name in enumerate(problem.base.names)
+        )
         for label in labels
     ]
 
 
-def _held_gains(robot: Robot, motors: tuple[int, ...], free: int) -> list[Held]:
-    """The drive gains that are stated with a half-width, beside those of `motors`."""
-    return [
-        Held(name=gain_name(motor.name), value=1.0, half=half / gain, stated=np.zeros(free))
-        for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
-        if (half := motor.drive_gain_half_width) and m not in motors
-    ]
-
-
-def _held_payloads(payloads: Sequence[PayloadColumns], free: tuple[str, ...]) -> list[Held]:
-    """Masses and centres of mass that are stated with a half-width, in half-widths."""
-    return [
-        Held(
-            name=f"half-width {i}:{number}",
-            value=0.0,
-            half=1.0,
-            stated=stated,
-            column=partial(_with_payload, columns.payload, moves),
-        )
-        for number, columns in enumerate(payloads)
-        for i, (moves, stated) in enumerate(columns.half_widths(free))
-    ]
+def _held(
+    robot: Robot,
+    motors: tuple[int, ...],
+    payloads: Sequence[PayloadColumns],
+    free: tuple[str, ...],
+) -> tuple[Held, ...]:
+    """What is stated with a half-width: drive gains, beside those of `motors`, and masses and
+    centres of mass, in half-widths; `free` are the names of the free unknowns.
+    """
+    return (
+        *(
+            Held(
+                name=gain_name(motor.name), value=1.0, half=half / gain, stated=np.zeros(len(free))
+            )
+            for m, (motor, gain) in enumerate(zip(robot.motors, robot.gain, strict=True))
+            if (half := motor.drive_gain_half_width) and m not in motors
+        ),
+        *(
+            Held(
+                name=f"half-width {i}:{number}",
+                value=0.0,
+                half=1.0,
+                stated=stated,
+                column=partial(_with_payload, columns.payload, moves),
+            )
+            for number, columns in enumerate(payloads)
+            for i, (moves, stated) in enumerate(columns.half_widths(free))
+        ),
+    )
 
 
 def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
@@ -293,7 +298,7 @@ def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
     for k, problem in enumerate(problems):
         signals, known = problem.signals, problem.settings.known_lag
         same = signals.effort_object, signals.effort_timing, signals.sample_rate_hz
-        groups.setdefault((*same, known.sd_s == 0.0 and known.value_s), []).append(k)
+        groups.setdefault((*same, known.stated and known.value_s), []).append(k)
     return tuple(map(tuple, groups.values()))
 
 
@@ -317,26 +322,25 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
 def _own_places(problem: Problem, kind: str) -> list[int]:
     """Places of the base parameters of a kind, each of which stands alone."""
     base, model, found = problem.base, problem.model, list[int]()
-    refused = partial(
-        BadInputError,
-        place=f"robot {problem.signals.robot.name}",
-        key="identification.own",
-        value=kind,
-    )
+    place, key = Place(f"robot {problem.signals.robot.name}"), "identification.own"
     columns = [c for c, term in model.terms.items() if term.kind == KINDS[kind]]
-    if not columns:
-        raise refused(
-            "no joint has it",
-            expected="offset = true of a joint" if kind == "Off" else "joints with this friction",
-        )
+    place.require(
+        columns,
+        key,
+        kind,
+        "offset = true of a joint" if kind == "Off" else "joints with this friction",
+        text="no joint has it",
+    )
     for c in columns:
         alone = np.flatnonzero((base.columns == c) & (np.count_nonzero(base.K, axis=1) == 1))
-        if not len(alone):
-            raise refused(
-                f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs "
-                "an offset)",
-                expected="a kind whose parameters stand alone in the base parameters",
-            )
+        place.require(
+            len(alone),
+            key,
+            kind,
+            "a kind whose parameters stand alone in the base parameters",
+            text=f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs "
+            "an offset)",
+        )
         found += alone.tolist()
     return found
 
@@ -344,6 +348,5 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
 def _labels(recordings: Sequence[str]) -> list[str]:
     """Short names of recordings: without their endings, and numbered if these are not unique."""
     stems = [Path(name).stem for name in recordings]
-    if len(set(stems)) == len(stems):
-        return stems
-    return [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]
+    unique = len(set(stems)) == len(stems)
+    return stems if unique else [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]

@@ -6,5 +6,4 @@ the rooms below.
 
 from .closed_loop import ClosedLoop, RigidBodyPlant, described_robot, drive_loops, open_loop
 from .instruments import InstrumentKind, Simulated, simulate
-from .recording_checks import unstated_limits
-from .simulated_recording import SimulatedRecording
+from .simulated_recording import SimulatedRecording, unstated_limits

@@ -5,18 +5,17 @@ Friction is stepped implicitly with stick phases, so that light joints do not ch
 `described_robot` is the entry point in the group `robot_idim.plants` that dry runs use.
 """
 
-import math
 from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Bools
 from ..control import ARRAYS, FLOATS, Control, ControlLaw, Numbers, Reference, described_law
-from ..errors import BadInputError
 from ..model import (
     DirectModel,
     InverseModel,
@@ -61,17 +60,17 @@ class Friction:
         speeds, later ones of kind `numbers`, `h` the step in s.
         """
         self._model, self._h, self._S, self._numbers = model, h, model.directions, numbers
-        at: Callable[[Any, Any], tuple[Any, Any]] = model.inertia_and_bias
-        solve = cholesky_solver(len(v))
+        self._at: Callable[[Any, Any], tuple[Any, Any]] = model.inertia_and_bias
+        self._solve = cholesky_solver(len(v))
         if numbers is FLOATS:
             M, bias = numbers.own(model.inertia_and_bias(0 * v, 0 * v)[0]), model.lone_bias()
-            at, solve = lambda q, _: (M, bias(q)), lambda A, b: b / A if A > 0 else None
-        self._at, self._solve = at, solve
+            self._at, self._solve = lambda q, _: (M, bias(q)), lambda A, b: b / A if A > 0 else None
         self._v_s = STICTION * np.maximum(fastest, 1e-9)
         self._rigid: Array | None = None  # torque of the links in the previous step
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
-        viscous = model.viscous, model.viscous_up, model.viscous_down
-        self._rotor, *self._sides = map(numbers.own, (model.rotor, *viscous))
+        self._rotor, *self._sides = map(
+            numbers.own, (model.rotor, model.viscous, model.viscous_up, model.viscous_down)
+        )
         self._V = self._sides[0]
         self._added = self._rotor + 0.5 * h * self._V
         self._set_modes(np.sign(self._S @ v), *np.zeros((3, len(fastest))))
@@ -182,9 +181,9 @@ class ClosedLoop:
         (N, n), rows, reason = q_ref.shape, 0, None
         out = np.empty((4, N * substeps, n))
         q_out, v_out, _, tau_out = out[..., 0] if self._numbers is FLOATS else out
-        pushed = reference.known_torque
-        if pushed is not None:
-            pushed = self._numbers.each(pushed)
+        pushed = (
+            None if reference.known_torque is None else self._numbers.each(reference.known_torque)
+        )
         control, friction, q, v = self._control, self._friction, self._q, self._v
         control.take(reference)
         for first in range(0, N, CHECK_EVERY):
@@ -199,26 +198,19 @@ class ClosedLoop:
             except ArithmeticError as error:
                 reason, rows = str(error), rows - 1
             off = out[0, first * substeps : rows : substeps] - q_ref[first : -(-rows // substeps)]
-            if (left := _first_beyond(off, bound)) is not None:
-                k = first + left[0]
-                rows, t_s = k * substeps, (self._instants + k) * substeps * self._h
-                reason = f"the simulated robot leaves its reference at joint {left[1]}, {t_s:.3f} s"
+            far = np.argwhere(~(np.abs(off) < bound))  # or not finite
+            if len(far):
+                rows = (first + int(far[0, 0])) * substeps
+                t_s = (self._instants * substeps + rows) * self._h
+                reason = (
+                    "the simulated robot leaves its reference at joint "
+                    f"{1 + far[0, 1]}, {t_s:.3f} s"
+                )
             if reason is not None:
                 break
         self._q, self._v, self._instants = q, v, self._instants + N
         out[2, :rows] = np.diff(out[1, :rows], axis=0, append=np.reshape(v, (1, n))) / self._h
         return out[:, :rows], reason
-
-
-def _first_beyond(off: Array, bound: Array) -> tuple[int, int] | None:
-    """The first row of deviations (K, n) beyond a bound (n,), or not finite, and the number of the
-    joint; None if there is none.
-    """
-    far = ~(np.abs(off) < bound)
-    if not far.any():
-        return None
-    row = int(far.any(axis=1).argmax())
-    return row, 1 + int(far[row].argmax())
 
 
 class RigidBodyPlant:
@@ -285,7 +277,7 @@ def open_loop(
     M is not positive.
     """
     (q, v), (rate_hz, most_s) = start, rate
-    steps, found = max(1, math.ceil(1 / (rate_hz * most_s))), np.empty_like(tau)
+    steps, found = max(1, int(np.ceil(1 / (rate_hz * most_s)))), np.empty_like(tau)
     h, found[0] = 1 / (rate_hz * steps), q
     friction = Friction(model, np.abs(model.directions) @ fastest, v, h)
     for k, (before, after) in enumerate(pairwise(tau)):
@@ -309,34 +301,30 @@ def described_robot(
     """
     from acquisition.simulated import SUBSTEPS, middle_of_range
 
-    if payload is not None and not robot.gain_known:
-        raise BadInputError(
-            place=f"robot {robot.name}",
-            key="payload",
-            value=str(payload),
-            expected="drive gains of the motors: in A or V a mass has no weight",
-        )
+    Place(f"robot {robot.name}").require(
+        payload is None or robot.gain_known,
+        "payload",
+        str(payload),
+        "drive gains of the motors: in A or V a mass has no weight",
+    )
     inverse = InverseModel(robot)
     base = base_parameters(inverse)
     parameters = base.standard_parameters(described_parameters(inverse, base))
-    model = loaded = direct_model(inverse, parameters)
-    if payload is not None:
-        loaded = direct_model(inverse, add_payload(inverse, parameters, payload))
-    ranges = np.array(
+    model = direct_model(inverse, parameters)
+    carried = parameters if payload is None else add_payload(inverse, parameters, payload)
+    low, high = np.transpose(
         [joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints]
     )
-    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
-    M = model.inertia(poses)
+    M = model.inertia(np.random.default_rng(0).uniform(low, high, (POSES, robot.n)))
     if (reason := why_not_positive(M)) is not None:
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
-    plant = RigidBodyPlant(
-        loaded,
+    return RigidBodyPlant(
+        direct_model(inverse, carried),
         middle_of_range(robot),
         speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
         step_s=duration_s / np.ceil(duration_s / MAX_PLANT_STEP_S),
-    )
-    return plant, drive_loops(robot, inertias(M))
+    ), drive_loops(robot, inertias(M))
 
 
 def drive_loops(robot: Robot, J: Array) -> "LoopGains":

@@ -1,5 +1,13 @@
 """Instruments of a recording: the columns along the motion of the robot simulated with an estimate,
 made in a task, and how that robot follows the recording.
+
+Where the robot cannot be simulated, its motion is the one that the recorded reference predicts,
+which needs no control law. The error q - r of a controlled robot is gravity, inertia and friction
+through its unknown loop. It is regressed on what these are made of, of the reference alone: 1; sin
+and cos of the joints' angles and of sums of consecutive ones; dr, ddr; friction, tanh(dr / 5 % of
+its peak); dr^3; each also late, which stands for the loop's lags. q^ = r + that has no noise of the
+position, so instruments along it are exogenous by construction. What sticks is not predicted: there
+they are less efficient.
 """
 
 from collections.abc import Callable, Iterator
@@ -9,18 +17,41 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import Array
+from acquisition.files import allocate, release_pages
+
+from ..arrays import Array, Ints
+from ..control import ControllerKind
+from ..data import Signals
 from ..errors import NoFitError
-from ..estimation import one_thread
+from ..estimation import one_thread, r_factor
 from ..model import nearest_consistent
-from ..regression import Candidate, Equation, Motion, MotionBlock, Rows, rows_of_recording
+from ..regression import (
+    Candidate,
+    Equation,
+    FilteredMotion,
+    Motion,
+    MotionBlock,
+    Problem,
+    Rows,
+    differentiate,
+    lowpass_reach,
+    rows_of_recording,
+    rule_cutoff_hz,
+)
 from ..report import DirectModelResidual
-from .simulated_recording import COARSE, FINE, ControllerKind, SimulatedRecording, predicted_motion
+from .simulated_recording import COARSE, FINE, SimulatedRecording
 
 MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
 # base parameters (b,) to simulate, their covariance (b, b), and the share (b,) of a payload in them
 Asked = tuple[Array, Array | None, Array]
+# of the motion that the reference predicts
+DELAYS_S = (0.0, 0.02, 0.05, 0.1)
+SMOOTH = 0.05  # of the peak speed
+MIN_SINGULAR = 1e-6  # of columns of norm 1
+MOST_SAMPLES = 50_000  # of the regression, evenly spaced
+DESIGN_SAMPLES = 10_000  # whose columns are in memory
+EDGE = 2  # samples to each side of an acceleration
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,7 +59,8 @@ class Simulated:
     """What a robot simulated in a recording gives.
 
     Attributes:
-        recording: its name; `controller`, `saturated`: as of `SimulatedRecording`.
+        recording: its name; `controller`: the kind of its control law; `saturated`: as of
+            `SimulatedRecording`.
         kind: `simulated`: with the physically consistent parameters nearest to those asked;
             `consistent`: the same, where the inertia matrix of those asked is not positive;
             `reference`: not simulated, the motion is that which the reference predicts.
@@ -93,7 +125,7 @@ def simulate(
     why, gains = None, np.ones(len(robot.held))
     if asked is not None:
         beta, covariance, payload = asked
-        why = robot.gains(robot.model(beta))[1]
+        why = robot.gains(robot.problem.direct_model(beta))[1]
         kind = "simulated" if why is None else "consistent"
         if covariance is not None:
             with suppress(NoFitError):
@@ -108,7 +140,7 @@ def simulate(
     rows = rows_of_recording(equation, x, further, robot.motion(motion), of_lag=of_lag)
     found = Simulated(
         recording=robot.problem.signals.recording,
-        controller=robot.controller,
+        controller=robot.loop.kind,
         saturated=robot.saturated,
         kind=kind,
         reason=why,
@@ -132,25 +164,72 @@ def _followed(
     few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
     for motion in along:
         q = robot.low_passed(problem.motion, motion.near).q
-        torque = motion.tau + motion.known_torque
         every = motion.t_s, motion.q, motion.dq, motion.ddq, motion.tau, q
         own = motion.decimation.samples(motion.inside, len(q))  # those that no other block has
         parts = (motion.kept(x) if few else x[own] for x in every)
-        kept.append([*parts, motion.filtered(torque.T).T])
+        kept.append([*parts, motion.filtered((motion.tau + motion.known_torque).T).T])
     t_s, q, dq, ddq, tau, wanted, torque = map(np.concatenate, zip(*kept, strict=True))
     errors, sizes = (q - wanted) * moves, (wanted - wanted.mean(axis=0)) * moves
     percents = [
         [100 * float(a / b) if b > 0 else None for a, b in np.linalg.norm(pair, axis=1).T]
         for pair in ((errors, sizes), (torque - measured, measured))
     ]
-    by_joint = tuple(
-        DirectModelResidual(name=joint.name, position_error_percent=a, torque_error_percent=b)
-        for joint, a, b in zip(problem.signals.robot.joints, *percents, strict=True)
-    )
     return replace(
         found,
         motion=Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau),
         error=q - wanted,
         percent=100 * float(np.linalg.norm(errors) / np.linalg.norm(sizes)),
-        by_joint=by_joint,
+        by_joint=tuple(
+            DirectModelResidual(name=joint.name, position_error_percent=a, torque_error_percent=b)
+            for joint, a, b in zip(problem.signals.robot.joints, *percents, strict=True)
+        ),
     )
+
+
+def predicted_motion(problem: Problem) -> FilteredMotion:
+    """Return the motion that the reference predicts, made once for its span; the measured one where
+    no reference is recorded.
+    """
+    if (r := problem.signals.q_ref) is None:
+        return problem.motion
+    span = problem.settings.start, problem.settings.stop
+    return problem.motion.once(("predicted", *span), lambda: _predicted(problem.signals, r, *span))
+
+
+def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMotion:
+    """The motion q^ (N, n) at all samples of a recording, by the errors of those that a low-pass
+    lets into its span.
+    """
+    (N, n), q, fs, found = r.shape, signals.q, signals.sample_rate_hz, allocate(r.shape)
+    reach = lowpass_reach(rule_cutoff_hz(signals), fs)
+    within = range(max(0, start - reach), min(N, stop + reach))
+    late, every = [round(delay_s * fs) for delay_s in DELAYS_S], -(-len(within) // MOST_SAMPLES)
+    used = np.array(within[::every])
+    peak = np.abs(differentiate(r[used], fs / every)).max(axis=0)
+
+    def columns(at: Ints) -> Array:  # (K, p) at samples (K,), in order
+        low = max(0, at[0] - late[-1] - EDGE)
+        now = _terms(r[low : at[-1] + 1 + EDGE], peak, fs)
+        return np.concatenate(
+            [np.ones((len(at), 1)), *(now[np.maximum(at - d, 0) - low] for d in late)], axis=1
+        )
+
+    few = max(1, DESIGN_SAMPLES // every)  # of that many samples the terms are made
+    blocks = (used[k : k + few] for k in range(0, len(used), few))
+    R = r_factor(np.concatenate([r_factor(np.c_[columns(at), q[at] - r[at]]) for at in blocks]))
+    size = np.maximum(np.linalg.norm(R[:, :-n], axis=0), np.finfo(float).tiny)
+    effects = np.linalg.lstsq(R[:, :-n] / size, R[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
+    for at in (np.arange(a, min(N, a + DESIGN_SAMPLES)) for a in range(0, N, DESIGN_SAMPLES)):
+        found[at] = r[at] + columns(at) @ effects
+        for x in (q, r, found):
+            release_pages(x)
+    return FilteredMotion(signals, found)
+
+
+def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:
+    """What the error is made of, (K, p), of a reference (K, n) with peak speeds (n,)."""
+    dr, n = differentiate(r, sample_rate_hz), r.shape[1]
+    sums = np.stack([r[:, i:j].sum(axis=1) for i in range(n) for j in range(i + 1, n + 1)], axis=1)
+    friction = np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny))
+    ddr = differentiate(dr, sample_rate_hz)
+    return np.concatenate([np.sin(sums), np.cos(sums), dr, ddr, friction, dr**3], axis=1)

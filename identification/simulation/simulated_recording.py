@@ -6,69 +6,48 @@ whichever is lower; their instants include those of the decimated rows of W. The
 in steps of at least 100 times the bandwidth, at any rate of recording and controller; from 200
 times on, a step has several instants of the controller. The motion of a long recording is on disk.
 
-Where the robot cannot be simulated, its motion is the one that the recorded reference predicts,
-which needs no control law. The error q - r of a controlled robot is gravity, inertia and friction
-through its unknown loop. It is regressed on what these are made of, of the reference alone: 1; sin
-and cos of the joints' angles and of sums of consecutive ones; dr, ddr; friction, tanh(dr / 5 % of
-its peak); dr^3; each also late, which stands for the loop's lags. q^ = r + that has no noise of the
-position, so instruments along it are exogenous by construction. What sticks is not predicted: there
-they are less efficient.
+Checks come first: a reference of another recording, drives that are at their limits.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from acquisition.errors import BadInputError, Place
 from acquisition.files import allocate, release_pages
+from acquisition.robot import Joint
 
-from ..arrays import Array, Ints
-from ..control import ControlLaw, ControllerKind, FoundLaw, Reference, default_law, law_of_recording
-from ..data import Signals
-from ..estimation import r_factor
-from ..model import DirectModel, direct_model, inertias, why_not_positive
+from ..arrays import Array, Bools
+from ..control import SATURATED, FoundLaw, Reference, default_law, law_of_recording
+from ..model import DirectModel, inertias, why_not_positive
 from ..regression import (
+    BLOCK_SAMPLES,
     SPLINE_REACH,
     FilteredMotion,
     Motion,
     MotionBlock,
     Problem,
     differentiate,
-    lowpass_reach,
+    largest_of_type,
     row_blocks,
     rule_cutoff_hz,
     sampled_at,
 )
 from .closed_loop import ClosedLoop
-from .recording_checks import (
-    MAX_DEVIATION,
-    position_scales,
-    refuse_foreign_reference,
-    refuse_instants,
-    saturated_percents,
-)
 
 FINE = 100.0  # samples and steps per period of the bandwidth, at least
 COARSE = 25.0  # the same where only the motion that the reference predicts is asked for
 CHUNK = 50_000  # instants of the controller that are simulated at a time
-# of the motion that the reference predicts
-DELAYS_S = (0.0, 0.02, 0.05, 0.1)
-SMOOTH = 0.05  # of the peak speed
-MIN_SINGULAR = 1e-6  # of columns of norm 1
-MOST_SAMPLES = 50_000  # of the regression, evenly spaced
-DESIGN_SAMPLES = 10_000  # whose columns are in memory
-EDGE = 2  # samples to each side of an acceleration
-
-
-def _loop_of(problem: Problem, found: FoundLaw | None) -> ControlLaw | None:
-    """Return the loop of the recording's control law; along a measured position with the model's
-    gravity, as the position has the sag.
-    """
-    loop = law_of_recording(problem.robot, found)
-    if loop is None or problem.signals.q_ref is not None or loop.gravity == "measured":
-        return loop
-    return replace(loop, gravity="reference")
+MAX_DEVIATION = 0.5  # of a joint's travel, of a simulation or a reference from the recording
+MIN_TRAVEL = 0.01  # of the largest travel of a joint of the same type: a joint with less is held
+MIN_INSTANTS = 30  # of the controller
+MAX_STEPS = 2e7  # to simulate: more is a mistake in the description
+MIN_SATURATED_PERCENT = 5.0  # of saturated samples that explains a deviation from the reference
+# An effort leaves its peaks soon, but not a limit: shares of the samples in ranges of these widths,
+# thousandths of the peak
+MIN_HELD, MIN_HELD_RATIO, HELD_WIDTHS = 0.01, 3.0, np.array([20, 40, 80])
 
 
 class SimulatedRecording:
@@ -82,8 +61,8 @@ class SimulatedRecording:
         problem: of the recording, with its samples.
         blocks: of the rows; `decimation` leads from the samples to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
-        loop: the control loop; `controller`: whether it is described or found in the recording, or
-            a PD of the stated bandwidth.
+        loop: the control loop, described or found in the recording, or a PD of the stated
+            bandwidth.
         saturated: percentage of the samples at each motor's limit, by motor and limit.
         start: the motion at the first instant.
         fastest: (c,) largest speeds of the reference along the directions of Coulomb friction.
@@ -126,9 +105,8 @@ class SimulatedRecording:
         self.N = -(-len(settings.used) // self.stride)
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop = _loop_of(problem, law)
-        self.controller: ControllerKind = "surrogate" if loop is None else loop.kind
-        M = self.model(prior).inertia(self.problem.poses)
+        loop = law_of_recording(problem, law)
+        M = problem.direct_model(prior).inertia(problem.poses)
         self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
@@ -140,9 +118,7 @@ class SimulatedRecording:
         duration_s = (self.N - 1) * self.stride / fs
         refuse_instants(problem, loop.period_s, duration_s, self.substeps)
         self.loop = (
-            loop
-            if self.controller == "surrogate" or why_not_positive(M)
-            else loop.slower(M, FINE * hz)
+            loop if loop.kind == "surrogate" or why_not_positive(M) else loop.slower(M, FINE * hz)
         )
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
         # of a short recording made once
@@ -171,7 +147,7 @@ class SimulatedRecording:
         controller's gains, equation (E); and why it cannot be simulated, or where it leaves its
         reference, or None.
         """
-        gains, reason = self.gains(model := self.model(beta))
+        gains, reason = self.gains(model := self.problem.direct_model(beta))
         if reason is not None:
             return np.zeros((4, 0, len(gains))), gains, reason
         loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
@@ -187,9 +163,25 @@ class SimulatedRecording:
 
     def motion(self, along: Array | FilteredMotion) -> Iterator[MotionBlock]:
         """Return the motion of a simulated path (4, K, n), or another one with the recorded
-        torque, block by block.
+        torque, block by block; the path is linear between steps.
         """
-        return (self._block(*at, along) for at in self.blocks)
+        problem, fs = self.problem, self.problem.signals.sample_rate_hz
+        for near, inside in self.blocks:
+            if isinstance(along, FilteredMotion):
+                x = self.low_passed(along, near)
+            else:
+                k = np.r_[self.decimation.samples(near, self.N)]
+                steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
+                # The acceleration is that of the middle of a step; a torque stands for the middle
+                # of the controller's instants.
+                each = zip((0.0, 0.0, 0.5, self.loop.middle), along, strict=True)
+                q, dq, ddq, tau = (_on_lines(steps - early, series) for early, series in each)
+                x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
+                if self.instants > CHUNK:
+                    release_pages(along)
+            yield MotionBlock(
+                **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
+            )
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
         """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
@@ -203,15 +195,11 @@ class SimulatedRecording:
         factors = inertias(M) / self.prior if follows else np.ones(len(self.prior))
         return factors, why_not_positive(M)
 
-    def model(self, beta: Array) -> DirectModel:
-        """Return the robot with base parameters (b,)."""
-        return direct_model(self.problem.model, self.problem.base.standard_parameters(beta))
-
     def low_passed(self, of: FilteredMotion, near: slice) -> Motion:
         """Return a motion, low-passed by the rule, at the samples of these rows."""
-        span = self.decimation.samples(near, self.N)
-        first, last = (self.first + self.stride * k for k in (span.start, span.stop - 1))
-        return of.between(first, last + 1, self.cutoff_hz).part(slice(None, None, self.stride))
+        samples = range(self.first, self.problem.settings.stop, self.stride)
+        at = samples[self.decimation.samples(near, self.N)]
+        return of.between(at[0], at[-1] + 1, self.cutoff_hz).part(slice(None, None, self.stride))
 
     def reference(self, first: int, last: int) -> Reference:
         """Return the loop's inputs from its instant `first` to before `last`: the recorded
@@ -241,7 +229,7 @@ class SimulatedRecording:
         if feedforward is not None:  # held between samples: a cubic would overshoot
             held = np.minimum(each + 1e-6, settings.used.stop - 1).astype(np.intp)
             feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
-            if self.controller == "surrogate":  # a surrogate's output is torque at the joints
+            if self.loop.kind == "surrogate":  # a surrogate's output is torque at the joints
                 feedforward = self.problem.robot.joint_effort(feedforward)
         q, dq, ddq = np.split(sampled_at(at, np.hstack(paths)), 3, axis=1)
         return Reference(q, dq, ddq, known_torque=known, feedforward=feedforward)
@@ -249,86 +237,153 @@ class SimulatedRecording:
     def _inputs(self) -> Iterator[tuple[int, Reference]]:
         """The loop's inputs, and the first instant of each part."""
         for first in range(0, self.instants, CHUNK):
-            last = min(self.instants, first + CHUNK)
-            yield first, self._whole or self.reference(first, last)
-
-    def _block(self, near: slice, inside: slice, along: Array | FilteredMotion) -> MotionBlock:
-        """A block of a simulated path, linear between steps, or of another motion."""
-        problem, fs = self.problem, self.problem.signals.sample_rate_hz
-        if isinstance(along, FilteredMotion):
-            x = self.low_passed(along, near)
-        else:
-            span = self.decimation.samples(near, self.N)
-            k = np.arange(span.start, span.stop)
-            steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
-            q, dq = _on_lines(steps, along[:2])
-            # The acceleration is that of the middle of a step; a torque stands for the middle of
-            # the controller's instants.
-            (ddq,) = _on_lines(steps - 0.5, along[2:3])
-            (tau,) = _on_lines(steps - self.loop.middle, along[3:])
-            x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
-            if self.instants > CHUNK:
-                release_pages(along)
-        return MotionBlock(
-            **vars(x), problem=problem, near=near, inside=inside, decimation=self.decimation
-        )
+            yield first, self._whole or self.reference(first, min(self.instants, first + CHUNK))
 
 
 def _on_lines(at: Array, x: Array) -> Array:
-    """Series x (k, N, n) at places (K,), on straight lines between their samples; beyond the ends,
-    the end samples.
+    """Series x (N, n) at places (K,), on straight lines between their samples; beyond the ends, the
+    end samples.
     """
-    last = x.shape[1] - 1
-    low = np.clip(at, 0, last).astype(np.intp)
+    low = np.clip(at, 0, len(x) - 1).astype(np.intp)
     share = np.clip(at - low, 0, 1)[:, None]
-    return x[:, low] + share * (x[:, np.minimum(low + 1, last)] - x[:, low])
+    return np.asarray(x[low] + share * (x[np.minimum(low + 1, len(x) - 1)] - x[low]))
 
 
-def predicted_motion(problem: Problem) -> FilteredMotion:
-    """Return the motion that the reference predicts, made once for its span; the measured one where
-    no reference is recorded.
+def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, Bools]:
+    """Return scales (n,) of position errors, from the `travel` (n,) of the reference; and
+    which joints are held.
     """
-    if (r := problem.signals.q_ref) is None:
-        return problem.motion
-    used = problem.settings.used
-    span = used.start, used.stop
-    return problem.motion.once(("predicted", *span), lambda: _predicted(problem.signals, r, *span))
+    # A held joint is pushed by its neighbours: its own travel is no scale.
+    largest = largest_of_type(travel, joints)
+    held = travel < MIN_TRAVEL * largest
+    return np.where(held, largest, travel), held
 
 
-def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMotion:
-    """The motion q^ (N, n) at all samples of a recording, by the errors of those that a low-pass
-    lets into its span.
+def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> None:
+    """Refuse a reference far from the measured position: of another recording, or in other units;
+    `saturated`: as of `saturated_percents`.
     """
-    (N, n), q, fs, found = r.shape, signals.q, signals.sample_rate_hz, allocate(r.shape)
-    reach = lowpass_reach(rule_cutoff_hz(signals), fs)
-    within = range(max(0, start - reach), min(N, stop + reach))
-    late, every = [round(delay_s * fs) for delay_s in DELAYS_S], -(-len(within) // MOST_SAMPLES)
-    used = np.array(within[::every])
-    peak = np.abs(differentiate(r[used], fs / every)).max(axis=0)
-
-    def columns(at: Ints) -> Array:  # (K, p) at samples (K,), in order
-        low = max(0, at[0] - late[-1] - EDGE)
-        now = _terms(r[low : at[-1] + 1 + EDGE], peak, fs)
-        return np.concatenate(
-            [np.ones((len(at), 1)), *(now[np.maximum(at - d, 0) - low] for d in late)], axis=1
+    signals, joints = problem.signals, problem.signals.robot.joints
+    if signals.q_ref is None:
+        return
+    first, blocks = (
+        signals.q_ref[problem.settings.used.start],
+        _blocks(problem, signals.q, signals.q_ref),
+    )
+    sums = [
+        [x.sum(axis=0) for x in (q_ref - first, (q_ref - first) ** 2, (q_ref - q) ** 2)]
+        for q, q_ref in blocks
+    ]
+    mean, square, of_error = np.sum(sums, axis=0) / len(problem.settings.used)
+    error = np.sqrt(of_error)
+    scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
+    far = ~(error <= MAX_DEVIATION * scale)
+    # a drive at its limit does not follow
+    if far.any() and max(saturated.values(), default=0) <= MIN_SATURATED_PERCENT:
+        j, unstated = int(far.argmax()), unstated_limits(problem)
+        raise BadInputError(
+            f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "
+            f"travel of {scale[j]:.3g}{''.join(f'; {limit}' for limit in unstated)}",
+            place=f"{signals.recording}: reference of joint {joints[j].name}",
+            expected="saturation of the motor in robot.toml"
+            if unstated
+            else "the reference of this recording",
         )
 
-    few = max(1, DESIGN_SAMPLES // every)  # of that many samples the terms are made
-    blocks = (used[k : k + few] for k in range(0, len(used), few))
-    R = r_factor(np.concatenate([r_factor(np.c_[columns(at), q[at] - r[at]]) for at in blocks]))
-    size = np.maximum(np.linalg.norm(R[:, :-n], axis=0), np.finfo(float).tiny)
-    effects = np.linalg.lstsq(R[:, :-n] / size, R[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
-    for at in (np.arange(a, min(N, a + DESIGN_SAMPLES)) for a in range(0, N, DESIGN_SAMPLES)):
-        found[at] = r[at] + columns(at) @ effects
-        for x in (q, r, found):
-            release_pages(x)
-    return FilteredMotion(signals, found)
+
+def saturated_percents(problem: Problem) -> dict[str, float]:
+    """Percentage of the recorded samples at each motor's limit, by motor and limit;
+    empty if none is stated.
+    """
+    robot, N = problem.signals.robot, len(problem.settings.used)
+    at = [
+        (np.abs(effort) >= SATURATED * robot.saturation).sum(axis=0)
+        for effort in _motor_efforts(problem)
+    ]
+    return {
+        f"{motor.name} ({motor.saturation:.4g} {motor.recorded_unit})": 100.0 * float(k) / N
+        for motor, k in zip(robot.motors, np.sum(at, axis=0), strict=True)
+        if motor.saturation is not None
+    }
 
 
-def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:
-    """What the error is made of, (K, p), of a reference (K, n) with peak speeds (n,)."""
-    dr, n = differentiate(r, sample_rate_hz), r.shape[1]
-    sums = np.stack([r[:, i:j].sum(axis=1) for i in range(n) for j in range(i + 1, n + 1)], axis=1)
-    friction = np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny))
-    ddr = differentiate(dr, sample_rate_hz)
-    return np.concatenate([np.sin(sums), np.cos(sums), dr, ddr, friction, dr**3], axis=1)
+def unstated_limits(problem: Problem) -> list[str]:
+    """Drives that saturate, below a stated limit or without one, in words."""
+    found, motors = list[str](), problem.signals.robot.motors
+    peaks = np.max([np.abs(effort).max(axis=0) for effort in _motor_efforts(problem)], axis=0)
+    counts = np.sum(
+        [
+            [
+                np.histogram(x, 1000, (0, peak or 1.0))[0][::-1]
+                for x, peak in zip(np.abs(effort).T, peaks, strict=True)
+            ]
+            for effort in _motor_efforts(problem)
+        ],
+        axis=0,
+    )
+    for motor, peak, share in zip(motors, peaks, counts / counts[0].sum(), strict=True):
+        held, *below = np.diff(np.r_[0.0, share.cumsum()][np.outer(range(4), HELD_WIDTHS)], axis=0)
+        ratio = (
+            held
+            / np.maximum(np.max(below, axis=0), 1e-9)
+            * (held > MIN_HELD)
+            * (np.min(below, axis=0) > 0)
+        )
+        k = int(ratio.argmax())
+        limit = peak * (
+            1
+            - 1e-3 * np.average(np.arange(HELD_WIDTHS[k]), weights=share[: HELD_WIDTHS[k]] + 1e-300)
+        )
+        if ratio[k] > MIN_HELD_RATIO and limit < 0.99 * (motor.saturation or np.inf):
+            found.append(
+                f"drive of {motor.name} saturates at {limit:.3g} {motor.recorded_unit} in "
+                f"{100 * held[k]:.2g} % of the rows"
+            )
+    return found
+
+
+def _motor_efforts(problem: Problem) -> Iterator[Array]:
+    """The recorded efforts (K, n) of the motors in the span used, in blocks."""
+    # As recorded: a spline that corrects a lag would overshoot the limit.
+    for (effort,) in _blocks(problem, problem.signals.effort):
+        yield problem.signals.robot.motor_effort(effort)
+
+
+def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
+    """The rows (K, n) of series in the span used, in blocks."""
+    start, stop = problem.settings.start, problem.settings.stop
+    for a in range(start, stop, BLOCK_SAMPLES):
+        yield [x[a : min(stop, a + BLOCK_SAMPLES)] for x in series]
+        if stop - start > BLOCK_SAMPLES:
+            for x in series:
+                release_pages(x)
+
+
+def refuse_instants(problem: Problem, period_s: float, duration_s: float, substeps: int) -> None:
+    """Refuse a controller whose period gives too few instants, or too many steps to simulate."""
+    signals, periods = problem.signals, duration_s / period_s
+    hz, steps, instants = (
+        signals.robot.bandwidth_hz,
+        periods * substeps,
+        int(periods + 1e-6) + 1,
+    )
+    for wrong, what, expected in (
+        (
+            steps > MAX_STEPS,
+            f"{steps:.2g} steps to simulate with bandwidth_hz = {hz:g}",
+            f"at most {MAX_STEPS:.2g} steps",
+        ),
+        (
+            instants < MIN_INSTANTS,
+            f"{instants} instants in the {duration_s:.3g} s of {signals.recording}",
+            f"at least {MIN_INSTANTS} instants",
+        ),
+    ):
+        Place(f"robot {signals.robot.name}").require(
+            not wrong,
+            "controller.sample_rate_hz",
+            1 / period_s,
+            expected,
+            text=what,
+            shown=f"{1 / period_s:g}",
+        )

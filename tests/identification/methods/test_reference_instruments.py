@@ -27,7 +27,7 @@ from independent_simulator import (
 from identification.data import Signals
 from identification.regression import FilteredMotion, Overrides, make_problem
 from identification.results import Fit, fit_document, fit_file, identify
-from identification.simulation.simulated_recording import predicted_motion
+from identification.simulation.instruments import predicted_motion
 
 HELD = Overrides(torque_lag_s=-0.0005)  # the command of a tick, held until the next
 
@@ -124,8 +124,8 @@ def test_torque_delay_found(unconfirmed, fits):
 @pytest.mark.parametrize("most", [50_000, 700])
 def test_error_within_terms_fully_predicted(monkeypatch, most):
     """q - r = -c(r) late, of two joints; the span does not end with the recording."""
-    monkeypatch.setattr("identification.simulation.simulated_recording.MOST_SAMPLES", most)
-    monkeypatch.setattr("identification.simulation.simulated_recording.DESIGN_SAMPLES", 640)
+    monkeypatch.setattr("identification.simulation.instruments.MOST_SAMPLES", most)
+    monkeypatch.setattr("identification.simulation.instruments.DESIGN_SAMPLES", 640)
     signals = crossings.recorded(frozenset(), frozenset({"reference"}), 1)
     r, fs = signals.q_ref, crossings.RATE_HZ
     dr = np.gradient(r, 1 / fs, axis=0)

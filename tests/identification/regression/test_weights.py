@@ -26,7 +26,7 @@ from identification.regression import (
     sample_weights,
     weights_at,
 )
-from identification.regression.weights import SampleWeights
+from identification.regression.blocks import SampleWeights
 from identification.results import identify_ls
 from identification.study import Noise, closed_loop
 
