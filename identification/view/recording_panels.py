@@ -201,8 +201,9 @@ def _friction_chart(friction: _Friction, j: int, of: str) -> Graph:
         ]
     shown = moving[:: max(1, len(moving) // MAX_DOTS)]
     own = friction_alone(friction.model, friction.columns, j, dq[shown], load[shown])
-    tau = (own * friction.own[shown]) @ friction.beta + residual[shown]
-    points, nearest = np.c_[dq[shown], tau], np.abs(load[shown, None] - loads).argmin(axis=1)
+    own *= friction.own[shown]
+    points = np.c_[dq[shown], own @ friction.beta + residual[shown]]
+    nearest = np.abs(load[shown, None] - loads).argmin(axis=1)
     for k, (color, _, name) in enumerate(looks):
         for speed in (-peak * SPEEDS, peak * SPEEDS) if peak > 0 else ():
             middle, half = _friction_curve(friction, j, speed, loads[k])
