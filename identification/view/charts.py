@@ -41,10 +41,15 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
     """Every parameter: its 95 % interval in percent of the value, and other sets, in
     half-widths of this interval.
     """
-    legend = [("● essential", ORANGE), ("○ not essential", GREY)]
-    for values, color in zip(others, COMPARED, strict=False):
-        is_exact = all(p.sigma == 0 for p in values.parameters.values())
-        legend.append((f"{'|' if is_exact else '×'} {values.label}", color))
+    legend = [
+        ("● essential", ORANGE),
+        ("○ not essential", GREY),
+        *(
+            (f"{'×' if any(p.sigma for p in x.parameters.values()) else '|'} {x.label}", color)
+            for x, color in zip(others, COMPARED, strict=False)
+        ),
+        *([("beyond 3 σ", VERMILLION)] if others else []),
+    ]
     return [
         Rows(
             path=("deviations", part[0]),
@@ -54,7 +59,7 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
                 _width_column(own, part),
                 *([_difference_column(own, others, part)] if others else []),
             ],
-            legend=[*legend, *([("beyond 3 σ", VERMILLION)] if others else [])],
+            legend=legend,
         )
         for part in _parts(list(own.parameters), MAX_ROWS)
     ]
@@ -62,16 +67,19 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
 
 def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
     """Half-widths of the parameters in percent of their values."""
-    marks = [
-        Mark(
-            row=row,
-            value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
-            color=_look(p.essential)[0],
-            shape="bar",
-        )
-        for row, p in enumerate(own.parameters[name] for name in names)
-    ]
-    return Column(head="± 95 %, % of value", axis=logarithmic(0.01, 100.0, 4), marks=marks)
+    return Column(
+        head="± 95 %, % of value",
+        axis=logarithmic(0.01, 100.0, 4),
+        marks=[
+            Mark(
+                row=row,
+                value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
+                color=_look(p.essential)[0],
+                shape="bar",
+            )
+            for row, p in enumerate(own.parameters[name] for name in names)
+        ],
+    )
 
 
 def _difference_column(
@@ -217,8 +225,12 @@ def _sensitivity_column(fits: Sequence[VariedFit], name: str) -> Column:
             for row, (_, _, iv, half) in found.items()
         ),
     ]
-    lines = (found[0][2] - found[0][3], found[0][2] + found[0][3])
-    return Column(head=f"{name} ± 95 %", axis=_around(marks), marks=marks, lines=lines)
+    return Column(
+        head=f"{name} ± 95 %",
+        axis=_around(marks),
+        marks=marks,
+        lines=(found[0][2] - found[0][3], found[0][2] + found[0][3]),
+    )
 
 
 def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
@@ -285,8 +297,10 @@ def study_chart(runs: Sequence[Run]) -> Rows:
                 )
                 errors += [100 * fit.error] * ended
         median = float(np.median(errors)) if errors else None
-        head = name if median is None else f"{name}: median {median:.3g}"
-        names += [(head, LIGHT), *[("", LIGHT)] * (STUDY_ROWS - 1)]
+        names += [
+            (name if median is None else f"{name}: median {median:.3g}", LIGHT),
+            *[("", LIGHT)] * (STUDY_ROWS - 1),
+        ]
         if median is not None:
             marks += [
                 Mark(row=top + k, value=median, color=LIGHT, shape="tick")

@@ -67,8 +67,9 @@ def lines_of(signals: Signals, settings: Settings | None, fit: FitOnRecording | 
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         # m.t_s is index / rate
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]
-        of_robot = {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": simulated.error}
-        lines |= _lines("simulated", t_s, of_robot)
+        lines |= _lines(
+            "simulated", t_s, {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": simulated.error}
+        )
     return lines
 
 
@@ -156,9 +157,15 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
         peak = max(x for x, unit in zip(peaks, units, strict=True) if unit == units[j])
         factor, unit = readable_unit(peak, units[j])
         error = plot(signals, lines, "error", j)
-        scaled = tuple(replace(c, line=(c.line[0], factor * c.line[1])) for c in error.curves)
-        title = f"position error {joint.name} [{unit}]"
-        plots.append(replace(error, title=title, curves=scaled))
+        plots.append(
+            replace(
+                error,
+                title=f"position error {joint.name} [{unit}]",
+                curves=tuple(
+                    replace(c, line=(c.line[0], factor * c.line[1])) for c in error.curves
+                ),
+            )
+        )
     return plots
 
 

@@ -231,13 +231,13 @@ class LivePage:
         }
         if "reference" in (rows.dtype.names or ()):
             # As the guard: a drive reaches a target one period after it was sent.
-            first = rows["reference"][:1] if self._target is None else self._target
-            before = np.concatenate([first, rows["reference"][:-1]])
+            sent = rows["reference"]
+            first = sent[:1] if self._target is None else self._target
             series |= {
-                "error": (stamps, [q - before]),
-                "position": (stamps, [rows["reference"], q]),
+                "error": (stamps, [q - np.concatenate([first, sent[:-1]])]),
+                "position": (stamps, [sent, q]),
             }
-            self._target = rows["reference"][-1:]
+            self._target = sent[-1:]
         if self._residual is not None:
             at, rho = self._residual.add(rows)
             series["residual"] = at, [rho]
@@ -272,6 +272,7 @@ class LivePage:
             end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0),
         )
         for name, levels in self._levels.items():
+            quantity, sign = ("q", "") if name == "position" else (name, "±")
             views = []
             for j, joint in enumerate(self._robot.joints):
                 unit = (
@@ -288,18 +289,16 @@ class LivePage:
                     list(levels[j]),
                     [color for color, _ in levels[j].values()],
                 )
-                title = {"position": "q"}.get(name, name)
                 told = [
-                    f"{key} {'' if name == 'position' else '±'}{value:.3g}"
+                    f"{key} {sign}{value:.3g}"
                     for key, (_, value) in levels[j].items()
                     if key[0] != "-"
                 ]
-                # Of six joints each has 30 letters.
-                title = shown_text(f"{title} {joint.name} {', '.join(told)} [{unit}]")
                 views.append(
                     rrb.TimeSeriesView(
                         origin=f"{name}/{j + 1}",
-                        name=title,
+                        # Of six joints each has 30 letters.
+                        name=shown_text(f"{quantity} {joint.name} {', '.join(told)} [{unit}]"),
                         time_ranges=[window],
                         plot_legend=rrb.PlotLegend(visible=False),
                     )

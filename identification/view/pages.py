@@ -56,13 +56,13 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
     overview, *of_signals = _signal_pages(signals, one.problem.settings, one, residual)
     each = [error.relative_error_percent or 0.0 for error in one.errors[:-1]]
     j = each.index(max(each))
-    largest = (
-        f"torque of {signals.robot.joints[j].name}, which has the largest error "
-        f"[{signals.robot.effort_units[j]}]"
-    )
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {str(fit.method).upper()}",
-        first=replace(torque[j], title=largest),
+        first=replace(
+            torque[j],
+            title=f"torque of {signals.robot.joints[j].name}, which has the largest error "
+            f"[{signals.robot.effort_units[j]}]",
+        ),
         document=document,
         pages=(
             overview,
@@ -171,16 +171,20 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
     Entities are `q/<joint>`, `dq/<joint>` and, if known, `torque/<joint>`, each with `reference`,
     `low` and `high`; `robot`, `report`.
     """
-    page = Page(
-        name="excitation",
-        groups={
-            "robot": [excitation_scene(excitation)],
-            "intervals": charts.interval_charts(excitation),
-            **curves.excitation_plots(excitation),
-        },
-    )
     return Picture(
-        name=f"{excitation.robot.name}, excitation", document=document, pages=(page,), sha256={}
+        name=f"{excitation.robot.name}, excitation",
+        document=document,
+        pages=(
+            Page(
+                name="excitation",
+                groups={
+                    "robot": [excitation_scene(excitation)],
+                    "intervals": charts.interval_charts(excitation),
+                    **curves.excitation_plots(excitation),
+                },
+            ),
+        ),
+        sha256={},
     )
 
 

@@ -40,8 +40,8 @@ def event_logs(signals: Signals) -> list[Log]:
         where = "" if at == t_s else f" ({'before' if at == 0 else 'after'} the samples)"
         text = f"{t_s:.3f} s  {event.kind}: {event.text}{where}"
         lines.append((at, event.kind not in ROUTINE_EVENTS, text))
-    log = Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines)
-    return [log] if lines else []
+    title = f"events: {len(signals.events)}"
+    return [Log(path=("events",), title=title, lines=lines)] if lines else []
 
 
 def health_plots(signals: Signals) -> list[Plot]:
