@@ -13,49 +13,14 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from acquisition.commands import Progress, add_path
-from acquisition.errors import one_line
+from acquisition.errors import Place, one_line
 
-from ..errors import BadInputError
 from ..options import workers
 
 if TYPE_CHECKING:
-    from ..data import RecordingFile, Work
-    from ..report import Document
-    from ..view import Picture
+    from .. import data, report, view
 
-# what older versions had: a command, an option, or an option of one command;
-# and what to use instead
-GONE = {
-    "schema": "all keys of robot.toml are in identification/reference.md",
-    "sensitivity": "use study LOG.mcap",
-    "study --cutoffs": "use study LOG.mcap, which varies the cut-off",
-    "study --starts": "use study LOG.mcap, which varies the start",
-    "study --low-speed-percent": "state low_speed_percent in [identification]",
-    "study --encoder-step": "use --position-noise",
-    "study --rrd": "use --report FILE.html",
-    "--all-samples": 'use span = "all" under [identification] of robot.toml',
-    **{
-        name: f"use {key} under [identification] of robot.toml"
-        for key, names in {
-            "cutoff_hz": ["fleet --cutoff-hz"],
-            "decimation": ["--decimate"],
-            "low_speed_percent": [
-                f"{command} --low-speed-percent" for command in ("fit", "friction", "fleet")
-            ],
-            "max_iterations": ["--max-iterations"],
-            "tolerance_percent": ["--tolerance-percent"],
-            "torque_lag_s": ["fleet --torque-lag-s", "view --torque-lag-s"],
-        }.items()
-        for name in names
-    },
-    "--cluster": "use --workers tcp://HOST:8786",
-    "compare --rrd": "use --report FILE.html, which has the charts",
-    "demo --noise": "use simulate --effort-noise-percent",
-    "friction --rrd": "use --report FILE.html, which has the charts",
-    **dict.fromkeys(
-        ["fleet --rrd", "fleet --report"], "use the table of -o OUT.csv, which marks changes"
-    ),
-}
+COMMAND_LINE = Place("")  # of errors about options
 
 
 def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._ArgumentGroup":
@@ -90,7 +55,7 @@ def add_method(settings: "argparse._ActionsContainer") -> None:
     )
 
 
-def sources(options: argparse.Namespace) -> list["RecordingFile"]:
+def sources(options: argparse.Namespace) -> list["data.RecordingFile"]:
     """The recordings of `add_recordings`, not yet read."""
     from acquisition.robot import load_robot
 
@@ -100,13 +65,12 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
     for text in getattr(options, "payload", ()):
         name, _, payload = text.partition("=")
         names = [x for path in options.recordings for x in (path.name, path.stem)]
-        if not payload or name not in names:
-            raise BadInputError(
-                key="--payload",
-                value=text,
-                expected="NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of "
-                f"{', '.join(names[1::2])}",
-            )
+        COMMAND_LINE.require(
+            payload and name in names,
+            "--payload",
+            text,
+            f"NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of {', '.join(names[1::2])}",
+        )
         payloads[name] = payload
     return [
         RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem)))
@@ -125,7 +89,7 @@ def add_work(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def work_of(options: argparse.Namespace, tasks: int) -> "Work":
+def work_of(options: argparse.Namespace, tasks: int) -> "data.Work":
     """The workers of `add_work`, by default one for each of so many tasks."""
     from ..data import Work
 
@@ -147,9 +111,9 @@ def add_pictures(outputs: "argparse._ActionsContainer", text: str) -> None:
 
 def show_results(
     options: argparse.Namespace,
-    document: "Document",
+    document: "report.Document",
     content: Callable[[], Any],
-    draw: "Callable[[ModuleType], list[Picture]] | None" = None,
+    draw: "Callable[[ModuleType], list[view.Picture]] | None" = None,
     rrds: Sequence[Path] = (),
     lines: Sequence[str] = (),
 ) -> None:
@@ -169,35 +133,34 @@ def show_results(
 
 def write_pictures(
     options: argparse.Namespace,
-    document: "Document",
-    draw: "Callable[[ModuleType], list[Picture]]",
+    document: "report.Document",
+    draw: "Callable[[ModuleType], list[view.Picture]]",
     rrds: Sequence[Path] = (),
 ) -> None:
     """Write the files of `add_pictures`: a report of all pictures, a Rerun file of each; `draw` is
     given the room `view`.
     """
-    report = options.report
-    if report is not None and report.suffix == ".md":
+    path = options.report
+    if path is not None and path.suffix == ".md":
         from acquisition.files import write_text
 
         from ..report import to_markdown
 
-        write_text(report, to_markdown(document))
-        report = None
-    if report is None and not rrds:
-        return
-    with Progress("drawing"):
-        from .. import view
+        write_text(path, to_markdown(document))
+        path = None
+    if path is not None or rrds:
+        with Progress("drawing"):
+            from .. import view
 
-        pictures = draw(view)
-        if report is not None:
-            # of several recordings each picture's document is that of its own
-            whole = view.join_pictures(pictures)
-            view.write_html(
-                report, whole if len(pictures) == 1 else replace(whole, document=document)
-            )
-        for rrd, picture in zip(rrds, pictures, strict=False):
-            view.write_rrd(rrd, picture)
+            pictures = draw(view)
+            if path is not None:
+                # of several recordings each picture's document is that of its own
+                whole = view.join_pictures(pictures)
+                view.write_html(
+                    path, whole if len(pictures) == 1 else replace(whole, document=document)
+                )
+            for rrd, picture in zip(rrds, pictures, strict=False):
+                view.write_rrd(rrd, picture)
 
 
 def make_folder(out: Path) -> None:
@@ -205,9 +168,7 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInputError(
-            f"cannot be created: {error.strerror}", place=str(out), expected="a folder"
-        ) from error
+        Place(str(out)).refuse(text=f"cannot be created: {error.strerror}", expected="a folder")
 
 
 def refuse_outputs(
@@ -227,21 +188,23 @@ def refuse_outputs(
     """
     from acquisition.files import refuse_clash
 
-    if report is not None and report.suffix not in (".md", ".html"):
-        raise BadInputError(
-            place=str(report), key="ending", value=report.suffix, expected=".md or .html"
+    if report is not None:
+        Place(str(report)).require(
+            report.suffix in (".md", ".html"), "ending", report.suffix, ".md or .html"
         )
     refuse_clash(
         inputs, *outputs, report, overwrite=overwrite, of_kinds={"rrd": picture, **of_kinds}
     )
     for output in (*outputs, report, *of_kinds.values()):
-        if output is not None and not output.absolute().parent.is_dir():
-            raise BadInputError(
-                f"no folder {output.parent}", place=str(output), expected="an existing folder"
+        if output is not None:
+            Place(str(output)).require(
+                output.absolute().parent.is_dir(),
+                text=f"no folder {output.parent}",
+                expected="an existing folder",
             )
 
 
-def print_results(*items: "Document | str", everything: bool = True) -> None:
+def print_results(*items: "report.Document | str", everything: bool = True) -> None:
     """Print reports and lines without cutting them to the width of the terminal; reports in
     short, or `everything`.
     """

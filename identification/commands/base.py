@@ -20,9 +20,8 @@ def run(options: argparse.Namespace) -> None:
     with Progress("base parameters"):
         from acquisition.robot import load_robot
 
-        from ..model import InverseModel, base_parameters
-        from ..study import base_document, base_file
+        from .. import model, study
 
         robot = load_robot(options.robot)
-        base = base_parameters(InverseModel(robot))
-    show_results(options, base_document(base, robot), lambda: base_file(base, robot))
+        base = model.base_parameters(model.InverseModel(robot))
+    show_results(options, study.base_document(base, robot), lambda: study.base_file(base, robot))

@@ -24,26 +24,23 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
-    from ..report import (
-        ParameterSet,
-        comparison_document,
-        differences,
-        frame_lines,
-        read_fit,
-    )
+    from ..report import ParameterSet, comparison_document, differences, frame_lines, read_fit
 
-    refuse_outputs([options.a, options.b], json=options.json, report=options.report)
     paths, prior = (options.a, options.b), options.b.suffix.lower() in (".urdf", ".toml")
-    labels = [str(path) if options.a.stem == options.b.stem else path.stem for path in paths]
+    refuse_outputs(paths, json=options.json, report=options.report)
     first = read_fit(options.a)
     if prior:
         from ..results import prior_file
 
-    fits = [first, prior_file(first, str(options.a), options.b) if prior else read_fit(options.b)]
-    a, b = (ParameterSet.of_file(fit, label) for fit, label in zip(fits, labels, strict=True))
-    warnings = [*fits[0].warnings_of(str(options.a)), *fits[1].warnings_of(str(options.b))]
-    warnings += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
-    document = comparison_document(a, b, tuple(warnings), prior=prior)
+    second = prior_file(first, str(options.a), options.b) if prior else read_fit(options.b)
+    names = [str(path) if options.a.stem == options.b.stem else path.stem for path in paths]
+    a, b = ParameterSet.of_file(first, names[0]), ParameterSet.of_file(second, names[1])
+    warnings = (
+        *first.warnings_of(str(options.a)),
+        *second.warnings_of(str(options.b)),
+        *frame_lines(first, second, (a.label, b.label)),
+    )
+    document = comparison_document(a, b, warnings, prior=prior)
     digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in paths}
     show_results(
         options,

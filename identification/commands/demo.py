@@ -56,12 +56,7 @@ def _identify(options: argparse.Namespace) -> None:
     with Progress("starting") as progress:
         from acquisition.files import atomic_write
 
-        from ..data import load_signals
-        from ..methods import Iteration
-        from ..report import write_json
-        from ..results import PARAMETERS, fit_document, fit_file, identify_iv, identify_ls
-        from ..study import base_file, record_simulated_session, study_truth, truth_document
-        from ..view import draw_fit, write_rrd
+        from .. import data, methods, report, results, study, view
 
         out = options.out
         robot, place = _simulated_robot(
@@ -69,30 +64,29 @@ def _identify(options: argparse.Namespace) -> None:
         )
         with atomic_write(out / "session.mcap") as recording:
             progress.say("simulated drives")
-            record_simulated_session(robot, place, recording)
-        signals = load_signals(out / "session.mcap")
-        base, true = study_truth(robot)
-        write_json(out / "truth.json", base_file(base, robot, true))
+            study.record_simulated_session(robot, place, recording)
+        signals = data.load_signals(out / "session.mcap")
+        base, true = study.study_truth(robot)
+        report.write_json(out / "truth.json", study.base_file(base, robot, true))
         progress.say("least squares")
-        ls = identify_ls(signals, Overrides())
-        fits = {
-            "ls": ls,
-            "iv": identify_iv(signals, Overrides(law=ls.law), Iteration(), say=progress.say),
-        }
-        files = {name: fit_file(fit) for name, fit in fits.items()}
-        reports = [fit_document(file) for file in files.values()]
+        ls = results.identify_ls(signals, Overrides())
+        iv = results.identify_iv(
+            signals, Overrides(law=ls.law), methods.Iteration(), say=progress.say
+        )
+        files = {"ls": results.fit_file(ls), "iv": results.fit_file(iv)}
         for name, file in files.items():
-            write_json(out / f"{name}.json", file)
+            report.write_json(out / f"{name}.json", file)
         progress.say("writing the Rerun file")
-        write_rrd(out / "demo.rrd", draw_fit(files["iv"], fits["iv"].recordings[0], true))
-    compared = truth_document(robot.name, list(fits.values()), true)
+        view.write_rrd(out / "demo.rrd", view.draw_fit(files["iv"], iv.recordings[0], true))
+    compared = study.truth_document(robot.name, (ls, iv), true)
+    of_ls, of_iv = (results.fit_document(file) for file in files.values())
     if options.all:
-        print_results(*reports, compared)
+        print_results(of_ls, of_iv, compared)
     else:  # the true values in place of the table of parameters
         sections = tuple(
-            compared.sections[0] if s.title == PARAMETERS else s for s in reports[-1].sections
+            compared.sections[0] if s.title == results.PARAMETERS else s for s in of_iv.sections
         )
-        print_results(replace(reports[-1], sections=sections), everything=False)
+        print_results(replace(of_iv, sections=sections), everything=False)
     print_results(f"open the plots: rerun --bind 127.0.0.1 {out / 'demo.rrd'}", *NEXT)
 
 
@@ -102,22 +96,19 @@ def _identify_gains(options: argparse.Namespace) -> None:
     """
     out, paths = options.out, (options.out / "free.mcap", options.out / "loaded.mcap")
     with Progress("starting") as progress:
-        from ..data import RecordingFile, Recordings
-        from ..report import write_json
-        from ..results import fit_file, identify
-        from ..study import gains_document, record_gain_pair
+        from .. import data, report, results, study
 
         robot, place = _simulated_robot(options, "free.mcap", "loaded.mcap", "k.json")
         progress.say("simulated drives")
-        true = record_gain_pair(robot, place, paths)
-        fit = identify(
-            Recordings(sources=tuple(RecordingFile.at(path) for path in paths)),
+        true = study.record_gain_pair(robot, place, paths)
+        fit = results.identify(
+            data.Recordings(sources=tuple(data.RecordingFile.at(path) for path in paths)),
             Overrides(gains=("all",)),
             say=progress.say,
         )
-        write_json(out / "k.json", fit_file(fit))
+        report.write_json(out / "k.json", results.fit_file(fit))
     print_results(
-        gains_document(fit, true),
+        study.gains_document(fit, true),
         f"the whole fit: robot-identify fit {paths[0]} {paths[1]} --gains",
     )
 

@@ -3,8 +3,8 @@
 import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
+from acquisition.errors import Place
 
-from ..errors import BadInputError
 from .arguments import print_results, refuse_outputs
 
 
@@ -28,21 +28,20 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Write the requested files, and print what each format cannot represent."""
-    if options.urdf is None and options.mjcf is None and options.toml is None:
-        raise BadInputError(
-            "nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file"
-        )
-    refuse_outputs([options.fit], urdf=options.urdf, mjcf=options.mjcf, toml=options.toml)
+    outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
+    Place("export").require(
+        any(outputs.values()),
+        text="nothing to write",
+        expected="--urdf, --mjcf or --toml with a file",
+    )
+    refuse_outputs([options.fit], **outputs)
     with Progress("reading"):
-        from ..export import export_fit
-        from ..report import read_fit
+        from .. import export, report
 
-        document = export_fit(
-            read_fit(options.fit),
+        document = export.export_fit(
+            report.read_fit(options.fit),
             str(options.fit),
             untrusted=options.allow_untrusted,
-            urdf=options.urdf,
-            mjcf=options.mjcf,
-            toml=options.toml,
+            **outputs,
         )
     print_results(document, everything=False)

@@ -8,15 +8,11 @@ from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..errors import BadInputError
 from ..options import Overrides
 from . import arguments as shared
 
 if TYPE_CHECKING:
-    from acquisition.robot import Robot
-
-    from ..data import Recordings
-    from ..results import Fit
+    from .. import results
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -61,38 +57,28 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
-    if options.start is not None and options.method in ("ols", "wls"):
-        raise BadInputError(
-            f"has no effect with --method {options.method}",
-            key="--start",
-            value=options.start,
-            expected="--method iv",
-        )
-    if options.prior is not None and not options.consistent:
-        raise BadInputError(
-            "has no effect alone",
-            key="--prior",
-            value=str(options.prior),
-            expected="--consistent with it",
-        )
+    shared.COMMAND_LINE.require(
+        options.start is None or options.method not in ("ols", "wls"),
+        "--start",
+        options.start,
+        "--method iv",
+        text=f"has no effect with --method {options.method}",
+    )
+    shared.COMMAND_LINE.require(
+        options.prior is None or options.consistent,
+        "--prior",
+        str(options.prior),
+        "--consistent with it",
+        text="has no effect alone",
+    )
     pictures = _pictures(options)
     with Progress("reading") as progress:
-        from ..data import Recordings
-        from ..results import fit_document, fit_file
+        from .. import results
 
-        recordings = Recordings(
-            sources=tuple(shared.sources(options)),
-            work=shared.work_of(options, len(options.recordings)),
-        )
-        prior = _prior(options) if options.consistent else None
-        fit = _identify(options, recordings, progress.say)
-        if options.consistent:
-            from ..results import with_consistent
-
-            fit = with_consistent(fit, prior)
+        fit = _identify(options, progress.say)
     shared.show_results(
         options,
-        fit_document(file := fit_file(fit)),
+        results.fit_document(file := results.fit_file(fit)),
         lambda: file,
         lambda view: [view.draw_fit(file, one) for one in fit.recordings],
         pictures,
@@ -130,7 +116,7 @@ def _pictures(options: argparse.Namespace) -> list[Path]:
     return pictures
 
 
-def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
+def edited_descriptions(fit: "results.Fit", recordings: list[Path]) -> list[str]:
     """A line for each robot.toml, beside a recording or in the working folder, that differs
     from the recording's own.
     """
@@ -148,36 +134,29 @@ def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
     return list(lines)
 
 
-def _prior(options: argparse.Namespace) -> "Robot | None":
-    """The prior of the links; read before any fit, so that a recording in A
-    or V is refused at once.
+def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "results.Fit":
+    """The fit; the prior of the links is read before, so that a recording in A or V is refused
+    at once.
     """
-    from ..results import read_prior, refuse_unknown_gain
+    from .. import data, methods, report, results
 
-    robot = shared.sources(options)[0].load().robot
-    if not options.gains:
-        refuse_unknown_gain(robot)
-    return read_prior(options.prior, robot) if options.prior else None
-
-
-def _identify(
-    options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]
-) -> "Fit":
-    from ..methods import Iteration
-    from ..report import read_fit
-    from ..results import identify, stored_beta
-
-    iteration = None if options.start is None else Iteration(start=options.start)
+    sources, prior = shared.sources(options), None
+    if options.consistent:
+        robot = sources[0].load().robot
+        if not options.gains:
+            results.refuse_unknown_gain(robot)
+        prior = results.read_prior(options.prior, robot) if options.prior else None
+    iteration = None if options.start is None else methods.Iteration(start=options.start)
     if options.start not in (None, "regular", "ls"):
-        iteration = Iteration(
-            start=options.start,
-            values=partial(stored_beta, read_fit(Path(options.start)), place=options.start),
-        )
-    return identify(
-        recordings,
+        stored = report.read_fit(Path(options.start))
+        values = partial(results.stored_beta, stored, place=options.start)
+        iteration = methods.Iteration(start=options.start, values=values)
+    fit = results.identify(
+        data.Recordings(sources=tuple(sources), work=shared.work_of(options, len(sources))),
         from_options(Overrides, options),
         method=options.method,
         essential=options.essential,
         iteration=iteration,
         say=say,
     )
+    return results.with_consistent(fit, prior) if options.consistent else fit

@@ -5,8 +5,8 @@ marks what has changed.
 import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
+from acquisition.errors import Place
 
-from ..errors import BadInputError
 from .arguments import (
     add_method,
     add_work,
@@ -48,10 +48,8 @@ def run(options: argparse.Namespace) -> int:
     """Fit every recording without a stored fit, write and print the table; 3
     if none could be fitted.
     """
-    if (out := options.out).suffix not in (".parquet", ".csv"):
-        raise BadInputError(
-            place=str(out), key="ending", value=out.suffix, expected=".parquet or .csv"
-        )
+    out, ending = options.out, options.out.suffix
+    Place(str(out)).require(ending in (".parquet", ".csv"), "ending", ending, ".parquet or .csv")
     refuse_outputs([options.robot], out)
     with Progress("reading") as progress:
         from ..study import fleet_document, found_recordings, run_fleet, write_table
@@ -62,9 +60,5 @@ def run(options: argparse.Namespace) -> int:
         rows = run_fleet(found, options.method, store, work_of(options, len(found)), progress.say)
     write_table(out, rows)
     print_results(fleet_document(rows), everything=False)
-    reasons = (
-        []
-        if any(row.parameters for row in rows)
-        else [f"no recording could be fitted: {rows[0].reason}"]
-    )
-    return trust_status(reasons)
+    is_fitted = any(row.parameters for row in rows)
+    return trust_status([] if is_fitted else [f"no recording could be fitted: {rows[0].reason}"])

@@ -4,7 +4,6 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..errors import BadInputError
 from ..options import Overrides
 from . import arguments as shared
 
@@ -33,28 +32,29 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Try sets of terms, print the table and the lines of robot.toml."""
-    if options.write and options.robot is None:
-        raise BadInputError(
-            key="--write", value=True, expected="--robot with it, the description to write to"
-        )
+    shared.COMMAND_LINE.require(
+        options.robot or not options.write,
+        "--write",
+        True,
+        "--robot with it, the description to write to",
+    )
     shared.refuse_outputs(
         [*options.recordings, options.robot], json=options.json, report=options.report
     )
     with Progress("reading") as progress:
-        from ..data import Recordings
-        from ..design import friction_document, friction_file, select_friction, write_friction
+        from .. import data, design
 
-        choice = select_friction(
-            Recordings(sources=tuple(shared.sources(options))),
+        choice = design.select_friction(
+            data.Recordings(sources=tuple(shared.sources(options))),
             from_options(Overrides, options),
             say=progress.say,
         )
-    document = friction_document(choice)
+    document = design.friction_document(choice)
     shared.show_results(
         options,
         document,
-        lambda: friction_file(choice),
+        lambda: design.friction_file(choice),
         lambda view: [view.draw_friction(*choice.fits(), document)],
     )
     if options.write:
-        write_friction(options.robot, choice)
+        design.write_friction(options.robot, choice)

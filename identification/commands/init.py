@@ -5,15 +5,13 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquisition.commands import add_flag, add_path
-from acquisition.errors import one_line
+from acquisition.errors import Place, one_line
 
-from ..errors import BadInputError
 from ..options import list_of_names, list_of_ratios, list_of_values
-from .arguments import refuse_outputs
+from .arguments import COMMAND_LINE, refuse_outputs
 
 if TYPE_CHECKING:
     from ..export import Chain
@@ -101,15 +99,18 @@ def run(options: argparse.Namespace) -> None:
     from ..export import chain_of_letters, describe, describe_rows, read_chain
 
     out = options.out
-    refuse_outputs([path for path in (options.robot, options.bus) if path is not None], toml=out)
-    if out is not None and out.exists() and not options.overwrite:
-        raise BadInputError("already exists", place=str(out), expected="a new name, or --overwrite")
-    if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
-        raise BadInputError(
-            key="--dh",
-            value=options.dh,
-            expected="ROBOT.urdf, or --dh with a letter for each joint and without --joints",
-        )
+    refuse_outputs([options.robot, options.bus], toml=out)
+    Place(str(out)).require(
+        out is None or not out.exists() or options.overwrite,
+        text="already exists",
+        expected="a new name, or --overwrite",
+    )
+    COMMAND_LINE.require(
+        (options.robot is None) != (options.dh is None) and not (options.dh and options.joints),
+        "--dh",
+        options.dh,
+        "ROBOT.urdf, or --dh with a letter for each joint and without --joints",
+    )
     chain = (
         chain_of_letters(options.dh)
         if options.dh
@@ -117,8 +118,7 @@ def run(options: argparse.Namespace) -> None:
     )
     bus = b"" if options.bus is None else options.bus.read_bytes()
     chain = _with_options(chain, options, bus)
-    folder = Path.cwd() if out is None else out.absolute().parent
-    urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
+    urdf = options.robot and os.path.relpath(options.robot, out and out.parent)
     text = describe(chain, urdf, bus.decode()) if urdf else describe_rows(chain, bus.decode())
     if out is None:
         print(text, end="")
@@ -168,15 +168,14 @@ def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "C
     }
     efforts = _efforts(chain, options, bus)
     for option, units in _EFFORTS.items():
-        if option in given and (
-            not {*efforts} & {*units} or (option == "--ratio" and options.torque_sensor)
-        ):
-            raise BadInputError(
-                key=option,
-                value=given[option],
-                expected=f"with --effort {' or '.join(map(repr, units[:3]))}, and --ratio not with "
-                "--torque-sensor",
-            )
+        COMMAND_LINE.require(
+            option not in given
+            or ({*efforts} & {*units} and not (option == "--ratio" and options.torque_sensor)),
+            option,
+            given.get(option),
+            f"with --effort {' or '.join(map(repr, units[:3]))}, and --ratio not with "
+            "--torque-sensor",
+        )
     return replace(
         chain,
         joints=tuple(replace(j, effort_unit=x) for j, x in zip(chain.joints, efforts, strict=True)),
@@ -197,18 +196,17 @@ def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[st
     given = (
         efforts_of_scan(bus, str(options.bus)) if options.bus is not None else [""] * len(stated)
     )
-    if len(given) != len(stated):
-        raise BadInputError(
-            place=str(options.bus),
-            key="drives",
-            value=len(given),
-            expected=f"{len(stated)} [[bus.drive]], one for each joint of the URDF",
-        )
+    Place(str(options.bus)).require(
+        len(given) == len(stated),
+        "drives",
+        len(given),
+        f"{len(stated)} [[bus.drive]], one for each joint of the URDF",
+    )
     efforts = [unit or said for unit, said in zip(given, stated, strict=True)]
-    if options.effort and {*efforts} - {options.effort, *stated}:
-        raise BadInputError(
-            key="--effort",
-            value=options.effort,
-            expected=f"{', '.join(efforts)}, as the objects of the drives in {options.bus} give",
-        )
+    COMMAND_LINE.require(
+        not options.effort or {*efforts} <= {options.effort, *stated},
+        "--effort",
+        options.effort,
+        f"{', '.join(efforts)}, as the objects of the drives in {options.bus} give",
+    )
     return efforts

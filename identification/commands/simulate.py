@@ -32,12 +32,14 @@ def run(options: argparse.Namespace) -> None:
 
         from ..study import Noise, Study, simulate_recording
 
-        robot, study = (
-            load_robot(options.robot),
-            from_options(Study, options, noise=from_options(Noise, options)),
+        robot = load_robot(options.robot)
+        study = from_options(Study, options, noise=from_options(Noise, options))
+        simulate_recording(
+            robot,
+            options.out,
+            study,
+            parse_payload(options.payload, robot) if options.payload else None,
         )
-        payload = parse_payload(options.payload, robot) if options.payload else None
-        simulate_recording(robot, options.out, study, payload)
     print_results(
         f"{options.out}: simulated, {study.duration_s:g} s at {study.sample_rate_hz:g} Hz"
     )

@@ -1,25 +1,14 @@
 """`robot-identify study`: least squares and iv on a simulated robot, or on a varied recording."""
 
 import argparse
-from collections.abc import Callable, Sequence
 from hashlib import sha256
 from time import perf_counter
-from types import ModuleType
-from typing import TYPE_CHECKING, Any
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
+from acquisition.errors import Place
 
-from ..errors import BadInputError
 from ..options import CellOptions, StudyOptions, list_of_noises
 from . import arguments as shared
-
-if TYPE_CHECKING:
-    from ..report import Document
-    from ..view import Picture
-
-    # report, the JSON file, pictures, further lines
-    Draw = Callable[[ModuleType], list[Picture]]
-    Result = tuple[Document, Callable[[], dict[str, Any]], Draw, Sequence[str]]
 
 DEFAULTS = {"seed": 1, "effort_percent": 2.0}  # of simulated runs; an option not given is None
 POSITION_NOISE = 3e-6  # of simulated runs
@@ -65,19 +54,17 @@ def run(options: argparse.Namespace) -> None:
     shared.refuse_outputs([options.input, options.robot], json=options.json, report=options.report)
     recorded = is_recording(options.input)
     for action in (options.simulated if recorded else options.recorded)._group_actions:
-        if getattr(options, action.dest) not in (None, False):
-            raise BadInputError(
-                f"{action.option_strings[0]} has no effect on "
-                f"{'a recording' if recorded else 'a simulated robot'}",
-                place=str(options.input),
-                expected="ROBOT.toml with it" if recorded else "LOG.mcap with it",
-            )
-    document, content, draw, lines = (_of_recording if recorded else _of_robot)(options)
+        Place(str(options.input)).require(
+            getattr(options, action.dest) in (None, False),
+            text=f"{action.option_strings[0]} has no effect on "
+            f"{'a recording' if recorded else 'a simulated robot'}",
+            expected="ROBOT.toml with it" if recorded else "LOG.mcap with it",
+        )
     options.all |= not recorded
-    shared.show_results(options, document, content, draw, lines=lines)
+    (_of_recording if recorded else _of_robot)(options)
 
 
-def _of_robot(options: argparse.Namespace) -> "Result":
+def _of_robot(options: argparse.Namespace) -> None:
     """Simulate and fit the runs of a Monte-Carlo study."""
     from acquisition.robot import load_robot
 
@@ -93,10 +80,9 @@ def _of_robot(options: argparse.Namespace) -> "Result":
     )
 
     position, *more = options.position_noise or (POSITION_NOISE,)
-    if more:
-        raise BadInputError(
-            key="--position-noise", value=options.position_noise, expected="one with ROBOT.toml"
-        )
+    shared.COMMAND_LINE.require(
+        not more, "--position-noise", options.position_noise, "one with ROBOT.toml"
+    )
     vars(options).update({k: x for k, x in DEFAULTS.items() if getattr(options, k) is None})
     robot = load_robot(options.input)
     study = from_options(Study, options, noise=from_options(Noise, options, position=position))
@@ -107,24 +93,25 @@ def _of_robot(options: argparse.Namespace) -> "Result":
             runs.append(one)
             progress.say(f"{len(runs)} of {study.runs} runs")
     took_s = perf_counter() - began
-    if not any(run.ls for run in runs):
-        raise BadInputError(f"no run can be fitted: {runs[0].reason}", place=str(options.input))
+    Place(str(options.input)).require(
+        any(run.ls for run in runs), text=f"no run can be fitted: {runs[0].reason}"
+    )
     document = study_document(robot.name, study, runs, true)
-    return (
+    shared.show_results(
+        options,
         document,
         lambda: study_file(study, runs, base, true),
         lambda view: [view.draw_study(robot.name, runs, document)],
-        (*border_line(robot), f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"),
+        lines=(*border_line(robot), f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"),
     )
 
 
-def _of_recording(options: argparse.Namespace) -> "Result":
+def _of_recording(options: argparse.Namespace) -> None:
     """Fit a recording in all variants, to see how far the estimates move."""
     noises = options.position_noise
-    if noises and 0 in noises:
-        raise BadInputError(
-            key="--position-noise", value=noises, expected="numbers above 0 with LOG.mcap"
-        )
+    shared.COMMAND_LINE.require(
+        0 not in (noises or ()), "--position-noise", noises, "numbers above 0 with LOG.mcap"
+    )
     options.recordings = [options.input]
     with Progress("fitting"):
         from ..study import sensitivity_document, vary
@@ -134,4 +121,6 @@ def _of_recording(options: argparse.Namespace) -> "Result":
         )
         document = sensitivity_document(options.input.name, fits)
     digests = {options.input.name: sha256(options.input.read_bytes()).hexdigest()}
-    return document, dict, lambda view: [view.draw_sensitivity(digests, fits, document)], ()
+    shared.show_results(
+        options, document, dict, lambda view: [view.draw_sensitivity(digests, fits, document)]
+    )

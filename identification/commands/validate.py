@@ -2,16 +2,12 @@
 
 import argparse
 from hashlib import sha256
-from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
+from acquisition.errors import Place
 
-from ..errors import BadInputError
 from ..options import Overrides, above_zero
 from . import arguments as shared
-
-if TYPE_CHECKING:
-    from ..report import TorqueResidual
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -42,23 +38,21 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit; 3 if they are larger than allowed."""
-    if options.fit.suffix != ".json" == options.recordings[-1].suffix:
-        others = " ".join(map(str, (options.fit, *options.recordings[:-1])))
-        raise BadInputError(
-            "is no fit",
-            place=str(options.fit),
-            expected=f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`",
-        )
+    *others, last = map(str, (options.fit, *options.recordings))
+    Place(str(options.fit)).require(
+        options.fit.suffix == ".json" or options.recordings[-1].suffix != ".json",
+        text="is no fit",
+        expected=f"the fit first: `robot-identify validate {last} {' '.join(others)}`",
+    )
     shared.refuse_outputs(
         [options.fit, *options.recordings, options.robot],
         json=options.json,
         report=options.report,
     )
     with Progress("reading") as progress:
-        from .. import results
-        from ..report import read_fit
+        from .. import report, results
 
-        place, name, stored = str(options.fit), options.fit.name, read_fit(options.fit)
+        place, name, stored = str(options.fit), options.fit.name, report.read_fit(options.fit)
         consistent = results.consistent_fit(stored, place) if options.consistent else None
         pairs = [
             (source.load(), path)
@@ -69,11 +63,13 @@ def run(options: argparse.Namespace) -> int:
         validated, errors, warnings = results.predict_recordings(
             stored, place, pairs, given, chosen=chosen
         )
-        of_set: tuple[TorqueResidual, ...] = ()
-        if consistent is not None:
-            _, of_set, _ = results.predict_recordings(
+        of_set = (
+            ()
+            if consistent is None
+            else results.predict_recordings(
                 consistent, place, pairs, given, chosen=chosen, ahead=False
-            )
+            )[1]
+        )
     document = results.validation_document(validated, name, errors, warnings, of_set)
     digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
     shared.show_results(

@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
+from acquisition.errors import Place
 
-from ..errors import BadInputError
 from ..options import Overrides
-from .arguments import add_recordings, print_results, refuse_outputs, sources
+from .arguments import COMMAND_LINE, add_recordings, print_results, refuse_outputs, sources
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -42,28 +42,24 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Write the Rerun file or the page, and print how to open it."""
-    if options.out and len(options.recordings) > 1:
-        raise BadInputError(
-            f"one file for {len(options.recordings)} recordings",
-            key="--out",
-            value=str(options.out),
-            expected="no --out: LOG.rrd each",
-        )
+    COMMAND_LINE.require(
+        options.out is None or len(options.recordings) == 1,
+        "--out",
+        str(options.out),
+        "no --out: LOG.rrd each",
+        text=f"one file for {len(options.recordings)} recordings",
+    )
     if options.recordings[0].suffix == ".json":
         return _fit(options)
-    if options.log:
-        raise BadInputError(
-            "has no effect", key="--log", value=str(options.log), expected="FIT.json before it"
-        )
+    for option, value, expected in (
+        ("--log", options.log, "FIT.json before it"),
+        ("--fit", None if options.follow else options.fit, "--follow with it"),
+    ):
+        COMMAND_LINE.require(value is None, option, str(value), expected, text="has no effect")
     is_page = options.out is not None and options.out.suffix == ".html"
-    if options.follow and is_page:
-        raise BadInputError(key="--out", value=str(options.out), expected="FILE.rrd with --follow")
     if options.follow:
+        COMMAND_LINE.require(not is_page, "--out", str(options.out), "FILE.rrd with --follow")
         return _follow(options)
-    if options.fit:
-        raise BadInputError(
-            "has no effect", key="--fit", value=str(options.fit), expected="--follow with it"
-        )
     outs = [
         options.out or Path(str(path).removesuffix(path.suffix) + ".rrd")
         for path in options.recordings
@@ -88,18 +84,24 @@ def run(options: argparse.Namespace) -> None:
 
 def _fit(options: argparse.Namespace) -> None:
     """Write the report of a stored fit, with its curves on the recording `--log`."""
-    others = ("robot", "payload", "cutoff_hz", "follow", "fit")
-    for name in others:
-        if getattr(options, name):
-            option = f"--{name.replace('_', '-')}"
-            raise BadInputError("has no effect on a fit", place=option, expected="a recording")
-    path, out = options.recordings[0], options.out
-    out = out or path.with_suffix(".html")
+    for name in ("robot", "payload", "cutoff_hz", "follow", "fit"):
+        Place(f"--{name.replace('_', '-')}").require(
+            not getattr(options, name), text="has no effect on a fit", expected="a recording"
+        )
+    path = options.recordings[0]
+    out = options.out or path.with_suffix(".html")
     refuse_outputs([path, options.log], out)
-    if out.suffix not in (".html", ".md", ".rrd"):
-        raise BadInputError(key="--out", value=str(out), expected="FILE.html, FILE.md or FILE.rrd")
-    if out.suffix == ".rrd" and options.log is None:
-        raise BadInputError("has no curves", place=str(path), expected="--log LOG.mcap for a .rrd")
+    COMMAND_LINE.require(
+        out.suffix in (".html", ".md", ".rrd"),
+        "--out",
+        str(out),
+        "FILE.html, FILE.md or FILE.rrd",
+    )
+    Place(str(path)).require(
+        options.log or out.suffix != ".rrd",
+        text="has no curves",
+        expected="--log LOG.mcap for a .rrd",
+    )
     with Progress("reading") as progress:
         from ..fits import Fit
 
@@ -115,10 +117,9 @@ def _follow(options: argparse.Namespace) -> None:
     os.nice(10)  # before the imports, which take a second of a core
     from ..view import follow_recording
 
-    if len(options.recordings) > 1:
-        raise BadInputError(key="--follow", value=len(options.recordings), expected="one recording")
-    refuse_outputs([*options.recordings, options.fit], rrd=options.out)
-    (path,) = options.recordings
+    path, *others = options.recordings
+    COMMAND_LINE.require(not others, "--follow", len(options.recordings), "one recording")
+    refuse_outputs([path, options.fit], rrd=options.out)
     follow_recording(
         path,
         options.fit,

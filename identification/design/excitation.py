@@ -10,22 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.errors import Place
 from acquisition.files import find_mesh, write_columns
 from acquisition.robot import (
     HARMONICS,
     FourierReference,
-    Payload,
     Robot,
     refuse_out_of_range,
     resolve,
 )
 
 from ..arrays import Array
-from ..errors import BadInputError
 from ..estimation import one_thread
 from ..model import (
     BaseParameters,
-    DirectModel,
     InverseModel,
     Obstacles,
     base_parameters,
@@ -45,7 +43,6 @@ from .information import (
 )
 from .limits import KINDS, Limits, Motion, Series, limits_of, motion_of
 from .search import (
-    CHECKS_PER_SAMPLE,
     MARGIN_M,
     SAMPLES_PER_PERIOD,
     SearchProblem,
@@ -126,21 +123,17 @@ class Excitation:
             None if self.limits.model is None else self.limits.model.torque(*motion),
         )
 
-    def table(self) -> tuple[Array, Array]:
-        """Times (N,) in s and positions (N, n) of all periods, close enough
-        for splines between them.
+    def write(self, path: Path) -> None:
+        """Write times in s and positions of all periods, close enough for splines between them,
+        as a CSV for `robot-acquire record --track`, whole or not at all.
         """
         s = self.settings
         steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
         t_s = np.arange(steps * s.periods + 1, dtype=np.float64) * (s.period_s / steps)
-        return t_s, self.reference.at(t_s)[0]
-
-    def write(self, path: Path) -> None:
-        """Write the table as a CSV for `robot-acquire record --track`, whole or not at all."""
         write_columns(
             path,
             ("time_s", *(joint.name for joint in self.robot.joints)),
-            [np.column_stack(self.table())],
+            [np.column_stack([t_s, self.reference.at(t_s)[0]])],
         )
 
 
@@ -169,7 +162,6 @@ def excite(
     obstacles = _obstacles(model, knowledge)
     limits = limits_of(robot, loads, settings.limits_percent / 100, place)
     _refuse_rest(limits, place)
-
     # Compare with plain references, whose torque also gives the noise if it is unknown.
     plain = _plain_motions(limits, settings)
     noise, noise_from = torque_noise(robot, loads[-1] if loads else None, knowledge, plain)
@@ -188,11 +180,9 @@ def excite(
         plain=np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0)),
         obstacles=obstacles if obstacles.names else None,
     )
-
     # Judge the best between the samples of the search too.
     x, sigma = best_of_searches(problem, settings.seed, place, say)
-    fine = motion_of(x, problem.series.basis(CHECKS_PER_SAMPLE * problem.samples))
-    known = [every.names.index(name) for name in base.names]
+    fine = motion_of(x, problem.finer)
     excitation = Excitation(
         base=base,
         settings=settings,
@@ -204,9 +194,15 @@ def excite(
         limits=limits,
         used=limits.share_of_whole(fine),
         nearest=obstacles.nearest(fine[0]) if obstacles.names else None,
-        beta=None if knowledge.beta is None else knowledge.beta[known],
+        beta=None
+        if knowledge.beta is None
+        else knowledge.beta[[every.names.index(name) for name in base.names]],
         knowledge=knowledge,
-        gains=_gain_percents(problem, x, loads, knowledge.payload),
+        gains=np.zeros(0)
+        if knowledge.payload is None
+        else 100
+        * NORMAL_QUANTILE
+        * information.gain_deviations(motion_of(x, problem.basis), loads, knowledge.payload),
         warnings=(*_warnings(limits, obstacles, mus), *knowledge.warnings),
     )
     if robot.bus is not None:
@@ -219,10 +215,13 @@ def excite(
 
 def _obstacles(model: InverseModel, knowledge: PriorInformation) -> Obstacles:
     """Pairs of links to be kept apart, of which some are always near each other."""
-    ranges = [joint.si("position") or (0.0, 0.0) for joint in model.robot.joints]
-    low, high = np.array(ranges).T
-    poses = np.random.default_rng(0).uniform(low, high, (SAMPLE_POSES, model.robot.n))
-    return obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
+    low, high = np.array([joint.si("position") or (0.0, 0.0) for joint in model.robot.joints]).T
+    return obstacles_of(
+        model,
+        partial(find_mesh, folder=knowledge.folder),
+        np.random.default_rng(0).uniform(low, high, (SAMPLE_POSES, model.robot.n)),
+        MARGIN_M,
+    )
 
 
 def _plain_motions(limits: Limits, settings: ExcitationSettings) -> list[Motion]:
@@ -233,38 +232,23 @@ def _plain_motions(limits: Limits, settings: ExcitationSettings) -> list[Motion]
     return [random_within(limits, series, seed).at(t_s) for seed in range(PLAIN_REFERENCES)]
 
 
-def _gain_percents(
-    problem: SearchProblem, x: Array, loads: Sequence[DirectModel], payload: Payload | None
-) -> Array:
-    """Return half-widths (n,) of the drive gains in percent; none without a payload."""
-    if payload is None:
-        return np.zeros(0)
-    return (
-        100
-        * NORMAL_QUANTILE
-        * problem.information.gain_deviations(
-            motion_of(x, problem.series.basis(problem.samples)), loads, payload
-        )
-    )
-
-
 def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None:
     """Refuse harmonics near the bandwidth: the loop does not follow them."""
-    bandwidth_hz = robot.bandwidth_hz
-    max_hz = MAX_BANDWIDTH_SHARE * bandwidth_hz
-    highest_hz = settings.harmonics / settings.period_s
-    if highest_hz > max_hz * (1 + 1e-9):
-        count = math.floor(max_hz * settings.period_s + 1e-9)
-        ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
-        ways += f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
-        raise BadInputError(
-            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of "
-            f"{bandwidth_hz:g} Hz",
-            place=place,
-            key="harmonics",
-            value=settings.harmonics,
-            expected=ways,
-        )
+    highest_hz, max_hz = (
+        settings.harmonics / settings.period_s,
+        MAX_BANDWIDTH_SHARE * robot.bandwidth_hz,
+    )
+    count = math.floor(max_hz * settings.period_s + 1e-9)
+    fewer = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
+    longer = f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
+    Place(place).require(
+        highest_hz <= max_hz * (1 + 1e-9),
+        "harmonics",
+        settings.harmonics,
+        fewer + longer,
+        text=f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of "
+        f"{robot.bandwidth_hz:g} Hz",
+    )
 
 
 def _refuse_rest(limits: Limits, place: str) -> None:
@@ -275,11 +259,9 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         most, effort = int(used.argmax()), limits.effort
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
-        name = limits.names[most].removeprefix("effort of ")
-        raise BadInputError(
-            f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the "
-            "ranges",
-            place=place,
+        Place(place).refuse(
+            text=f"{limits.names[most].removeprefix('effort of ')} needs {held:.4g} "
+            f"{effort.units[worst]} to leave rest in the middle of the ranges",
             expected=f"at most {100 * limits.share:g} % of the effort limit of "
             f"{effort.limits[worst]:.4g}",
         )
@@ -334,22 +316,29 @@ def excitation_document(excitation: Excitation) -> Document:
 
 def _interval_section(e: Excitation) -> Section:
     smaller, payload = e.plain / e.sigma, e.knowledge.payload
-    rows = tuple(
-        (
-            name,
-            *((Number(float(e.beta[i]), ".4g"),) if e.beta is not None else ()),
-            Number(float(e.half[i]), ".3g"),
-            Number(float(e.plain_half[i]), ".3g"),
-            Number(float(smaller[i]), ".2f"),
-            e.base.units[i],
-        )
-        for i, name in enumerate(e.base.names)
+    table = Table(
+        columns=(
+            *columns("parameter", numbers=("value",) if e.beta is not None else ()),
+            *columns(numbers=("±95 %", "plain\n±95 %", "times\nsmaller")),
+            *columns("unit"),
+        ),
+        rows=tuple(
+            (
+                name,
+                *((Number(float(e.beta[i]), ".4g"),) if e.beta is not None else ()),
+                Number(float(e.half[i]), ".3g"),
+                Number(float(e.plain_half[i]), ".3g"),
+                Number(float(smaller[i]), ".2f"),
+                e.base.units[i],
+            )
+            for i, name in enumerate(e.base.names)
+        ),
     )
-    heads = columns(
-        "parameter",
-        numbers=(*(("value",) * (e.beta is not None)), "±95 %", "plain\n±95 %", "times\nsmaller"),
-    )
-    lines: tuple[str, ...] = (
+    gains = [
+        f"{motor.name} ±{percent:.2g} %" if percent < 100 else f"{motor.name} not"
+        for motor, percent in zip(e.robot.motors, e.gains, strict=False)  # none without a payload
+    ]
+    lines = (
         f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference "
         "(median), at least "
         f"{smaller.min():.2f} times",
@@ -359,19 +348,16 @@ def _interval_section(e: Excitation) -> Section:
         f"torque noise per row of the fit: {', '.join(f'{x:.3g}' for x in e.noise)} "
         f"({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
         "torque unknown" if e.beta is None else f"torque from {e.knowledge.beta_from}",
+        *(
+            (
+                f"drive gains by a run without and a run with {payload}: {', '.join(gains)}; "
+                "expected by this noise",
+            )
+            if payload is not None
+            else ()
+        ),
     )
-    if payload is not None:
-        pairs = zip(e.robot.motors, e.gains, strict=True)
-        gains = ", ".join(f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in pairs)
-        lines += (
-            f"drive gains by a run without and a run with {payload}: {gains}; expected by this "
-            "noise",
-        )
-    return Section(
-        title="expected intervals",
-        table=Table(columns=(*heads, *columns("unit")), rows=rows),
-        lines=lines,
-    )
+    return Section(title="expected intervals", table=table, lines=lines)
 
 
 def _limit_section(e: Excitation) -> Section:

@@ -11,14 +11,6 @@ from ..export import replace_in_tables
 from ..report import Document, Number, Section, Table, columns
 from .selection import CANDIDATES, TermChoice, TermSet, at_all_joints, described_terms
 
-SET_KEYS = (
-    "added_terms",
-    "fitted_error_percent",
-    "held_out_error_percent",
-    "held_out_percents",
-    "score",
-)
-
 
 def friction_file(choice: TermChoice) -> dict[str, Any]:
     """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
@@ -27,17 +19,25 @@ def friction_file(choice: TermChoice) -> dict[str, Any]:
     parts of `held_out_percents`. An error that does not exist is null.
     """
     each = [{"recording": one.recording, "sha256": one.sha256} for one in choice.recordings]
-    sets = [
-        {"terms": described_terms(choice.robot, trial.terms)}
-        | {key: getattr(trial, key) for key in SET_KEYS}
-        for trial in choice.trials
-    ]
     return {
         **each[0],
         **({"recordings": each} if len(each) > 1 else {}),
         "robot": choice.robot.name,
         "held_out": choice.held_out,
-        "sets": sets,
+        "sets": [
+            {"terms": described_terms(choice.robot, trial.terms)}
+            | {
+                key: getattr(trial, key)
+                for key in (
+                    "added_terms",
+                    "fitted_error_percent",
+                    "held_out_error_percent",
+                    "held_out_percents",
+                    "score",
+                )
+            }
+            for trial in choice.trials
+        ],
         "recommended": choice.described,
         "left_out": choice.left_out,
     }
@@ -49,38 +49,46 @@ def friction_document(choice: TermChoice) -> Document:
     errors = f"held-out torque error {usual.held_out_error_percent:.2f} % with the usual terms"
     if chosen is not usual:
         errors += f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
-    heads = columns(
-        "added terms", numbers=("terms", "fitted %", "held out %", "score /\nusual")
-    ) + columns("")
-    rows = tuple(
-        (
-            set_text(choice.robot, trial.terms),
-            Number(trial.added_terms, "d"),
-            Number(trial.fitted_error_percent, ".2f"),
-            Number(trial.held_out_error_percent, ".2f"),
-            Number(trial.score / usual.score if usual.score > 0 else None, ".3f"),
-            "recommended" if trial is chosen else "usual" if trial is usual else "",
-        )
-        for trial in choice.trials
+    table = Table(
+        columns=(
+            *columns("added terms", numbers=("terms", "fitted %", "held out %", "score /\nusual")),
+            *columns(""),
+        ),
+        rows=tuple(
+            (
+                set_text(choice.robot, trial.terms),
+                Number(trial.added_terms, "d"),
+                Number(trial.fitted_error_percent, ".2f"),
+                Number(trial.held_out_error_percent, ".2f"),
+                Number(trial.score / usual.score if usual.score > 0 else None, ".3f"),
+                "recommended" if trial is chosen else "usual" if trial is usual else "",
+            )
+            for trial in choice.trials
+        ),
     )
     # in the order given
     names = [one.recording for one in choice.recordings if one.recording in choice.held_out]
-    sets = Section(
-        title="sets of friction terms",
-        table=Table(columns=heads, rows=rows),
-        lines=(
-            f"held out: {', '.join(names) or 'fifths of the recording'}, each predicted by the fit "
-            "of the others; score: squared weighted residual",
+    return Document(
+        title=f"{choice.robot.name}: {errors}",
+        sections=(
+            Section(
+                title="sets of friction terms",
+                table=table,
+                lines=(
+                    f"held out: {', '.join(names) or 'fifths of the recording'}, each predicted by "
+                    "the fit of the others; score: squared weighted residual",
+                ),
+                warnings=choice.left_out,
+            ),
+            Section(
+                title="recommended, for robot.toml",
+                lines=tuple(
+                    f"friction = {json.dumps(terms)} # {name}"
+                    for name, terms in choice.described.items()
+                ),
+            ),
         ),
-        warnings=choice.left_out,
     )
-    recommended = Section(
-        title="recommended, for robot.toml",
-        lines=tuple(
-            f"friction = {json.dumps(terms)} # {name}" for name, terms in choice.described.items()
-        ),
-    )
-    return Document(title=f"{choice.robot.name}: {errors}", sections=(sets, recommended))
 
 
 def set_text(robot: Robot, terms: TermSet) -> str:

@@ -13,21 +13,13 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from acquisition.errors import Place
 from acquisition.robot import Payload, Robot
 
 from .. import model as dynamics
+from .. import regression, report, results
 from ..arrays import Array
 from ..data import Signals, load_signals
-from ..errors import BadInputError
-from ..regression import (
-    Overrides,
-    decimation_rule,
-    equation_alone,
-    make_problem,
-    rows_of_recording,
-)
-from ..report import read_fit
-from ..results import stored_beta, terms_without_fit
 from .limits import Motion
 
 NOISE_SHARE = 0.02  # of a joint's rms torque, if the noise is unknown
@@ -72,12 +64,12 @@ def prior_information(
     payload: Payload | None = None,
 ) -> PriorInformation:
     """Information from files and options: a fit's parameters, else those of the description."""
-    if noise is not None and len(noise) not in (1, robot.n):
-        raise BadInputError(
-            key="--noise",
-            value=",".join(f"{x:g}" for x in noise),
-            expected=f"one number, or one for each of {robot.n} joints",
-        )
+    Place("").require(
+        noise is None or len(noise) in (1, robot.n),
+        "--noise",
+        ",".join(f"{x:g}" for x in (() if noise is None else noise)),
+        f"one number, or one for each of {robot.n} joints",
+    )
     model = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(model)
     known = PriorInformation(
@@ -92,7 +84,7 @@ def prior_information(
     )
     if fit is None:
         return known
-    stored = read_fit(fit)
+    stored = report.read_fit(fit)
     share, errors = None, stored.joints
     if len(errors) == robot.n and all(
         e.autocorrelation is not None and e.moving_relative_error_percent is not None
@@ -107,10 +99,13 @@ def prior_information(
         )
     return replace(
         known,
-        beta=stored_beta(stored, base, str(fit)),
+        beta=results.stored_beta(stored, base, str(fit)),
         beta_from=fit.name,
         noise_share=share,
-        warnings=(*terms_without_fit(stored, base, str(fit)), *stored.warnings_of(str(fit))),
+        warnings=(
+            *results.terms_without_fit(stored, base, str(fit)),
+            *stored.warnings_of(str(fit)),
+        ),
     )
 
 
@@ -124,19 +119,18 @@ def loads_of(
     empty without parameters.
     """
     payload = knowledge.payload
-    if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
-        raise BadInputError(
-            "its torque is unknown without parameters and drive gains",
-            place=place,
-            key="--payload",
-            value=payload.text,
-            expected="--fit or [parameters], and drive_gain",
-        )
+    Place(place).require(
+        payload is None or (knowledge.beta is not None and model.robot.gain_known),
+        "--payload",
+        payload and payload.text,
+        "--fit or [parameters], and drive_gain",
+        text="its torque is unknown without parameters and drive gains",
+    )
     if knowledge.beta is None:
         return ()
     chi = base.standard_parameters(knowledge.beta)
-    carried = () if payload is None else (dynamics.add_payload(model, chi, payload),)
-    return tuple(dynamics.direct_model(model, x) for x in (chi, *carried))
+    loads = [chi] if payload is None else [chi, dynamics.add_payload(model, chi, payload)]
+    return tuple(dynamics.direct_model(model, x) for x in loads)
 
 
 def torque_noise(
@@ -155,8 +149,9 @@ def torque_noise(
         return knowledge.noise, "as stated"
     if model is None:
         return np.ones(robot.n), "1 N m or N for each joint, assumed"
-    tau = np.concatenate([model.torque(*motion) for motion in motions])
-    rms = np.sqrt(np.mean(tau**2, axis=0))
+    rms = np.sqrt(
+        np.mean(np.concatenate([model.torque(*motion) for motion in motions]) ** 2, axis=0)
+    )
     rms = np.maximum(rms, 1e-6 * rms.max(initial=1e-9))
     if knowledge.noise_share is None:
         return (
@@ -173,7 +168,7 @@ def rows_per_s(robot: Robot) -> float:
         if robot.bus is not None
         else robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
     )
-    return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
+    return rate_hz / regression.decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
 def earlier_information(
@@ -184,17 +179,16 @@ def earlier_information(
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
-        problem = make_problem(signals, Overrides())
+        problem = regression.make_problem(signals, regression.Overrides())
         own = problem.base.without(dynamics.load_parameters(problem.base))
-        if (own.names, own.units, own.expressions) != (base.names, base.units, base.expressions):
-            raise BadInputError(
-                place=signals.recording,
-                key="robot",
-                value=signals.robot.name,
-                expected="a recording of the described robot, with the same base parameters",
-            )
-        of_links = equation_alone(replace(problem, base=own))
-        W, _ = rows_of_recording(*of_links).system.weighted(1 / noise)
+        Place(signals.recording).require(
+            (own.names, own.units, own.expressions) == (base.names, base.units, base.expressions),
+            "robot",
+            signals.robot.name,
+            "a recording of the described robot, with the same base parameters",
+        )
+        rows = regression.rows_of_recording(*regression.equation_alone(replace(problem, base=own)))
+        W, _ = rows.system.weighted(1 / noise)
         M += W.T @ W
     return M
 
@@ -274,12 +268,11 @@ class Information:
             others = np.concatenate([others, known * np.sqrt(len(motion[0]) / self.rows)])
             E = np.concatenate([E, np.zeros((len(at), len(R)))])
         others /= np.maximum(np.linalg.norm(others, axis=0), 1e-300)
-        left = E - others @ np.linalg.lstsq(others, E, rcond=RANK_SHARE)[0]
-        _, s, V = np.linalg.svd(left, full_matrices=False)
-        s = np.maximum(s, RANK_SHARE * np.linalg.norm(E))
-        return np.asarray(
-            np.linalg.norm(V / s[:, None], axis=0) * np.sqrt(len(motion[0]) / self.rows)
+        _, s, V = np.linalg.svd(
+            E - others @ np.linalg.lstsq(others, E, rcond=RANK_SHARE)[0], full_matrices=False
         )
+        V /= np.maximum(s, RANK_SHARE * np.linalg.norm(E))[:, None]
+        return np.asarray(np.linalg.norm(V, axis=0) * np.sqrt(len(motion[0]) / self.rows))
 
     def _regressor(self, motion: Motion) -> Array:
         """W (N, n, b)."""
@@ -306,8 +299,8 @@ def _inverse(M: Array) -> Array:
         scaled = M * d[:, None] * d
     try:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise BadInputError(
-            "no reference within the limits excites all parameters",
+    except (np.linalg.LinAlgError, ValueError):
+        Place("").refuse(
+            text="no reference within the limits excites all parameters",
             expected="wider limits, or fewer friction terms",
-        ) from error
+        )

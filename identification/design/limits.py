@@ -9,10 +9,10 @@ from itertools import product
 
 import numpy as np
 
+from acquisition.errors import Place
 from acquisition.robot import EffortLimits, FourierReference, Robot, effort_limits
 
 from ..arrays import Array, Ints
-from ..errors import BadInputError
 from ..model import DirectModel, torque_of_links, torque_without_sliding
 
 KINDS = ("position", "speed", "acceleration")
@@ -39,21 +39,21 @@ class Series:
         """
         k = np.arange(1, self.harmonics + 1, dtype=float)
         # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the
-        # acceleration sum(k s).
-        # orthogonal to v
-        bases = (np.linalg.qr(v[:, None], mode="complete")[0][:, 1:] for v in (np.ones_like(k), k))
-        sine, cosine = (basis / k[:, None] for basis in bases)
+        # acceleration sum(k s). The columns of a basis are orthogonal to v.
+        sine, cosine = (
+            np.linalg.qr(v[:, None], mode="complete")[0][:, 1:] / k[:, None]
+            for v in (np.ones_like(k), k)
+        )
         return sine, cosine
 
     def reference(self, x: Array) -> FourierReference:
         """The series with the coefficients x (n, K)."""
-        H = self.harmonics
         sine, cosine = self._null_spaces
         return FourierReference(
             period_s=self.period_s,
             center=x[:, 0],
-            sine=x[:, 1:H] @ sine.T,
-            cosine=x[:, H:] @ cosine.T,
+            sine=x[:, 1 : self.harmonics] @ sine.T,
+            cosine=x[:, self.harmonics :] @ cosine.T,
         )
 
     def coefficients(self, reference: FourierReference) -> Array:
@@ -75,8 +75,7 @@ class Series:
 
 def motion_of(x: Array, basis: Motion) -> Motion:
     """q, dq, ddq (N, n) of the coefficients x (n, K)."""
-    q, dq, ddq = (A @ x.T for A in basis)
-    return q, dq, ddq
+    return basis[0] @ x.T, basis[1] @ x.T, basis[2] @ x.T
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,20 +114,18 @@ class Limits:
         """(m,) what the effort limits leave besides Coulomb friction."""
         return self.share * self.effort.limits - self.coulomb
 
-    @cached_property
-    def load(self) -> Array:
-        """(n,) load friction of the joints per torque of the links."""
-        return np.abs(self.models[0].load_friction)
-
     @property
     def names(self) -> tuple[str, ...]:
         """(L,) the limited quantities: position, speed and acceleration of each
         joint, efforts by load.
         """
-        loads = ("", " with the payload")[: len(self.models)]
         return (
             *(f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints),
-            *(f"effort of {name}{load}" for load in loads for name in self.effort.names),
+            *(
+                f"effort of {name}{load}"
+                for load in ("", " with the payload")[: len(self.models)]
+                for name in self.effort.names
+            ),
         )
 
     def largest(self, motion: Motion) -> tuple[float, str]:
@@ -152,9 +149,10 @@ class Limits:
         for model in self.models:
             links = torque_of_links(model, motion)
             tau, by_joint = torque_without_sliding(model, motion, links)
-            sides = _sides(tau @ scaled.T)
-            by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
-            slopes.append(scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load))
+            by_load = (np.abs(model.load_friction) * np.sign(links[0]))[..., None] * links[1]
+            slopes.append(
+                scaled @ by_joint + _sides(tau @ scaled.T)[..., None] * (np.abs(scaled) @ by_load)
+            )
         return self.shares(motion), np.concatenate(slopes, axis=2)
 
     def shares(self, motion: Motion) -> Array:
@@ -165,7 +163,8 @@ class Limits:
         for model in self.models:
             rigid = model.torques_of_links(*motion)
             shares = (rigid + model.without_sliding(dq, ddq)) @ scaled.T
-            parts.append(shares + _sides(shares) * ((self.load * np.abs(rigid)) @ np.abs(scaled).T))
+            by_load = np.abs(model.load_friction) * np.abs(rigid)
+            parts.append(shares + _sides(shares) * (by_load @ np.abs(scaled).T))
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: Ints) -> Array:
@@ -194,37 +193,41 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
     The torque is limited by each of the `models`, with the same friction. Raises `BadInputError`
     where a joint states no limit, or friction alone needs more than a joint's or motor's effort.
     """
-    tails = zip(KINDS, ("", "_s", "_s2"), strict=True)
-    for (i, joint), (kind, tail) in product(enumerate(robot.joints), tails):
-        if joint.si(kind) is None:
-            unit = "deg" if joint.type == "revolute" else "m"
-            raise BadInputError(
-                f"joint {joint.name} states none",
-                place=place,
-                key=f"joint[{i}].{kind}_{unit}{tail}",
-                expected="a limit",
-            )
+    for (i, joint), (kind, tail) in product(
+        enumerate(robot.joints), zip(KINDS, ("", "_s", "_s2"), strict=True)
+    ):
+        Place(place).require(
+            joint.si(kind) is not None,
+            f"joint[{i}].{kind}_{'deg' if joint.type == 'revolute' else 'm'}{tail}",
+            text=f"joint {joint.name} states none",
+            expected="a limit",
+        )
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot)
     coulomb = np.zeros(len(limits.limits))
     for model in models[:1]:
-        fastest = np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])
-        sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + model.largest_shape(fastest)
+        sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + model.largest_shape(
+            np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])
+        )
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
     for name, unit, friction, limit in zip(
         limits.names, limits.units, coulomb, limits.limits, strict=True
     ):
-        if friction >= share * limit:
-            raise BadInputError(
-                f"{name}: Coulomb friction of {friction:.4g} {unit}",
-                place=place,
-                expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
-            )
-    motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
+        Place(place).require(
+            friction < share * limit,
+            text=f"{name}: Coulomb friction of {friction:.4g} {unit}",
+            expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
+        )
     return Limits(
         robot=robot,
         middle=ranges.mean(axis=1),
-        maximum=share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion]),
+        maximum=share
+        * np.array(
+            [
+                np.ptp(ranges, axis=1) / 2,
+                *([joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]),
+            ]
+        ),
         models=tuple(models),
         effort=limits,
         coulomb=coulomb,

@@ -7,7 +7,7 @@ Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28 (
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -53,10 +53,15 @@ class SearchProblem:
     plain: Array
     obstacles: Obstacles | None = None
 
-    @property
-    def samples(self) -> int:
-        """Samples of a period in the search."""
-        return SAMPLES_PER_PERIOD * self.series.harmonics
+    @cached_property
+    def basis(self) -> Motion:
+        """The basis of the series at the samples of the search."""
+        return self.series.basis(SAMPLES_PER_PERIOD * self.series.harmonics)
+
+    @cached_property
+    def finer(self) -> Motion:
+        """The basis at samples between them too, which check what is found."""
+        return self.series.basis(CHECKS_PER_SAMPLE * SAMPLES_PER_PERIOD * self.series.harmonics)
 
 
 def best_of_searches(
@@ -69,10 +74,7 @@ def best_of_searches(
     `MAX_DEVIATION_RATIO` times the plain one come first. `say` gets a line of text at each
     iteration. Raises `BadInputError`: if no search keeps the limits.
     """
-    found, worst = list[tuple[tuple[bool, float], Array, Array]](), ""
-    basis, finer = (
-        problem.series.basis(times * problem.samples) for times in (1, CHECKS_PER_SAMPLE)
-    )
+    found, worst = list[tuple[bool, float, Array, Array]](), ""
     for i in range(STARTS):
         text = f"search {i + 1} of {STARTS}"
         say(text)
@@ -82,24 +84,23 @@ def best_of_searches(
                 _random_start(problem, STARTS * seed + i),
                 partial(_say_criterion, say, text),
             )
-            most, name = problem.limits.largest(motion_of(x, finer))
+            most, name = problem.limits.largest(motion_of(x, problem.finer))
             if most > 1 + TOLERANCE:
-                worst = f"{name} is exceeded by {100 * (most - 1):.3g} %"
-                continue
-            sigma = problem.information.sigma(motion_of(x, basis))
-        except NoFitError as error:  # the motion does not excite all parameters
+                raise NoFitError(f"{name} is exceeded by {100 * (most - 1):.3g} %")
+            sigma = problem.information.sigma(motion_of(x, problem.basis))
+        except NoFitError as error:
             worst = error.args[0]
-            continue
-        ratios = sigma / problem.plain
-        rank = bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))
-        found.append((rank, x, sigma))
+        else:
+            ratios = sigma / problem.plain
+            is_worse = bool(ratios.max() > MAX_DEVIATION_RATIO)
+            found.append((is_worse, float(np.mean(ratios**2)), x, sigma))
     if not found:
         raise NoFitError(
             f"no reference keeps the limits: {worst}",
             place=place,
             expected="wider limits, another --seed or --harmonics",
         )
-    return min(found, key=lambda one: one[0])[1:]
+    return min(found, key=lambda one: one[:2])[2:]
 
 
 def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
@@ -126,7 +127,7 @@ def _random_start(problem: SearchProblem, seed: int) -> Array:
         x[:, 0] = _roomiest_pose(problem.obstacles, limits, seed)
     return shrink(
         x,
-        series.basis(CHECKS_PER_SAMPLE * problem.samples),
+        problem.finer,
         limits,
         share=MAX_SHARE,
         obstacles=problem.obstacles,
@@ -141,11 +142,11 @@ def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
     poses, still = limits.middle + offsets * limits.maximum[0], np.zeros(offsets.shape)
     possible = np.abs(limits.shares((poses, still, still))).max(axis=1) <= 1
     room = np.where(possible, obstacles.distances(poses).min(axis=1), -np.inf)
-    best = poses[int(room.argmax())]
+    best: Array = poses[int(room.argmax())]
     if room.max() < MARGIN_M:
         distance, pair = obstacles.nearest(best[None])
         raise NoFitError(f"{pair} are {distance:.3f} m apart at rest")
-    return np.asarray(best)
+    return best
 
 
 def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> None:
@@ -159,17 +160,17 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
     The search ignores distances: its result is moved towards `start`, which is within all limits,
     until it is too. `say` gets the criterion after each iteration.
     """
-    search, between = (
-        _Search(problem, say),
-        problem.series.basis(CHECKS_PER_SAMPLE * problem.samples),
-    )
+    search = _Search(problem, say)
     kept = partial(
-        shrink, basis=between, limits=problem.limits, share=MAX_SHARE, obstacles=problem.obstacles
+        shrink,
+        basis=problem.finer,
+        limits=problem.limits,
+        share=MAX_SHARE,
+        obstacles=problem.obstacles,
     )
     x = search.minimise(start, MAX_ITERATIONS)
     search.tighten(x)
-    safe = kept(x, towards=start)
-    return kept(search.minimise(x, POLISHING_ITERATIONS), towards=safe)
+    return kept(search.minimise(x, POLISHING_ITERATIONS), towards=kept(x, towards=start))
 
 
 class _Search:
@@ -178,7 +179,7 @@ class _Search:
     """
 
     def __init__(self, problem: SearchProblem, say: Callable[[float], None]) -> None:
-        self._problem, self._say, self._basis = problem, say, problem.series.basis(problem.samples)
+        self._problem, self._say, self._basis = problem, say, problem.basis
         self._value = math.inf
         # A coefficient of 1 takes its joint to the first limit.
         peaks = np.array([np.abs(A).max(axis=0) for A in self._basis])
@@ -206,10 +207,9 @@ class _Search:
         """Scale shares at the samples from now on by how much those of x
         (n, K) rise between them.
         """
-        finer = self._problem.series.basis(CHECKS_PER_SAMPLE * self._problem.samples)
         coarse, fine = (
-            np.abs(self._problem.limits.shares(motion_of(x, b))).max(axis=0)
-            for b in (self._basis, finer)
+            np.abs(self._problem.limits.shares(motion_of(x, basis))).max(axis=0)
+            for basis in (self._basis, self._problem.finer)
         )
         self._tight = np.maximum(fine, MIN_TIGHTENED_SHARE) / np.maximum(
             coarse, MIN_TIGHTENED_SHARE

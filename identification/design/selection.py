@@ -13,15 +13,14 @@ from itertools import combinations
 import msgspec
 import numpy as np
 
+from acquisition.errors import Place
 from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
-from .. import estimation, methods, results
+from .. import estimation, methods, results, trust
 from ..arrays import Array, Bools
 from ..data import Recordings, Signals
-from ..errors import BadInputError
 from ..model import JointTerm
 from ..regression import Overrides, Rows
-from ..trust import predictions_by_others
 
 FIFTHS = 5  # parts of a single recording
 FALSE_TERM_RATE = 0.02  # share of recordings that show a term by chance, without having any
@@ -36,20 +35,22 @@ def with_terms(robot: Robot, terms: TermSet) -> Robot:
     """The robot with a set's terms beside the usual ones; friction by direction becomes common
     friction and an offset.
     """
-    joints = tuple(
-        msgspec.structs.replace(
-            joint,
-            friction=(
-                *(term for term in BASELINE if joint.one_sided or term in joint.terms),
-                *(term for term in CANDIDATES if term in more),
-            ),
-            viscous=None,
-            coulomb=None,
-            offset=None,
-        )
-        for joint, more in zip(robot.joints, terms, strict=True)
+    return replace(
+        robot,
+        joints=tuple(
+            msgspec.structs.replace(
+                joint,
+                friction=(
+                    *(term for term in BASELINE if joint.one_sided or term in joint.terms),
+                    *(term for term in CANDIDATES if term in more),
+                ),
+                viscous=None,
+                coulomb=None,
+                offset=None,
+            )
+            for joint, more in zip(robot.joints, terms, strict=True)
+        ),
     )
-    return replace(robot, joints=joints)
 
 
 def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
@@ -155,9 +156,9 @@ def select_friction(
     Raises `NoFitError` if recordings are too short or excite too little, and `BadInputError` if
     they are not of one robot, or if fewer than two parts can be predicted by the others.
     """
-    sources = signals.sources if isinstance(signals, Recordings) else (signals,)
     recordings = tuple(
-        source if isinstance(source, Signals) else source.load() for source in sources
+        source if isinstance(source, Signals) else source.load()
+        for source in (signals.sources if isinstance(signals, Recordings) else (signals,))
     )
     given = overrides or Overrides()
     if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
@@ -167,18 +168,18 @@ def select_friction(
         )
         given = replace(given, gains=None)
     robot = recordings[0].robot
-    low = (
-        robot.identification.low_speed.iv
-        if given.low_speed_percent is None
-        else given.low_speed_percent
-    )
+    low = given.low_speed_percent
     # least squares with the weights of instruments
-    given = replace(given, low_speed_percent=low_speed_by_method(low))
+    given = replace(
+        given,
+        low_speed_percent=low_speed_by_method(
+            robot.identification.low_speed.iv if low is None else low
+        ),
+    )
     whole = methods.read_model(
         _with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say
     )
     trials = Trials(*methods.with_best_ramps(whole, instruments=False))
-    whole = trials.whole
     for kinds in (
         chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)
     ):
@@ -187,25 +188,32 @@ def select_friction(
     recommended = smallest_near_best(
         [one for one in trials.done.values() if one.significant_terms == one.terms]
     )
-    left_out = [
-        text for (j, term), text in trials.left_out.items() if term not in recommended.terms[j]
-    ]
     return TermChoice(
         recordings=recordings,
-        overrides=whole.overrides,
+        overrides=trials.whole.overrides,
         held_out=tuple(name for name in trials.names if name not in trials.unpredicted),
         trials=tuple(sorted(trials.done.values(), key=lambda trial: trial.score)),
         usual=trials.of(at_all_joints(robot, ())),
         recommended=recommended,
-        left_out=(*left_out, *trials.unpredicted.values()),
+        left_out=(
+            *(
+                text
+                for (j, term), text in trials.left_out.items()
+                if term not in recommended.terms[j]
+            ),
+            *trials.unpredicted.values(),
+        ),
     )
 
 
 def smallest_near_best(trials: Sequence[Trial]) -> Trial:
     """The smallest set within one standard error of the best."""
     best = min(trials, key=lambda trial: trial.score)
-    more = [(trial, trial.scores - best.scores) for trial in trials]
-    near = [trial for trial, x in more if x.mean() <= x.std(ddof=1) / np.sqrt(len(x))]
+    near = [
+        trial
+        for trial in trials
+        if (x := trial.scores - best.scores).mean() <= x.std(ddof=1) / np.sqrt(len(x))
+    ]
     return min(near, key=lambda trial: (trial.added_terms, trial.score))
 
 
@@ -223,7 +231,7 @@ class Trials:
             base parameters of these, by name.
         parts: masks (K,) of the spans of time that are held out: fifths of a single recording, or
             of each of several that differ in payload, as only all of them together determine the
-            parameters; else each recording. `names`: of the parts; `widths`: instants of each span.
+            parameters; else each recording. `names`: of the parts.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
         done: the trials; `left_out`: joints and terms that some of them leave
@@ -232,16 +240,13 @@ class Trials:
 
     def __init__(self, whole: methods.Model, rows: Rows) -> None:
         robot, model, base = whole.problem.signals.robot, whole.problem.model, whole.problem.base
-        self._rows, spans = rows, rows.system.spans
-        widths = [np.diff(of) for of in spans]
-        self.widths = np.concatenate(widths)
-        recording = np.repeat(np.arange(len(spans)), [len(of) for of in widths])
+        self._rows, counts = rows, [len(of) - 1 for of in rows.system.spans]
         self.whole, self._own = whole, [arm.own for arm in whole.unknowns.arms]
         self.names = [problem.signals.recording for problem in whole.problems]
         self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
-        part_of = recording
+        part_of = np.repeat(np.arange(len(counts)), counts)
         if not self.by_recording:
-            part_of = np.concatenate([np.arange(K) * FIFTHS // K for K in map(len, widths)])
+            part_of = np.concatenate([np.arange(K) * FIFTHS // K for K in counts])
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS
         self.parts = tuple(part_of == k for k in range(len(self.names)))
         self.added = {
@@ -254,20 +259,20 @@ class Trials:
         }
         self.done, self.left_out = dict[TermSet, Trial](), dict[tuple[int, FrictionTerm], str]()
         self.weights = self._fit(at_all_joints(robot, ()))[1].estimate.weights
-        last = self._fit(at_all_joints(robot, CANDIDATES))[2]
+        _, _, last = self._fit(at_all_joints(robot, CANDIDATES))
         self.unpredicted = {
             name: f"{name} cannot be predicted by the others: {', '.join(lost[:8])} undetermined"
             for name, (_, lost) in zip(self.names, self._predictions(last), strict=True)
             if lost
         }
-        if (left := len(self.names) - len(self.unpredicted)) < MIN_PARTS:
-            raise BadInputError(
-                "; ".join(self.unpredicted.values()),
-                key="parts held out",
-                value=left,
-                expected=f"at least {MIN_PARTS}: recordings, or fifths of one, that each move "
-                "all joints",
-            )
+        left = len(self.names) - len(self.unpredicted)
+        Place("").require(
+            left >= MIN_PARTS,
+            "parts held out",
+            left,
+            f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints",
+            text="; ".join(self.unpredicted.values()),
+        )
 
     def of(self, terms: TermSet) -> Trial:
         """The trial of a set, without terms that are unidentifiable and load
@@ -278,9 +283,12 @@ class Trials:
         model, settled, rows = self._fit(terms)
         estimate = settled.estimate
         betas = [beta for beta, _ in self._predictions(rows)]
-        others = [replace(estimate, names=rows.system.names, beta=beta) for beta in betas]
         tau, (fitted, by_others), counts, _, instants = model.torques(
-            settled.x, [estimate], others, by_recording=self.by_recording, judged=True
+            settled.x,
+            [estimate],
+            [replace(estimate, names=rows.system.names, beta=beta) for beta in betas],
+            by_recording=self.by_recording,
+            judged=True,
         )
         at = estimation.spans_at(rows.system.spans, instants)
 
@@ -332,9 +340,8 @@ class Trials:
         model, settled = methods.least_squares(
             self.whole.without(others), self._rows.without(others)
         )
-        left_out = model.left_out.items()
         assert settled.rows is not None
-        self.left_out |= {self.added[name]: text for name, text in left_out if text}
+        self.left_out |= {self.added[name]: text for name, text in model.left_out.items() if text}
         return model, settled, settled.rows
 
     def _predictions(self, settled: Rows) -> list[tuple[Array, list[str]]]:
@@ -344,5 +351,9 @@ class Trials:
         system = settled.system
         rows = np.column_stack(system.weighted(self.weights))
         each = [estimation.r_factor(rows[part[system.span]]) for part in self.parts]
-        found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], system.names, self._own)
-        return [(np.zeros(len(system.names)) if lost else beta, lost) for beta, lost in found]
+        return [
+            (np.zeros(len(system.names)) if lost else beta, lost)
+            for beta, lost in trust.predictions_by_others(
+                [np.c_[R[:, :-1], R] for R in each], system.names, self._own
+            )
+        ]

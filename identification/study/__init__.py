@@ -19,13 +19,18 @@ from .demo import (
 from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
 from .sensitivity import Variant, VariedFit, fit_variant, moves_of, sensitivity_document, vary
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
-from .study import Run, RunFit, Study, one_run, run_study, simulate_recording
-from .study_report import (
+from .study import (
     FALSE_TRUST,
+    Run,
+    RunFit,
+    Study,
     base_document,
     base_file,
     border_line,
     false_trust,
+    one_run,
+    run_study,
+    simulate_recording,
     study_document,
     study_file,
     summaries,

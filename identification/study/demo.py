@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.bus import Master
+from acquisition.errors import Place
 from acquisition.files import atomic_write
 from acquisition.robot import Payload, Robot, resolve, robot_from_files
 from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
@@ -24,7 +25,6 @@ from acquisition.simulated import (
 )
 
 from ..arrays import Array
-from ..errors import BadInputError
 from ..model import inertias
 from ..report import Document, Number, Row, Section, Table, columns, value_form
 from ..results import Fit
@@ -54,24 +54,21 @@ def record_simulated_session(
     `robot`; the recording has `described`, by default the same. Raises `BadInputError`: a
     description without `[bus]` or values, a failed session.
     """
-    if robot.bus is None:
-        raise BadInputError(place=place, key="[bus]", value=None, expected="the drives to simulate")
+    period_s = Place(place).given(robot.bus, "[bus]", None, "the drives to simulate").sync_period_s
     model, described = true_model(robot), described or robot
-    period_s = robot.bus.sync_period_s
     t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)
-    plant = RigidBodyPlant(
-        true_model(robot, payload),
-        q_ref[0],
-        speed_scale=np.abs(dq_ref).max(axis=0),
-        step_s=period_s / SUBSTEPS,
-        disturbance=0.01
-        * noise_percent
-        * np.sqrt(np.mean(model.torque(q_ref, dq_ref, ddq_ref) ** 2, axis=0)),
-        seed=SEED if payload is None else SEED + 1,
-    )
+    rms = np.sqrt(np.mean(model.torque(q_ref, dq_ref, ddq_ref) ** 2, axis=0))
     mechanism = DrivenPlant(
-        plant=plant, loops=drive_loops(robot, inertias(model.inertia(q_ref[::50])))
+        plant=RigidBodyPlant(
+            true_model(robot, payload),
+            q_ref[0],
+            speed_scale=np.abs(dq_ref).max(axis=0),
+            step_s=period_s / SUBSTEPS,
+            disturbance=0.01 * noise_percent * rms,
+            seed=SEED if payload is None else SEED + 1,
+        ),
+        loops=drive_loops(robot, inertias(model.inertia(q_ref[::50]))),
     )
     bus = resolve(robot, place)
     log = InlineLog(
@@ -91,8 +88,9 @@ def record_simulated_session(
         log.finish(simulated.now_ns())
     finally:
         log.close()
-    if outcome.fault:
-        raise BadInputError(f"{out}: the simulated session failed: {outcome.reason}")
+    Place(str(out)).require(
+        not outcome.fault, text=f"the simulated session failed: {outcome.reason}"
+    )
 
 
 def description(name: str) -> Path:
@@ -120,11 +118,11 @@ def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list
 
 def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
     """A robot of this project whose drives report their current, with these gains in N m/A."""
-    text, each = robot.files["robot.toml"].decode(), iter(gains)
+    each = iter(gains)
     text = re.sub(
         "effort_unit = .*",
         lambda _: f'drive_gain = {next(each):.4g}\ndrive_gain_unit = "N m/A"',
-        text,
+        robot.files["robot.toml"].decode(),
     )
     text = re.sub('reference = "6074"|actual = "6077"', 'actual = "6078"', text)
     text = re.sub(
@@ -153,19 +151,16 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
             )
         )
         rows.append((name, Number(float(true[i]), form), *cells))
-    lines = []
-    for fit, half in zip(fits, halves, strict=True):
-        within = int((np.abs(fit.beta - true) <= half).sum())
-        error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
-        lines.append(
-            f"{fit.method}: {within} of {len(true)} true values inside "
-            f"({0.95 * len(true):.0f} expected); total error {error:.2f} %"
-        )
     headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
     section = Section(
         title="compared with the simulated values",
         table=Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows)),
-        lines=tuple(lines),
+        lines=tuple(
+            f"{fit.method}: {(np.abs(fit.beta - true) <= half).sum()} of {len(true)} true values "
+            f"inside ({0.95 * len(true):.0f} expected); total error "
+            f"{100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true):.2f} %"
+            for fit, half in zip(fits, halves, strict=True)
+        ),
     )
     largest = np.lexsort(
         (-np.abs(true), ~np.isin(fits[-1].base.names, fits[-1].essential_names))
@@ -186,11 +181,9 @@ def gains_document(fit: Fit, true: Sequence[float]) -> Document:
         form, numbers = value_form(one.half_width / 2), (one.described, of_drive, one.value)
         values = (Number(number, form) for number in (*numbers, one.half_width))
         rows.append((one.motor, *values, Number(x / one.half_width, "+.2f"), one.unit))
-    names = ", ".join(one.problem.signals.recording for one in fit.recordings)
-    loaded = fit.recordings[-1].problem.signals
     lines = (
         f"{within} of {len(true)} true values inside; verdict of the fit: {fit.trust.verdict}",
-        f"loaded: {loaded.payload}",
+        f"loaded: {fit.recordings[-1].signals.payload}",
     )
     table = Table(
         columns=columns(
@@ -199,4 +192,7 @@ def gains_document(fit: Fit, true: Sequence[float]) -> Document:
         + columns("unit"),
         rows=tuple(rows),
     )
-    return Document(title=f"drive gains of {names}", sections=(Section(table=table, lines=lines),))
+    return Document(
+        title=f"drive gains of {', '.join(one.signals.recording for one in fit.recordings)}",
+        sections=(Section(table=table, lines=lines),),
+    )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from acquisition.errors import BadInputError, RobotIdimError
+from acquisition.errors import Place, RobotIdimError
 from acquisition.files import atomic_write
 from acquisition.robot import load_robot
 
@@ -65,10 +65,7 @@ def found_recordings(
     for folder in folders:
         # hidden ones are being written
         new = {x for x in folder.rglob("*.mcap") if x.is_file() and x.name[0] != "."}
-        if not new:
-            raise BadInputError(
-                "no recordings", place=str(folder), expected="a folder with files *.mcap"
-            )
+        Place(str(folder)).require(new, text="no recordings", expected="a folder with files *.mcap")
         files |= new
     for file in sorted(files):
         found.setdefault(file.parent if by_folder else file, []).append(
@@ -173,13 +170,18 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
     from pyarrow import csv, parquet
 
     kinds = {"start": pyarrow.timestamp("us", tz="UTC"), "torque_error_percent": pyarrow.float64()}
-    names = [name for name in FleetRow.__struct_fields__ if name not in ("format", "parameters")]
-    fields = [pyarrow.field(name, kinds.get(name, pyarrow.string())) for name in names]
     units = {name: x.unit for row in rows for name, x in row.parameters.items()}
-    fields += [
-        pyarrow.field(name + end, pyarrow.float64(), metadata={"unit": unit})
-        for name, unit in units.items()
-        for end in ("", "_half_width")
+    fields = [
+        *(
+            pyarrow.field(name, kinds.get(name, pyarrow.string()))
+            for name in FleetRow.__struct_fields__
+            if name not in ("format", "parameters")
+        ),
+        *(
+            pyarrow.field(name + end, pyarrow.float64(), metadata={"unit": unit})
+            for name, unit in units.items()
+            for end in ("", "_half_width")
+        ),
     ]
     cells = [
         msgspec.structs.asdict(row)
@@ -197,25 +199,28 @@ def fleet_document(rows: Sequence[FleetRow]) -> Document:
     """The printed table: a line per fit with what has changed since the one before; the
     reasons of what failed.
     """
-    lines = tuple(
-        (
-            f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-",
-            row.file,
-            row.status,
-            row.verdict or "-",
-            Number(row.torque_error_percent, ".3g"),
-            textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...") or "-",
-        )
-        for row in rows
+    table = Table(
+        columns=(
+            *columns("start, UTC", "recording", "status", "verdict", numbers=("torque error %",)),
+            *columns("changed"),
+        ),
+        rows=tuple(
+            (
+                f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-",
+                row.file,
+                row.status,
+                row.verdict or "-",
+                Number(row.torque_error_percent, ".3g"),
+                textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...") or "-",
+            )
+            for row in rows
+        ),
     )
-    head = columns(
-        "start, UTC", "recording", "status", "verdict", numbers=("torque error %",)
-    ) + columns("changed")
     return Document(
         title=f"recordings: {len(rows)}, fitted: {sum(bool(row.parameters) for row in rows)}",
         sections=(
             Section(
-                table=Table(columns=head, rows=lines),
+                table=table,
                 warnings=tuple(
                     f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason
                 ),

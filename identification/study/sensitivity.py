@@ -68,20 +68,18 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
     if noises is None:
         noises = [float(f"{part * np.ptp(signals.q, axis=0).min():.1g}") for part in NOISES]
-    cutoffs_hz = {to: factor * robot.bandwidth_hz for to, factor in CUTOFFS.items()}
-    decimations = [max(1, round(factor * decimation)) for factor in DECIMATIONS]
     units = " or ".join(
         {"rad" if joint.type == "revolute" else "m": None for joint in robot.joints}
     )
     variants = [
         Variant(changed="none", to="the rules"),
         *(
-            Variant(changed="cut-off", to=to, overrides=Overrides(cutoff_hz=x))
-            for to, x in cutoffs_hz.items()
+            Variant(changed="cut-off", to=to, overrides=Overrides(cutoff_hz=x * robot.bandwidth_hz))
+            for to, x in CUTOFFS.items()
         ),
         *(
             Variant(changed="decimation", to=f"{x}", overrides=Overrides(decimation=x))
-            for x in decimations
+            for x in (max(1, round(factor * decimation)) for factor in DECIMATIONS)
         ),
         *(Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises),
         *(Variant(changed="start", to=f"{x:g}", start=x) for x in STARTS),
@@ -101,27 +99,27 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
         signals,
         q=signals.q + variant.noise * np.random.default_rng(0).standard_normal(signals.q.shape),
     )
-    iteration = Iteration(gain_update=variant.gain_update)
-    if variant.start is not None:
-        iteration = replace(
-            iteration, start="regular", inertias=np.full(signals.robot.n, variant.start)
-        )
+    is_regular = variant.start is not None
+    iteration = Iteration(
+        gain_update=variant.gain_update,
+        start="regular" if is_regular else "ls",
+        inertias=np.full(signals.robot.n, variant.start) if is_regular else None,
+    )
     try:
         fit = identify_iv(signals, variant.overrides, iteration)
     except RobotIdimError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)
-    values = dict(
-        zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True)
-    )
     base, model = fit.base, fit.problem.model
     described = described_parameters(model, base).tolist() if signals.robot.parameters else ()
     return VariedFit(
         variant=variant,
         ended=fit.status,
         passes=len(fit.passes),
-        values=values,
+        values=dict(
+            zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True)
+        ),
         essential=fit.essential_names,
         units=dict(zip(base.names, base.units, strict=True)),
         known=(
@@ -141,11 +139,6 @@ def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
     return np.asarray(np.c_[moved / half, moved / values[:, [1, 3]]])
 
 
-def _numbers(values: Values) -> list[Number]:
-    """The values with the digits that the interval of IV leaves."""
-    return [Number(x, value_form(values[3] / 2)) for x in values]
-
-
 def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     """The largest moves of both methods by variant, and all values; the title says where
     least squares moves most.
@@ -156,22 +149,34 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     largest, of = moves.max(axis=0), moves.argmax(axis=0)
     rows = list[Row]()
     for k, fit in list(enumerate(fits))[1:]:
-        what = (fit.variant.changed, fit.variant.to)
         shown = [Number(x if fit.values else None, ".2g") for x in largest[k]]
         cells = [x for m in (0, 1) for x in (shown[m], names[of[k, m]], shown[m + 2])]
-        rows.append((*what, *cells, Number(fit.passes or None, "d"), fit.ended))
-    values: list[Row] = [
-        (name, fit.variant.changed, fit.variant.to, *_numbers(fit.values[name]))
-        for fit in fits
-        for name in names
-        if name in fit.values
-    ]
-    worst = fits[k := int(largest[:, 0].argmax())].variant
-    ls, iv = (f"{x:.2g}" for x in largest[k, :2])
-    title = (
-        f"{recording}: LS moves by up to {ls} half-widths with {worst.changed} {worst.to}, IV "
-        f"by {iv}"
+        rows.append(
+            (
+                fit.variant.changed,
+                fit.variant.to,
+                *cells,
+                Number(fit.passes or None, "d"),
+                fit.ended,
+            )
+        )
+    values = Table(
+        columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")),
+        rows=tuple(
+            # with the digits that the interval of IV leaves
+            (
+                name,
+                fit.variant.changed,
+                fit.variant.to,
+                *(Number(x, value_form(found[3] / 2)) for x in found),
+            )
+            for fit in fits
+            for name in names
+            if (found := fit.values.get(name))
+        ),
     )
+    worst = fits[k := int(largest[:, 0].argmax())].variant
+
     heads = (
         *columns("changed", "to", numbers=("LS moves",)),
         *columns("at", numbers=("own", "IV moves")),
@@ -185,14 +190,11 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         "position noise is added to the recording, after the control loop; start: inertias of a "
         "regular start",
     )
-    table = Table(
-        columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")),
-        rows=tuple(values),
-    )
     return Document(
-        title=title,
+        title=f"{recording}: LS moves by up to {largest[k, 0]:.2g} half-widths with "
+        f"{worst.changed} {worst.to}, IV by {largest[k, 1]:.2g}",
         sections=(
             Section(table=Table(columns=heads, rows=tuple(rows)), lines=lines),
-            Section(title="values", table=table, short=Section()),
+            Section(title="values", table=values, short=Section()),
         ),
     )

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.errors import Place
 from acquisition.files import BLOCK_ROWS, allocate, atomic_write, by_rows
 from acquisition.recording import OPTIONAL, Header, RecordingWriter
 from acquisition.robot import FourierReference, Payload, Robot, fourier_reference
@@ -19,7 +20,7 @@ from .. import model as dynamics
 from ..arrays import Array
 from ..control import Reference, default_law, described_law
 from ..data import Signals
-from ..errors import BadInputError, NoFitError
+from ..errors import NoFitError
 from ..options import CellOptions
 from ..regression import differentiate
 from ..simulation import ClosedLoop
@@ -122,11 +123,10 @@ def random_reference(
     and for more than a day of them.
     """
     samples = duration_s * sample_rate_hz
-    if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
-        raise BadInputError(
-            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected "
-            f"{MIN_SAMPLES} to {MAX_SAMPLES}"
-        )
+    Place(f"{duration_s:g} s at {sample_rate_hz:g} Hz").require(
+        MIN_SAMPLES <= samples <= MAX_SAMPLES,
+        text=f"{samples:g} samples; expected {MIN_SAMPLES} to {MAX_SAMPLES}",
+    )
     reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
     return by_rows(
         lambda rows: reference.at(rows / sample_rate_hz)[0], np.arange(round(samples) + 1)
@@ -158,11 +158,11 @@ def closed_loop(
         )
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
-    if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
-        raise BadInputError(
-            f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected "
-            f"{sample_rate_hz:g}, the rate of the simulated recording"
-        )
+    Place(f"robot {robot.name}").require(
+        abs(loop.period_s * sample_rate_hz - 1) <= 1e-9,
+        text=f"controller.sample_rate_hz = {1 / loop.period_s:g}",
+        expected=f"{sample_rate_hz:g}, the rate of the simulated recording",
+    )
     fastest = np.max(
         [
             np.abs(dq @ model.directions.T).max(axis=0, initial=0.0)
@@ -212,8 +212,12 @@ def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | N
             f"{provenance}, the mean of the control periods before and after",
             noise.text,
         )
-    given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
-    given |= {name: getattr(signals, name) for name in OPTIONAL}
+    given = {
+        "position": signals.q,
+        "effort": signals.effort,
+        "reference": signals.q_ref,
+        **{name: getattr(signals, name) for name in OPTIONAL},
+    }
     header = Header(
         robot=signals.robot,
         source=source,

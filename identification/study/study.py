@@ -1,10 +1,11 @@
 """Monte-Carlo study: simulated recordings of a robot with known parameters, each fitted by
-both methods as users fit.
+both methods as users fit; its summaries, report and file, and those of base parameters.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +16,25 @@ from ..data import Signals, Work
 from ..errors import RobotIdimError
 from ..estimation import one_thread
 from ..methods import Iteration
-from ..model import InverseModel, direct_model, poses_of, why_not_positive
+from ..model import (
+    BaseParameters,
+    InverseModel,
+    direct_model,
+    known_parameters,
+    poses_of,
+    why_not_positive,
+)
 from ..options import StudyOptions
 from ..regression import Overrides
+from ..report import PER_INTERVAL, Document, Number, Section, Table, columns
 from ..results import Fit, identify_iv, identify_ls
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
+
+FALSE_TRUST = 3.0  # half-widths: largest error of an essential parameter for `trust`
+METHODS = (("wls", "ls"), ("iv", "iv"))  # and the field of a `Run`
+# Headings and formats of the fields of a `Summary`, in their order.
+HEADINGS = ("runs", "bias %", "coverage %", "spread /\ninterval", "trust", "false trust")
+FORMATS = ("d", ".3f", ".1f", ".2f", "d", "d")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +61,15 @@ def simulate_recording(
 
 
 def _simulated(robot: Robot, study: Study, seed: int, payload: Payload | None = None) -> Signals:
-    fs = study.sample_rate_hz
     return closed_loop(
         robot,
-        random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed),
-        fs,
+        random_reference(
+            robot,
+            duration_s=study.duration_s,
+            sample_rate_hz=study.sample_rate_hz,
+            seed=seed,
+        ),
+        study.sample_rate_hz,
         noise=study.noise,
         seed=seed,
         payload=payload,
@@ -138,3 +157,170 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
     except RobotIdimError as error:
         return replace(run, reason=error.args[0])
     return replace(run, status=iv.status, reason=iv.solution.reason, iv=result(iv))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Summary:
+    """Runs by one method: of wls those with an estimate, of iv those that converged.
+
+    NaN if there are none.
+
+    Attributes:
+        bias_percent: norm of the mean error over all parameters, in percent of the
+            norm of the true ones.
+        coverage_percent: true values inside their 95 % intervals, over all parameters.
+        spread_over_interval: median over the parameters of 1.96 observed
+            deviations over the half-width.
+        trusted, false_trust: runs with the verdict `trust`; those of them in which an essential
+            parameter is more than `FALSE_TRUST` half-widths off or M is not positive.
+    """
+
+    method: str
+    runs: int
+    bias_percent: float
+    coverage_percent: float
+    spread_over_interval: float
+    trusted: int
+    false_trust: int
+
+
+def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
+    """One summary per method; `true` (b,) are the values simulated with."""
+    rows = []
+    for method, kind in METHODS:
+        fits = [
+            fit
+            for r in runs
+            if (fit := getattr(r, kind)) and (method == "wls" or r.status == "converged")
+        ]
+        beta, low, high = (
+            np.array([getattr(x, k) for x in fits] or [true * np.nan])
+            for k in ("beta", "low", "high")
+        )
+        spread = beta.std(axis=0, ddof=1) if len(fits) > 1 else true * np.nan
+        inside = [fit.half_widths_off(true) <= 1 for fit in fits]
+        rows.append(
+            Summary(
+                method=method,
+                runs=len(fits),
+                bias_percent=float(
+                    100 * np.linalg.norm(beta.mean(axis=0) - true) / np.linalg.norm(true)
+                ),
+                coverage_percent=float(100 * np.mean(inside)) if inside else np.nan,
+                spread_over_interval=float(
+                    np.median(2 * PER_INTERVAL * spread / np.median(high - low, axis=0))
+                ),
+                trusted=sum(fit.verdict == "trust" for fit in fits),
+                false_trust=sum(false_trust(fit, true) for fit in fits),
+            )
+        )
+    return rows
+
+
+def false_trust(fit: RunFit, true: Array) -> bool:
+    """Whether the verdict is wrongly `trust`: an essential parameter is far
+    off, or M is not positive.
+    """
+    off = fit.half_widths_off(true)[fit.essential]
+    return fit.verdict == "trust" and (not fit.positive or bool((off > FALSE_TRUST).any()))
+
+
+def study_file(
+    study: Study, runs: Sequence[Run], base: BaseParameters, true: Array
+) -> dict[str, Any]:
+    """The JSON file of a study: settings, names of the parameters, their true values
+    (b,), summaries, every run.
+    """
+    return {
+        "study": study,
+        "parameters": base.names,
+        "true": true,
+        "summaries": summaries(runs, true),
+        "runs": runs,
+    }
+
+
+def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
+    """A study's summaries by method, its settings, and the runs with false trust."""
+    table = Table(
+        columns=columns("method", numbers=HEADINGS),
+        rows=tuple(
+            (method, *map(Number, numbers, FORMATS))
+            for method, *numbers in map(astuple, summaries(runs, true))
+        ),
+    )
+    false = [
+        f"{method} in run {run.number}"
+        for run in runs
+        for method, kind in METHODS
+        if (fit := getattr(run, kind)) and false_trust(fit, true)
+    ]
+    lines = (
+        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed "
+        f"{study.seed}; cell: "
+        f"{study.noise.text}; of iv, converged runs only",
+        f"false trust: verdict trust although an essential parameter is more than {FALSE_TRUST:g} "
+        "half-widths off "
+        f"or M is not positive: {', '.join(false) or 'no run'}",
+    )
+    return Document(
+        title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=lines),)
+    )
+
+
+def border_line(robot: Robot) -> tuple[str, ...]:
+    """What the study simulated without friction or rotor, which no real robot is;
+    nothing if all have values.
+    """
+    model = InverseModel(robot)
+    names = [
+        name
+        for name, skip in zip(
+            model.names, model.of_links | (known_parameters(model) != 0), strict=True
+        )
+        if not skip and not name.startswith("Off")
+    ]
+    text = f"values at the border of the possible, 0 in [parameters] or absent: {', '.join(names)}"
+    return (text,) if names else ()
+
+
+def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
+    """The JSON file of base parameters, whose names end with a joint's number from 1, with the
+    `true` values (b,) if known.
+    """
+    each = {
+        "name": base.names,
+        "expression": base.expressions,
+        "unit": base.units,
+        **({} if true is None else {"value": true.tolist()}),
+    }
+    return {
+        "robot": robot.name,
+        "joint_names": [joint.name for joint in robot.joints],
+        "parameters": [
+            dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True)
+        ],
+    }
+
+
+def base_document(base: BaseParameters, robot: Robot) -> Document:
+    """The base parameters of a robot as sums of standard parameters, in short the regrouped
+    ones; its joints by number.
+    """
+    table = Table(
+        columns=columns("name", "expression", "unit"),
+        rows=tuple(zip(base.names, base.expressions, base.units, strict=True)),
+    )
+    joints = Table(
+        columns=columns("number", "joint", "type"),
+        rows=tuple((str(j), joint.name, joint.type) for j, joint in enumerate(robot.joints, 1)),
+    )
+    return Document(
+        title=f"{robot.name}: {base.b} base parameters",
+        sections=(
+            Section(table=table).with_short_table(
+                sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k]), 20
+            ),
+            Section(title="joints, by the number at the end of a name", table=joints),
+        ),
+    )

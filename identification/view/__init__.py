@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from acquisition.lazy import lazy_names
 
 from .charts import deviation_charts
+from .html_page import notebook_figure, write_html
 from .pages import (
     draw_comparison,
     draw_excitation,
@@ -24,7 +25,6 @@ from .pages import (
 from .panels import Picture
 
 if TYPE_CHECKING:
-    from .html_page import notebook_figure, write_html
     from .live import follow_recording
     from .rerun_panels import write_rrd
 else:
@@ -32,7 +32,6 @@ else:
         __name__,
         {
             "rerun_panels": ("write_rrd",),
-            "html_page": ("notebook_figure", "write_html"),
             "live": ("follow_recording",),
         },
     )

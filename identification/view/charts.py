@@ -1,6 +1,4 @@
-"""Charts of parameters, tests, gains, friction, excitations, studies: those of
-the HTML report alone.
-"""
+"""Charts of parameters, tests, excitations, studies: those of the HTML report alone."""
 
 import re
 from collections.abc import Sequence
@@ -10,9 +8,27 @@ import numpy as np
 from ..design import Excitation
 from ..report import Level, ParameterSet, TrustLine, differences
 from ..study import Run, VariedFit, moves_of
-from .axes import Axis, decades, linear, logarithmic
-from .colors import COMPARED, GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color
-from .panels import Column, Curve, Graph, Mark, Rows, Shape
+from .panels import (
+    COMPARED,
+    GREEN,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    Axis,
+    Color,
+    Column,
+    Curve,
+    Graph,
+    Mark,
+    Rows,
+    Shape,
+    decades,
+    linear,
+    logarithmic,
+)
 
 MAX_ROWS, MAX_COLUMNS = 30, 4  # of a chart
 MAX_HALF_WIDTHS_SHOWN = 3.0  # larger differences are drawn at the edge of their chart
@@ -25,40 +41,45 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
     """Every parameter: its 95 % interval in percent of the value, and other sets, in
     half-widths of this interval.
     """
-    charts, legend = [], [("● essential", ORANGE), ("○ not essential", GREY)]
-    for values, color in zip(others, COMPARED, strict=False):
-        is_exact = all(p.sigma == 0 for p in values.parameters.values())
-        legend.append((f"{'|' if is_exact else '×'} {values.label}", color))
-    if others:
-        legend.append(("beyond 3 σ", VERMILLION))
-    for part in _parts(list(own.parameters), MAX_ROWS):
-        columns = [_width_column(own, part)]
-        if others:
-            columns.append(_difference_column(own, others, part))
-        charts.append(
-            Rows(
-                path=("deviations", part[0]),
-                title=f"parameters of {own.label}, {part[0]} to {part[-1]}",
-                names=[(name, _look(own.parameters[name].essential)[0]) for name in part],
-                columns=columns,
-                legend=legend,
-            )
+    legend = [
+        ("● essential", ORANGE),
+        ("○ not essential", GREY),
+        *(
+            (f"{'×' if any(p.sigma for p in x.parameters.values()) else '|'} {x.label}", color)
+            for x, color in zip(others, COMPARED, strict=False)
+        ),
+        *([("beyond 3 σ", VERMILLION)] if others else []),
+    ]
+    return [
+        Rows(
+            path=("deviations", part[0]),
+            title=f"parameters of {own.label}, {part[0]} to {part[-1]}",
+            names=[(name, _look(own.parameters[name].essential)[0]) for name in part],
+            columns=[
+                _width_column(own, part),
+                *([_difference_column(own, others, part)] if others else []),
+            ],
+            legend=legend,
         )
-    return charts
+        for part in _parts(list(own.parameters), MAX_ROWS)
+    ]
 
 
 def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
     """Half-widths of the parameters in percent of their values."""
-    marks = [
-        Mark(
-            row=row,
-            value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
-            color=_look(p.essential)[0],
-            shape="bar",
-        )
-        for row, p in enumerate(own.parameters[name] for name in names)
-    ]
-    return Column(head="± 95 %, % of value", axis=logarithmic(0.01, 100.0, 4), marks=marks)
+    return Column(
+        head="± 95 %, % of value",
+        axis=logarithmic(0.01, 100.0, 4),
+        marks=[
+            Mark(
+                row=row,
+                value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
+                color=_look(p.essential)[0],
+                shape="bar",
+            )
+            for row, p in enumerate(own.parameters[name] for name in names)
+        ],
+    )
 
 
 def _difference_column(
@@ -127,13 +148,13 @@ def _trust_chart(line: TrustLine) -> Rows:
             if value is not None
         ),
     ]
-    head = "● value ± 95 %" if any(mark.half for mark in marks) else "● value"
+    is_interval = any(mark.half for mark in marks)
     return Rows(
         path=("tests", line.test),
         title=f"{line.test}: {line.level}",
         names=[(name, LIGHT) for name, *_ in line.figures],
         columns=[Column(head=line.unit, axis=_around(marks), marks=marks)],
-        legend=((head, color), ("| expected", GREEN)),
+        legend=(("● value ± 95 %" if is_interval else "● value", color), ("| expected", GREEN)),
     )
 
 
@@ -147,26 +168,25 @@ def interval_charts(excitation: Excitation) -> list[Rows]:
     """Expected half-width of every parameter's 95 % interval; in grey that
     of the plain reference.
     """
-    e = excitation
-    halves = {
-        name: (float(e.half[i]), float(e.plain_half[i])) for i, name in enumerate(e.base.names)
-    }
-    axis = decades(list(halves.values()), 5)
+    pairs = np.stack([excitation.half, excitation.plain_half], axis=1).tolist()
+    axis, halves = decades(pairs, 5), dict(zip(excitation.base.names, pairs, strict=True))
     looks = ((-0.16, ORANGE), (0.16, GREY))  # shift and color of this reference and the plain one
-
-    def marks_of(names: Sequence[str]) -> list[Mark]:
-        return [
-            Mark(row=row + shift, value=half, color=color, shape="bar")
-            for row, name in enumerate(names)
-            for half, (shift, color) in zip(halves[name], looks, strict=True)
-        ]
-
     return [
         Rows(
             path=("intervals", part[0]),
             title=f"expected ± 95 %, {part[0]} to {part[-1]}",
             names=[(name, LIGHT) for name in part],
-            columns=[Column(head="SI", axis=axis, marks=marks_of(part))],
+            columns=[
+                Column(
+                    head="SI",
+                    axis=axis,
+                    marks=[
+                        Mark(row=row + shift, value=half, color=color, shape="bar")
+                        for row, name in enumerate(part)
+                        for half, (shift, color) in zip(halves[name], looks, strict=True)
+                    ],
+                )
+            ],
             legend=(("this reference", ORANGE), ("plain reference", GREY)),
         )
         for part in _parts(list(halves), MAX_ROWS)
@@ -177,41 +197,40 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
     """The essential parameters in all variants by both methods with 95 % intervals; lines at
     that of IV by the rules.
     """
-    legend = (("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by the rules", GREY))
     names = [
         (f"{fit.variant.changed if k else 'by'} {fit.variant.to}", LIGHT)
         for k, fit in enumerate(fits)
     ]
-    charts = []
-    for part in _parts(fits[0].essential or tuple(fits[0].values), MAX_COLUMNS):
-        columns = []
-        for name in part:
-            found = {row: fit.values[name] for row, fit in enumerate(fits) if name in fit.values}
-            marks = [
-                Mark(row=k - 0.2, value=x[0], half=x[1], color=PURPLE, shape="cross")
-                for k, x in found.items()
-            ]
-            marks += [
-                Mark(row=k + 0.2, value=x[2], half=x[3], color=ORANGE) for k, x in found.items()
-            ]
-            columns.append(
-                Column(
-                    head=f"{name} ± 95 %",
-                    axis=_around(marks),
-                    marks=marks,
-                    lines=(found[0][2] - found[0][3], found[0][2] + found[0][3]),
-                )
-            )
-        charts.append(
-            Rows(
-                path=("sensitivity", part[0]),
-                title=", ".join(part),
-                names=names,
-                columns=columns,
-                legend=legend,
-            )
+    return [
+        Rows(
+            path=("sensitivity", part[0]),
+            title=", ".join(part),
+            names=names,
+            columns=[_sensitivity_column(fits, name) for name in part],
+            legend=(("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by the rules", GREY)),
         )
-    return charts
+        for part in _parts(fits[0].essential or tuple(fits[0].values), MAX_COLUMNS)
+    ]
+
+
+def _sensitivity_column(fits: Sequence[VariedFit], name: str) -> Column:
+    found = {row: fit.values[name] for row, fit in enumerate(fits) if name in fit.values}
+    marks = [
+        *(
+            Mark(row=row - 0.2, value=ls, half=half, color=PURPLE, shape="cross")
+            for row, (ls, half, _, _) in found.items()
+        ),
+        *(
+            Mark(row=row + 0.2, value=iv, half=half, color=ORANGE)
+            for row, (_, _, iv, half) in found.items()
+        ),
+    ]
+    return Column(
+        head=f"{name} ± 95 %",
+        axis=_around(marks),
+        marks=marks,
+        lines=(found[0][2] - found[0][3], found[0][2] + found[0][3]),
+    )
 
 
 def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
@@ -221,10 +240,10 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
     noisy = [fits[0], *(fit for fit in fits if fit.values and fit.variant.noise)]
     if len(noisy) < 2:
         return None
-    moves = {
-        name: moves_of(noisy, name)[:, 0].max() for name in fits[0].essential or fits[0].values
-    }
-    name = max(moves, key=lambda name: moves[name])
+    name = max(
+        fits[0].essential or fits[0].values,
+        key=lambda name: float(moves_of(noisy, name)[:, 0].max()),
+    )
     noisy.sort(key=lambda fit: fit.variant.noise)
     x = 1e6 * np.array([fit.variant.noise for fit in noisy])
     ls, ls_half, iv, iv_half = np.array([fit.values[name] for fit in noisy]).T
@@ -278,11 +297,10 @@ def study_chart(runs: Sequence[Run]) -> Rows:
                 )
                 errors += [100 * fit.error] * ended
         median = float(np.median(errors)) if errors else None
-        heads = [
-            name if median is None else f"{name}: median {median:.3g}",
-            *[""] * (STUDY_ROWS - 1),
+        names += [
+            (name if median is None else f"{name}: median {median:.3g}", LIGHT),
+            *[("", LIGHT)] * (STUDY_ROWS - 1),
         ]
-        names += [(head, LIGHT) for head in heads]
         if median is not None:
             marks += [
                 Mark(row=top + k, value=median, color=LIGHT, shape="tick")

@@ -6,15 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.robot import Robot
-
 from ..arrays import Array, Ints
 from ..data import Signals
 from ..design import Excitation
-from ..regression import FilteredMotion, Motion, Settings
+from ..regression import FilteredMotion, Settings
 from ..results import FitOnRecording
-from .colors import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION
-from .panels import Curve, Line, Plot
+from .panels import (
+    JOINTS,
+    MEASURED,
+    PREDICTED,
+    REFERENCE,
+    RESIDUAL,
+    SIMULATED,
+    VERMILLION,
+    Curve,
+    Line,
+    Plot,
+)
 
 BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
 # drawn samples per cut-off period of long filtered curves, which then look smooth
@@ -31,10 +39,6 @@ LOOKS = {
     "filtered": (PREDICTED, 1.0, "measured_filtered", "filtered"),
     "reference": (REFERENCE, 1.5, "reference", ""),
     "simulated": (SIMULATED, 0.75, "simulated", ""),
-}
-NAMES = {  # key and name of some of them
-    ("reference", "error"): ("reference", "reference − measured"),
-    ("simulated", "error"): ("simulated", "simulated − measured"),
 }
 
 
@@ -57,15 +61,15 @@ def lines_of(signals: Signals, settings: Settings | None, fit: FitOnRecording | 
         for quantity, joints in _decimate(signals, None, FilteredMotion(signals)).items()
         if quantity in ("q", "torque") or not filtered
     }
-    if signals.q_ref is not None:
-        of_reference = {"q": signals.q_ref, "error": signals.q_ref - signals.q}
-        lines |= _lines("reference", signals.t_s, of_reference)
+    if (q_ref := signals.q_ref) is not None:
+        lines |= _lines("reference", signals.t_s, {"q": q_ref, "error": q_ref - signals.q})
     simulated = None if fit is None else fit.simulated
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
         # m.t_s is index / rate
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]
-        of_robot = {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": simulated.error}
-        lines |= _lines("simulated", t_s, of_robot)
+        lines |= _lines(
+            "simulated", t_s, {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": simulated.error}
+        )
     return lines
 
 
@@ -93,15 +97,13 @@ def _decimate(
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         m = motion.between(a, min(stop, a + size), settings.cutoff_hz if settings else None)
-        if stride > 1:
-            m = Motion(**{name: x[::stride] for name, x in vars(m).items()})
         series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}
         if settings is None:
             series["torque"] = m.tau
         for quantity, x in series.items():
             for j, parts in enumerate(pieces[quantity]):
-                k = extremes(x[:, j], step)
-                parts.append((signals.t_s[a + stride * k], x[k, j]))
+                k = stride * extremes(x[::stride, j], step)
+                parts.append((signals.t_s[a + k], x[k, j]))
     return {
         quantity: [
             (np.concatenate([t for t, _ in parts]), np.concatenate([x for _, x in parts]))
@@ -145,7 +147,7 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
     """
     joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
-        return [_plot(signals, lines, "q", j) for j in range(len(joints))]
+        return [plot(signals, lines, "q", j) for j in range(len(joints))]
     peaks = [
         max(float(np.abs(x).max()) for _, x in of_joint) for of_joint in zip(*errors, strict=True)
     ]
@@ -154,68 +156,63 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
         # joints of one type share a unit, for comparison
         peak = max(x for x, unit in zip(peaks, units, strict=True) if unit == units[j])
         factor, unit = readable_unit(peak, units[j])
-        plot = _plot(signals, lines, "error", j)
+        error = plot(signals, lines, "error", j)
         plots.append(
             replace(
-                plot,
+                error,
                 title=f"position error {joint.name} [{unit}]",
-                curves=tuple(replace(c, line=(c.line[0], factor * c.line[1])) for c in plot.curves),
+                curves=tuple(
+                    replace(c, line=(c.line[0], factor * c.line[1])) for c in error.curves
+                ),
             )
         )
     return plots
 
 
-def torque_plots(signals: Signals, lines: Lines) -> list[Plot]:
-    """One plot per joint of its measured torque."""
-    return [_plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
-
-
 def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
     """Position, speed and acceleration of joint j; no position if the first page has it."""
     return [
-        _plot(signals, lines, quantity, j, alone=True)
+        plot(signals, lines, quantity, j, alone=True)
         for quantity in (("q",) if any(quantity == "error" for _, quantity in lines) else ())
         + ("dq", "ddq")
     ]
 
 
-def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
+def plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
     """What is known of a quantity of joint j; of over three joints side by side
     the first has the legend.
     """
-    curves, joint, legend = [], signals.robot.joints[j], alone or j == 0 or signals.robot.n < 4
-    for source, (color, width, *names) in LOOKS.items():
-        if (source, quantity) in lines:
-            key, name = NAMES.get((source, quantity), names)
-            curves.append(
-                Curve(
-                    key=key,
-                    name=name,
-                    color=color,
-                    line=lines[source, quantity][j],
-                    width=width,
-                    dashed=source == "reference",
-                )
-            )
-    unit = joint.position_unit
+    joint, unit = signals.robot.joints[j], signals.robot.joints[j].position_unit
     units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
     return Plot(
         path=(quantity, joint.name),
         title=f"{quantity} {joint.name} [{units.get(quantity, unit)}]",
-        curves=tuple(curves),
-        legend=legend,
+        curves=tuple(
+            Curve(
+                key=key,
+                name=f"{source} − measured" if quantity == "error" else name,
+                color=color,
+                line=lines[source, quantity][j],
+                width=width,
+                dashed=source == "reference",
+            )
+            for source, (color, width, key, name) in LOOKS.items()
+            if (source, quantity) in lines
+        ),
+        legend=alone or j == 0 or signals.robot.n < 4,
     )
 
 
-def row_plots(
-    robot: Robot, t_s: Array, tau: Array, tau_predicted: Array
-) -> tuple[list[Plot], list[Plot]]:
-    """Per joint measured and modelled torque (T, n) of decimated rows with their residual,
+def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
+    """Per joint measured and modelled torque of decimated rows with their residual,
     and the residual alone.
     """
+    robot, tau, tau_predicted = one.signals.robot, one.tau, one.tau_predicted
     torques, residuals = [], []
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
-        rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
+        rest = Curve(
+            key="residual", color=RESIDUAL, line=(one.t_s, tau[:, j] - tau_predicted[:, j])
+        )
         path, title = ("residual", joint.name), f"residual {joint.name} [{unit}]"
         residuals.append(Plot(path=path, title=title, curves=(rest,), legend=False))
         torques.append(
@@ -224,8 +221,8 @@ def row_plots(
                 title=f"torque {joint.name} [{unit}]",
                 curves=(
                     # behind the model
-                    Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=5.0),
-                    Curve(key="model", color=PREDICTED, line=(t_s, tau_predicted[:, j])),
+                    Curve(key="measured", color=MEASURED, line=(one.t_s, tau[:, j]), width=5.0),
+                    Curve(key="model", color=PREDICTED, line=(one.t_s, tau_predicted[:, j])),
                     rest,
                 ),
             )
@@ -286,46 +283,39 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
     """For each joint: position, speed and, if known, torque over one period, with
     their limits; by quantity.
     """
-    e, plots = excitation, dict[str, list[Plot]]()
-    t_s, q, dq, tau = e.curves()
-    efforts = dict(zip(e.limits.effort.names, e.limits.effort.limits, strict=True))
-    for j, joint in enumerate(e.robot.joints):
-        unit, speed, effort = (
-            joint.position_unit,
-            joint.si("speed"),
-            efforts.get(f"joint {joint.name}"),
-        )
-        shown = [("q", unit, q, joint.si("position")), ("dq", f"{unit}/s", dq, (-speed, speed))]
-        if tau is not None:
-            shown.append(
-                (
-                    "torque",
-                    e.robot.effort_units[j],
-                    tau,
-                    None if effort is None else (-effort, effort),
+    robot, limits = excitation.robot, excitation.limits.effort
+    t_s, q, dq, tau = excitation.curves()
+    most = dict(zip(limits.names, limits.limits, strict=True))
+    plots = dict[str, list[Plot]]()
+    for j, joint in enumerate(robot.joints):
+        unit, speed = joint.position_unit, joint.si("speed")
+        effort = most.get(f"joint {joint.name}")
+        for quantity, shown, x, ends in (
+            ("q", unit, q, joint.si("position")),
+            ("dq", f"{unit}/s", dq, (-speed, speed)),
+            ("torque", robot.effort_units[j], tau, () if effort is None else (-effort, effort)),
+        ):
+            if x is not None:
+                curves = (
+                    Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j])),
+                    *(
+                        Curve(
+                            key=key,
+                            color=VERMILLION,
+                            line=(t_s[[0, -1]], np.full(2, end)),
+                            width=0.75,
+                        )
+                        for key, end in zip(("low", "high"), ends, strict=False)
+                    ),
                 )
-            )
-        for quantity, unit, x, limits in shown:
-            curves = (
-                Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j])),
-                *(
-                    Curve(
-                        key=key,
-                        color=VERMILLION,
-                        line=(t_s[[0, -1]], np.full(2, limit)),
-                        width=0.75,
+                plots.setdefault(quantity, []).append(
+                    Plot(
+                        path=(quantity, joint.name),
+                        title=f"{quantity} {joint.name} [{shown}]",
+                        curves=curves,
+                        legend=False,
                     )
-                    for key, limit in zip(("low", "high"), limits or (), strict=False)
-                ),
-            )
-            plots.setdefault(quantity, []).append(
-                Plot(
-                    path=(quantity, joint.name),
-                    title=f"{quantity} {joint.name} [{unit}]",
-                    curves=curves,
-                    legend=False,
                 )
-            )
     return plots
 
 

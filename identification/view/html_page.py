@@ -1,31 +1,62 @@
-"""Write a picture as one HTML file without scripts and requests, to be mailed, read on
-any screen, and printed.
+"""Write a picture as one HTML file without scripts and requests, to be mailed, read on any screen,
+and printed.
+
+Panels are SVG: curves reduced to the pixels of a page, colours as classes that a style sheet sets
+for light and dark.
 """
 
+import math
+from collections.abc import Iterable
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
+
 from acquisition.errors import one_line
 from acquisition.files import write_text
 
+from ..arrays import Array
 from ..report import to_html, versions
-from .colors import CLASSES
-from .panels import Graph, Log, Page, Panel, Picture, Rows
-from .svg_panels import HEAD, HEIGHT, PITCH, SHEET, WIDE, draw_graph, draw_rows, width_of
+from .curves import extremes
+from .panels import (
+    CLASSES,
+    GREY,
+    LIGHT,
+    Axis,
+    Color,
+    Curve,
+    Graph,
+    Line,
+    Log,
+    Mark,
+    Page,
+    Panel,
+    Picture,
+    Rows,
+    decades,
+    linear,
+    logarithmic,
+)
 
 MAX_EVENTS = 100  # of a log
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+WIDTH, HEIGHT = 480.0, 200.0  # of a plot, in pixels
+LEFT, RIGHT, TOP, BOTTOM = 56.0, 472.0, 8.0, 178.0  # edges of its axes
+SHEET, WIDE = 560.0, 1180.0  # widths of rows with two or three columns, and with more
+KINDS = {WIDTH: "plot", SHEET: "sheet", WIDE: "wide"}  # in the style sheet
+HEAD, PITCH = 36.0, 18.0  # heights of the heads of rows, and of a row
+_RING = "m-3.2 0a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0-6.4 0"
+STEPS = 2.0  # coordinates of curves are whole numbers, this many in a pixel
 
 
 def write_html(path: Path, picture: Picture) -> None:
     """Write the report, all panels but the moving robot, versions and digests as HTML,
     complete or not at all.
     """
-    pages = [text for page in picture.pages if (text := _page(page))]
     first = f'<div class="first">{_figure(picture.first)}</div>' if picture.first else ""
-    whole = replace(picture.document, title="The whole report", badge="")
+    pages = "\n".join(text for page in picture.pages if (text := _page(page)))
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
@@ -34,7 +65,11 @@ def write_html(path: Path, picture: Picture) -> None:
         f"<title>{escape(one_line(picture.name))}</title><style>{_style()}</style></head><body><main>",
         to_html(picture.document.short, heading=1, figures=first),
         "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
-        to_html(whole, heading=1, figures="\n".join(pages)),
+        to_html(
+            replace(picture.document, title="The whole report", badge=""),
+            heading=1,
+            figures=pages,
+        ),
         "</details>",
         "<footer><h2>made "
         f"with</h2><p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
@@ -59,8 +94,10 @@ def notebook_figure(panel: Panel) -> str:
         else 0.0
     )
     content = escape(f"<style>{_style()}</style>{_figure(panel)}")
-    size = f"width:100%;max-width:{SHEET:g}px;height:{1.2 * height + 64:g}px"
-    return f'<iframe srcdoc="{content}" style="{size};border:0"></iframe>'
+    return (
+        f'<iframe srcdoc="{content}" style="width:100%;max-width:{SHEET:g}px;'
+        f'height:{1.2 * height + 64:g}px;border:0"></iframe>'
+    )
 
 
 def _style() -> str:
@@ -83,35 +120,176 @@ def _page(page: Page) -> str:
 def _figure(panel: Panel) -> str:
     """A panel with its title and legend; empty for the moving robot."""
     title = escape(one_line(panel.title))
-    if isinstance(panel, Log):
-        lines = "".join(
-            f'<p class="{"warning" if bad else "event"}">{escape(one_line(text))}</p>'
-            for _, bad, text in panel.lines[:MAX_EVENTS]
-        )
-        rest = (
-            f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>"
-            if len(panel.lines) > MAX_EVENTS
-            else ""
-        )
-        return f'<figure class="wide"><figcaption>{title}</figcaption>{lines}{rest}</figure>'
-    if isinstance(panel, Graph):
-        named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}
-        drawn, keys = (
-            draw_graph(panel),
-            "".join(
+    match panel:
+        case Log():
+            lines = [
+                f'<p class="{"warning" if bad else "event"}">{escape(one_line(text))}</p>'
+                for _, bad, text in panel.lines[:MAX_EVENTS]
+            ]
+            if len(panel.lines) > MAX_EVENTS:
+                lines.append(f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>")
+            return f'<figure class="wide"><figcaption>{title}</figcaption>{"".join(lines)}</figure>'
+        case Graph():
+            named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}
+            drawn = draw_graph(panel)
+            keys = "".join(
                 f'<span class="item"><i class="key {CLASSES[c.color]}'
                 f'{" dash" if c.dashed else ""}"></i>{escape(name)}</span> '
                 for name, c in named.items()
-            ),
-        )
-    elif isinstance(panel, Rows):
-        drawn = draw_rows(panel)
-        keys = "".join(
-            f'<b class="ink {CLASSES[color]}">{escape(text)}</b>' for text, color in panel.legend
+            )
+        case Rows():
+            drawn = draw_rows(panel)
+            keys = "".join(
+                f'<b class="ink {CLASSES[color]}">{escape(text)}</b>'
+                for text, color in panel.legend
+            )
+        case _:
+            return ""
+    legend, width = f'<span class="legend">{keys}</span>' if keys else "", width_of(panel)
+    return (
+        f'<figure class="{KINDS[width]}" style="--least:{width:.0f}px"><figcaption>{title}{legend}'
+        f'</figcaption><div class="scroll">{drawn}</div></figure>'
+    )
+
+
+def draw_graph(graph: Graph) -> str:
+    """Curves with their axes."""
+    curves = [curve for curve in graph.curves if np.isfinite(curve.line[1]).any()]
+    points = np.concatenate(
+        [
+            *(np.stack(c.line, axis=1) for c in curves),
+            *(dots for dots, _ in graph.dots),
+            np.zeros((0, 2)),
+        ]
+    )
+    known = points[np.isfinite(points).all(axis=1)]
+    t, x = (known if len(known) else np.zeros((1, 2))).T  # of a joint that stands still
+    if graph.log:
+        axes = (
+            logarithmic(t.min(), t.max(), 6),
+            decades([max(x.min(), 1e-12 * x.max()), x.max()], 6),
         )
     else:
-        return ""
-    legend, width = f'<span class="legend">{keys}</span>' if keys else "", width_of(panel)
-    kind = "wide" if width == WIDE else "sheet" if width == SHEET else "plot"
-    content = f'<figcaption>{title}{legend}</figcaption><div class="scroll">{drawn}</div>'
-    return f'<figure class="{kind}" style="--least:{width:.0f}px">{content}</figure>'
+        margin = 0.04 * float(np.ptp(x)) or 0.05 * float(np.abs(x).max()) or 1.0
+        axes = linear(t.min(), t.max(), 6), linear(x.min() - margin, x.max() + margin, 5)
+    parts = _grid(*axes)
+    inside = [mark for mark in graph.marks if t.min() < mark < t.max()]
+    for number, mark in enumerate(inside):
+        at = float(axes[0].place(mark, LEFT, RIGHT))
+        parts.append(f'<path class="l grey" stroke-width="1.5" d="M{_n(at)} {TOP:g}V{BOTTOM:g}"/>')
+        parts.append(_text(at - 4, BOTTOM - 24 + 16 * number, graph.marks[mark], GREY, "end"))
+    for dots, color in graph.dots:
+        path = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in zip(*_places(axes, dots.T), strict=True))
+        parts.append(f'<path class="l cloud {CLASSES[color]}" d="{path}"/>')
+    parts += [
+        f'<g transform="scale({1 / STEPS:g})">',
+        *(_curve(curve, axes) for curve in sorted(curves, key=lambda curve: curve.key)),
+        "</g>",
+    ]
+    return _svg(graph.title, WIDTH, HEIGHT, parts)
+
+
+def draw_rows(rows: Rows) -> str:
+    """Values by row: names at the left, then the columns with their heads, ticks and lines."""
+    width, count = width_of(rows), len(rows.names)
+    left, bottom = 20 + 7.0 * max(len(name) for name, _ in rows.names), HEAD + PITCH * count
+    bands = [f"M0 {HEAD + PITCH * row:g}H{width:g}v{PITCH:g}H0z" for row in range(0, count, 2)]
+    parts = [
+        f'<path class="band" d="{"".join(bands)}"/>',
+        *(
+            _text(4, HEAD + PITCH * row + 13, name, color, "start")
+            for row, (name, color) in enumerate(rows.names)
+        ),
+    ]
+    step = (width - left) / len(rows.columns)
+    for number, column in enumerate(rows.columns):
+        edges = left + step * number + 16, left + step * (number + 1) - 18
+        parts.append(_text(0.5 * sum(edges), 13, column.head, LIGHT))
+        for value in [*column.axis.ticks, *column.lines]:
+            line = f"M{_n(float(column.axis.place(value, *edges)))} {HEAD:g}V{bottom:g}"
+            stroke = f'stroke-width="{1.5 if value in column.lines else 0.6:g}"'
+            parts.append(f'<path class="l soft grey" {stroke} d="{line}"/>')
+        parts += [
+            _text(float(column.axis.place(value, *edges)), HEAD - 5, text, GREY)
+            for value, text in column.axis.ticks.items()
+        ]
+        parts += [_mark(mark, column.axis, edges) for mark in column.marks]
+    return _svg(rows.title, width, bottom + 4, parts)
+
+
+def width_of(panel: Panel) -> float:
+    """Pixels of a chart on a page."""
+    return (
+        {1: WIDTH, 2: SHEET, 3: SHEET}.get(len(panel.columns), WIDE)
+        if isinstance(panel, Rows)
+        else WIDTH
+    )
+
+
+def _mark(mark: Mark, axis: Axis, edges: tuple[float, float]) -> str:
+    """A value's shape and interval."""
+    y = HEAD + PITCH * (mark.row + 0.5)
+    low, x, high = axis.place(
+        [mark.value - mark.half, mark.value, mark.value + mark.half], *edges
+    ).tolist()
+    color, zero = CLASSES[mark.color], float(axis.place(max(axis.low, 0.0), *edges))
+    if mark.shape == "bar":
+        seen = math.copysign(max(1.5, abs(x - zero)), x - zero)
+        return f'<path class="l {color}" stroke-width="4" d="M{_n(zero)} {_n(y)}h{_n(seen)}"/>'
+    kind, shape = {
+        "dot": ("f", _RING), "ring": ("l", _RING), "cross": ("l", "m-4-4l8 8m0-8l-8 8"),
+        "tick": ("l", "m0-8v16")
+    }[mark.shape]  # fmt: skip
+    drawn = f'<path class="{kind} {color}" stroke-width="1.6" d="M{_n(x)} {_n(y)}{shape}"/>'
+    interval = f'<path class="l {color}" stroke-width="2.2" d="M{_n(low)} {_n(y)}H{_n(high)}"/>'
+    return interval + drawn if high - low > 2 else drawn
+
+
+def _svg(title: str, width: float, height: float, parts: Iterable[str]) -> str:
+    return (
+        f'<svg role="img" aria-label="{escape(title)}" viewBox="0 0 {width:g} {height:g}" '
+        f'style="max-width:{1.35 * width if width < SHEET else width:.0f}px">{"".join(parts)}</svg>'
+    )
+
+
+def _grid(across: Axis, up: Axis) -> list[str]:
+    """Lines and texts at the ticks."""
+    parts, lines = list[str](), ""
+    for value, text in up.ticks.items():
+        y = float(up.place(value, BOTTOM, TOP))
+        lines += f"M{LEFT:g} {_n(y)}H{RIGHT:g}"
+        parts.append(_text(LEFT - 6, y + 4, text, GREY, "end"))
+    for value, text in across.ticks.items():
+        x = float(across.place(value, LEFT, RIGHT))
+        lines += f"M{_n(x)} {TOP:g}V{BOTTOM:g}"
+        parts.append(_text(min(x, RIGHT - 4 * len(text)), HEIGHT - 6, text, GREY))
+    return [f'<path class="l soft grey" stroke-width="0.6" d="{lines}"/>', *parts]
+
+
+def _places(axes: tuple[Axis, Axis], xy: Line | Array) -> Line:
+    """Points in pixels."""
+    return axes[0].place(xy[0], LEFT, RIGHT), axes[1].place(xy[1], BOTTOM, TOP)
+
+
+def _curve(curve: Curve, axes: tuple[Axis, Axis]) -> str:
+    """A curve by its minimum and maximum in each column of pixels."""
+    known = np.isfinite(curve.line[1])
+    x, y = _places(axes, (curve.line[0][known], curve.line[1][known]))
+    k = extremes(y, max(1, math.ceil(len(y) / max(1.0, float(np.ptp(x))))))
+    xy = np.rint(STEPS * np.stack([x[k], y[k]], axis=1)).astype(int)
+    steps = " ".join(f"{dx} {dy}" for dx, dy in np.diff(xy, axis=0).tolist() if dx or dy)
+    # one moment, or a constant: a point that is seen
+    path = f"M{xy[0, 0]} {xy[0, 1]}l{steps.replace(' -', '-') or f'{STEPS:g} 0'}"
+    look = f"l {CLASSES[curve.color]}{' dash' if curve.dashed else ''}"
+    return f'<path class="{look}" stroke-width="{max(1.2, 0.8 * curve.width):g}" d="{path}"/>'
+
+
+def _text(x: float, y: float, text: str, color: Color, anchor: str = "middle") -> str:
+    return (
+        f'<text class="f {CLASSES[color]} {anchor}" x="{_n(x)}" y="{_n(y)}">{escape(text)}</text>'
+    )
+
+
+def _n(x: float) -> str:
+    """A coordinate with one decimal at most."""
+    return f"{x:.1f}".removesuffix(".0")

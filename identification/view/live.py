@@ -26,7 +26,7 @@ from ..model import InverseModel, base_parameters
 from ..regression import Decimation, motion_between, predicted_torque, sampled_at
 from ..report import FitFile, read_fit
 from ..results import stored_beta, with_stored_gains
-from .colors import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Color
+from .panels import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Color
 from .rerun_panels import event_view, shown_text
 
 RED: Color = (200, 30, 30)
@@ -86,9 +86,14 @@ def _open_viewer(recording: Any) -> None:
     """Connect to the viewer on this machine; if there is none, open one with limited memory."""
     with socket.socket() as port:
         if port.connect_ex(("127.0.0.1", PORT)):
-            options = ("--bind", "127.0.0.1", "--port", str(PORT), "--memory-limit", VIEWER_MEMORY)
-            command, null = [sys.executable, "-m", "rerun", *options], subprocess.DEVNULL
-            subprocess.Popen(command, stdin=null, stdout=null, stderr=null, start_new_session=True)
+            options = f"--bind 127.0.0.1 --port {PORT} --memory-limit {VIEWER_MEMORY}"
+            subprocess.Popen(
+                [sys.executable, "-m", "rerun", *options.split()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
     recording.connect_grpc(f"rerun+http://127.0.0.1:{PORT}/proxy")
 
 
@@ -110,26 +115,23 @@ class Residual:
             )
         self.band = [BAND * float(value) for value in rms if value is not UNSET]
         assert robot.bus is not None
-        self._rate_hz, ratio = (
+        rate_hz, ratio = (
             1.0 / robot.bus.sync_period_s,
             stored.sample_rate_hz * robot.bus.sync_period_s,
         )
+        self._rate_hz, self._lag_s = rate_hz, stored.torque_lag_s or 0.0
         self._decimation = Decimation(factor=max(1, round(n_d / ratio)))
-        self._passband_hz = 0.4 * self._rate_hz / self._decimation.factor
-        self._cutoff_hz, self._lag_s = (
-            cutoff_hz if (cutoff_hz or np.inf) < 0.5 * self._rate_hz else None,
-            stored.torque_lag_s or 0.0,
-        )
+        self._cutoff_hz = cutoff_hz if (cutoff_hz or np.inf) < 0.5 * rate_hz else None
+        self._ends = [
+            0 if f is None else round(CUT_PERIODS * rate_hz / f)
+            for f in (self._cutoff_hz, 0.4 * rate_hz / self._decimation.factor)
+        ]
         self._rows: Block | None = None
         self._shown_ns = 0
 
     def add(self, rows: Block) -> tuple[Array, Array]:
         """Stamps (k,) in ns and residuals (k, n) that the new rows complete."""
-        rate_hz, cutoff_hz = self._rate_hz, self._cutoff_hz
-        ends = [
-            0 if f is None else round(CUT_PERIODS * rate_hz / f)
-            for f in (cutoff_hz, self._passband_hz)
-        ]
+        rate_hz, ends = self._rate_hz, self._ends
         rows = rows if self._rows is None else np.concatenate([self._rows, rows])
         gaps = np.flatnonzero(np.diff(rows["stamp_ns"]) * rate_hz > 1.5e9)
         rows = rows[gaps[-1] + 1 :] if len(gaps) else rows
@@ -143,7 +145,7 @@ class Residual:
         motion = motion_between(
             rows["position"],
             tau,
-            cutoff_hz=cutoff_hz,
+            cutoff_hz=self._cutoff_hz,
             sample_rate_hz=rate_hz,
             start=ends[0],
             stop=len(rows) - ends[0],
@@ -172,7 +174,12 @@ class LivePage:
         self._levels = {
             "error": [_band("stop", RED, joint.si("following_error")) for joint in robot.joints],
             "effort": _effort_levels(robot),
-            "position": _ranges(robot),
+            "position": [
+                {}
+                if (ends := joint.si("position")) is None
+                else {"from": (RED, ends[0]), "to": (RED, ends[1])}
+                for joint in robot.joints
+            ],
         }
         if residual is not None:
             self._levels["residual"] = [_band("band", ORANGE, half) for half in residual.band]
@@ -224,13 +231,13 @@ class LivePage:
         }
         if "reference" in (rows.dtype.names or ()):
             # As the guard: a drive reaches a target one period after it was sent.
-            first = rows["reference"][:1] if self._target is None else self._target
-            before = np.concatenate([first, rows["reference"][:-1]])
+            sent = rows["reference"]
+            first = sent[:1] if self._target is None else self._target
             series |= {
-                "error": (stamps, [q - before]),
-                "position": (stamps, [rows["reference"], q]),
+                "error": (stamps, [q - np.concatenate([first, sent[:-1]])]),
+                "position": (stamps, [sent, q]),
             }
-            self._target = rows["reference"][-1:]
+            self._target = sent[-1:]
         if self._residual is not None:
             at, rho = self._residual.add(rows)
             series["residual"] = at, [rho]
@@ -259,11 +266,13 @@ class LivePage:
                 visual_bounds=rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-14.0, 14.0]),
             )
         ]
-        begin, end = (
-            rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-SHOWN_S, 0.0)
+        window = rrb.VisibleTimeRange(
+            "time",
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
+            end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0),
         )
-        window = rrb.VisibleTimeRange("time", start=begin, end=end)
         for name, levels in self._levels.items():
+            quantity, sign = ("q", "") if name == "position" else (name, "±")
             views = []
             for j, joint in enumerate(self._robot.joints):
                 unit = (
@@ -280,19 +289,16 @@ class LivePage:
                     list(levels[j]),
                     [color for color, _ in levels[j].values()],
                 )
-                title = {"position": "q"}.get(name, name)
-                sign = "" if name == "position" else "±"
                 told = [
                     f"{key} {sign}{value:.3g}"
                     for key, (_, value) in levels[j].items()
                     if key[0] != "-"
                 ]
-                # Of six joints each has 30 letters.
-                title = shown_text(f"{title} {joint.name} {', '.join(told)} [{unit}]")
                 views.append(
                     rrb.TimeSeriesView(
                         origin=f"{name}/{j + 1}",
-                        name=title,
+                        # Of six joints each has 30 letters.
+                        name=shown_text(f"{quantity} {joint.name} {', '.join(told)} [{unit}]"),
                         time_ranges=[window],
                         plot_legend=rrb.PlotLegend(visible=False),
                     )
@@ -329,9 +335,12 @@ class LivePage:
         """The state, red where the file has stopped growing in the session."""
         begin_ns, planned_s = self._left_from
         left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
-        is_old = stalled and not self.over
         words = [
-            *(["THE FILE HAS STOPPED GROWING: what is shown is old"] if is_old else []),
+            *(
+                ["THE FILE HAS STOPPED GROWING: what is shown is old"]
+                if stalled and not self.over
+                else []
+            ),
             f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}",
             *(
                 f"{name.replace('kernel_drops', 'dropped')} {count:g}"
@@ -361,13 +370,6 @@ class LivePage:
         )
 
 
-def _ranges(robot: Robot) -> list[Lines]:
-    return [
-        {} if x is None else {"from": (RED, x[0]), "to": (RED, x[1])}
-        for x in [joint.si("position") for joint in robot.joints]
-    ]
-
-
 def _effort_levels(robot: Robot) -> list[Lines]:
     """Rated efforts of each joint, with all its motors at theirs, and its effort limit."""
     assert robot.bus is not None
@@ -381,16 +383,12 @@ def _effort_levels(robot: Robot) -> list[Lines]:
     to_joint = np.abs(robot.R.T) * np.abs(robot.gain)
     # A motor without a value leaves the joints that it turns without one.
     unknown = (to_joint != 0) @ np.isnan(motors)
-    rated = [
-        None if lacks else x
-        for x, lacks in zip(to_joint @ np.nan_to_num(motors), unknown, strict=True)
-    ]
-    limits = effort_limits(robot)
+    rated, limits = to_joint @ np.nan_to_num(motors), effort_limits(robot)
     most = dict(zip(limits.names, limits.limits, strict=True))
-    of_joints = [most.get(f"joint {joint.name}") for joint in robot.joints]
     return [
-        _band("rated", ORANGE, low) | _band("limit", RED, high)
-        for low, high in zip(rated, of_joints, strict=True)
+        _band("rated", ORANGE, None if lacks else value)
+        | _band("limit", RED, most.get(f"joint {joint.name}"))
+        for joint, value, lacks in zip(robot.joints, rated, unknown, strict=True)
     ]
 
 

@@ -16,10 +16,9 @@ from ..report import Document, FitFile, ParameterSet, Section, comparison_sectio
 from ..results import FitOnRecording
 from ..study import Run, VariedFit
 from . import charts, curves
-from .friction_charts import friction_charts
-from .panels import Page, Panel, Picture, Plot
+from .panels import Page, Picture, Plot
+from .recording_panels import event_logs, friction_charts, health_plots, spectrum_charts
 from .robot_drawing import excitation_scene, robot_scene
-from .signal_panels import event_logs, health_plots, spectrum_charts
 
 
 def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = None) -> Picture:
@@ -36,7 +35,7 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
     label = {"iv": "IV", "wls": "LS", "ols": "OLS"}.get(fit.method or "", "fit")
     own, others = ParameterSet.of_file(fit, label), list[ParameterSet]()
     if fit.least_squares:
-        others = [ParameterSet(label="LS", parameters={p.name: p for p in fit.least_squares})]
+        others.append(ParameterSet(label="LS", parameters={p.name: p for p in fit.least_squares}))
     if truth is not None and one is not None:
         others.append(results.true_parameters(one.problem.base, truth))
     document = results.fit_document(fit).followed_by(
@@ -53,15 +52,17 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
             sha256={fit.provenance.recording: fit.provenance.sha256},
         )
     signals = one.signals
-    torque, residual = curves.row_plots(signals.robot, one.t_s, one.tau, one.tau_predicted)
+    torque, residual = curves.row_plots(one)
     overview, *of_signals = _signal_pages(signals, one.problem.settings, one, residual)
     each = [error.relative_error_percent or 0.0 for error in one.errors[:-1]]
     j = each.index(max(each))
-    unit = signals.robot.effort_units[j]
-    largest = f"torque of {signals.robot.joints[j].name}, which has the largest error [{unit}]"
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {str(fit.method).upper()}",
-        first=replace(torque[j], title=largest),
+        first=replace(
+            torque[j],
+            title=f"torque of {signals.robot.joints[j].name}, which has the largest error "
+            f"[{signals.robot.effort_units[j]}]",
+        ),
         document=document,
         pages=(
             overview,
@@ -98,19 +99,17 @@ def draw_validation(
     """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the
     model, and the residual.
     """
-    pages = []
-    for one in validated:
-        signals = one.problem.signals
-        torque, residual = curves.row_plots(signals.robot, one.t_s, one.tau, one.tau_predicted)
-        pages.append(Page(name=signals.recording, groups={"torque": torque, "residual": residual}))
     return Picture(
-        name=f"{validated[0].problem.signals.robot.name} validation",
+        name=f"{validated[0].signals.robot.name} validation",
         document=document,
-        pages=tuple(pages),
-        sha256={
-            **sha256,
-            **{one.problem.signals.recording: one.problem.signals.sha256 for one in validated},
-        },
+        pages=tuple(
+            Page(
+                name=one.signals.recording,
+                groups=dict(zip(("torque", "residual"), curves.row_plots(one), strict=True)),
+            )
+            for one in validated
+        ),
+        sha256={**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}},
     )
 
 
@@ -172,15 +171,19 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
     Entities are `q/<joint>`, `dq/<joint>` and, if known, `torque/<joint>`, each with `reference`,
     `low` and `high`; `robot`, `report`.
     """
-    groups: dict[str, Sequence[Panel]] = {"robot": [excitation_scene(excitation)]}
-    groups |= {
-        "intervals": charts.interval_charts(excitation),
-        **curves.excitation_plots(excitation),
-    }
     return Picture(
         name=f"{excitation.robot.name}, excitation",
         document=document,
-        pages=(Page(name="excitation", groups=groups),),
+        pages=(
+            Page(
+                name="excitation",
+                groups={
+                    "robot": [excitation_scene(excitation)],
+                    "intervals": charts.interval_charts(excitation),
+                    **curves.excitation_plots(excitation),
+                },
+            ),
+        ),
         sha256={},
     )
 
@@ -195,23 +198,27 @@ def _signal_pages(
     signal quality, motion.
     """
     lines = curves.lines_of(signals, settings, fit)
-    torque = curves.torque_plots(signals, lines)
+    torque = [curves.plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
     for j, residual in enumerate(residuals):
         torque[j] = replace(torque[j], curves=(*torque[j].curves, *residual.curves))
-    overview: dict[str, Sequence[Panel]] = {
-        "position": curves.position_plots(signals, lines),
-        "torque": torque,
-        "robot": [robot_scene(signals, fit)],
-    }
-    signal: dict[str, Sequence[Panel]] = {
-        "spectrum": spectrum_charts(signals, settings),
-        "column": curves.column_plots(signals),
-        "health": health_plots(signals),
-        "events": event_logs(signals),
-    }
     return [
-        Page(name="overview" if fit else "recording", groups=overview),
-        Page(name="signal", groups=signal),
+        Page(
+            name="overview" if fit else "recording",
+            groups={
+                "position": curves.position_plots(signals, lines),
+                "torque": torque,
+                "robot": [robot_scene(signals, fit)],
+            },
+        ),
+        Page(
+            name="signal",
+            groups={
+                "spectrum": spectrum_charts(signals, settings),
+                "column": curves.column_plots(signals),
+                "health": health_plots(signals),
+                "events": event_logs(signals),
+            },
+        ),
         Page(
             name="motion",
             groups={
@@ -228,9 +235,10 @@ def _friction_page(
 ) -> Page:
     """Friction of each joint over its speed, for one fit or several fits side by side."""
     of_fits = [friction_charts(fit, recordings[name], name) for name, fit in fits.items()]
-    of_joints = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
-    groups: Mapping[str, Sequence[Panel]] = of_joints if len(fits) > 1 else {"friction": of_fits[0]}
-    return Page(name="friction", groups=groups)
+    if len(fits) == 1:
+        return Page(name="friction", groups={"friction": of_fits[0]})
+    by_joint = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
+    return Page(name="friction", groups=by_joint)
 
 
 def join_pictures(pictures: Sequence[Picture]) -> Picture:

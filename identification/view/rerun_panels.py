@@ -20,8 +20,7 @@ from acquisition.files import atomic_write
 
 from ..arrays import Array
 from ..report import to_markdown
-from .colors import SKY
-from .panels import Log, Page, Panel, Picture, Plot, Scene
+from .panels import SKY, Log, Page, Panel, Picture, Plot, Scene
 
 _GHOST = (*SKY, 70)
 _SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # signs in use here that the viewer's font has
@@ -161,10 +160,9 @@ def _has_glyph(c: str) -> bool:
 
 
 def _replace_glyph(c: str) -> str:
-    plain = (
-        "'" if c == "ᵀ" else "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
-    )
-    return plain or "?"
+    if c == "ᵀ":
+        return "'"
+    return "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x)) or "?"
 
 
 def _time(t_s: Array) -> Any:
@@ -177,10 +175,12 @@ def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
     for robot in scene.robots:
         tree = _urdf_tree(scene.urdf, origin, robot.key, ghost=robot.ghost)
         tree.log_urdf_to_recording(recording)
-        root = f"{robot.key}/{tree.root_link().name.removeprefix(f'{robot.key}/')}"
         recording.log(
             f"{origin}/{robot.key}/root",
-            rr.Transform3D(parent_frame=f"tf#{origin}", child_frame=root),
+            rr.Transform3D(
+                parent_frame=f"tf#{origin}",
+                child_frame=f"{robot.key}/{tree.root_link().name.removeprefix(f'{robot.key}/')}",
+            ),
             static=True,
         )
         for j, name in enumerate(scene.joints):

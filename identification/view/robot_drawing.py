@@ -28,7 +28,6 @@ MIN_VIEW_M = 0.7  # approximate size of the picture, since a single joint moves 
 
 def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
     """The measured robot and, if the fit simulated it, the simulated one as a ghost."""
-    dynamics = fit.problem.model if fit else InverseModel(signals.robot)
     fs, N = signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
     robots = [Moving(key="measured", t_s=signals.t_s[k], q=signals.q[k])]
@@ -39,7 +38,7 @@ def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
         t_s[0] = signals.t_s[0]  # before the simulation starts, the ghost stands at its first pose
         robots.append(Moving(key="simulated", t_s=t_s, q=m.q[k], ghost=True))
     return _scene(
-        dynamics,
+        fit.problem.model if fit else InverseModel(signals.robot),
         robots,
         signals.q,
         "robot measured, in blue simulated" if len(robots) > 1 else "robot measured",

@@ -61,7 +61,7 @@ from identification.regression import (
 from identification.study import Noise, closed_loop, write_signals
 from identification.view import draw_excitation, write_rrd
 from identification.view.charts import interval_charts
-from identification.view.colors import GREY, ORANGE
+from identification.view.panels import GREY, ORANGE
 
 
 def limited(robot):

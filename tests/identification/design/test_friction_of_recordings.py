@@ -27,7 +27,7 @@ from identification.regression import (
 )
 from identification.results import fit_file, identify_ls
 from identification.study import write_signals
-from identification.view import friction_charts
+from identification.view import recording_panels
 
 USUAL = ["viscous", "coulomb"]
 MORE = "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n"
@@ -244,7 +244,7 @@ def test_view_shows_each_joint_over_recordings(terms, own, monkeypatch):
     """Rows of all recordings; curves and intervals of the shared parameters, at three loads; of
     own parameters the mean.
     """
-    monkeypatch.setattr(friction_charts, "MAX_DOTS", 10**9)  # each row
+    monkeypatch.setattr(recording_panels, "MAX_DOTS", 10**9)  # each row
     values = "Fr1 = 0.8\nmu1 = 0.3\n" if len(terms) > 1 else "Fr1 = 0.8\n"
     robot = with_own(upright([[*USUAL, *terms], USUAL], values), *own)
     sources = tuple(dataclasses.replace(one, robot=robot) for one in several())
@@ -270,7 +270,7 @@ def test_view_shows_each_joint_over_recordings(terms, own, monkeypatch):
         """Points (2, k) of the rows of the shoulder, whose curves and intervals are
         those of the parameters.
         """
-        shoulder, _ = friction_charts.friction_charts(fit_file(fit), recordings)
+        shoulder, _ = recording_panels.friction_charts(fit_file(fit), recordings)
         assert len(shoulder.curves) == 6 * (3 if "load" in terms else 1)
         for curve, *edges in zip(*[iter(shoulder.curves)] * 3, strict=True):
             v, torque = curve.line

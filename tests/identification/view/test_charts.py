@@ -12,13 +12,25 @@ from pictured_fits import FS, fitted, made_up, values
 from identification.report import TrustLine
 from identification.results import fit_file
 from identification.study import Run, RunFit
-from identification.view import friction_charts
-from identification.view.axes import decades, linear, logarithmic
+from identification.view import recording_panels
 from identification.view.charts import STUDY_ROWS, deviation_charts, study_chart, trust_charts
-from identification.view.colors import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION
-from identification.view.panels import Column, Mark, Rows
-from identification.view.signal_panels import spectrum_charts
-from identification.view.svg_panels import HEAD, PITCH, draw_graph, draw_rows
+from identification.view.html_page import HEAD, PITCH, draw_graph, draw_rows
+from identification.view.panels import (
+    GREEN,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    Column,
+    Mark,
+    Rows,
+    decades,
+    linear,
+    logarithmic,
+)
+from identification.view.recording_panels import spectrum_charts
 
 
 def found(column, **given):
@@ -189,15 +201,15 @@ def test_spectra_show_sine_and_fit_cutoffs():
 
 
 def test_resting_joint_has_chart_without_rows(monkeypatch):
-    rows = friction_charts.rigid_torque_at_rows
+    rows = recording_panels.rigid_torque_at_rows
     monkeypatch.setattr(
-        friction_charts,
+        recording_panels,
         "rigid_torque_at_rows",
         # of a recording that is too long to be held
         lambda of, beta: tuple(x * [1.0, 0.0] for x in rows(of.without_samples, beta)),
     )
     fit = fitted(made_up())
-    _, still = friction_charts.friction_charts(fit_file(fit), fit.recordings)
+    _, still = recording_panels.friction_charts(fit_file(fit), fit.recordings)
     assert sum(len(dots) for dots, _ in still.dots) == 0
     assert "nan" not in draw_graph(still)
 

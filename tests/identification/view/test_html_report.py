@@ -19,7 +19,7 @@ from scipy import signal
 from identification.commands import main
 from identification.view import join_pictures, write_html, write_rrd
 from identification.view.panels import Graph, Log, Plot, Rows, Scene
-from identification.view.signal_panels import _welch
+from identification.view.recording_panels import _welch
 
 SCARA, TX40 = (REPLAY / robot / "session.mcap" for robot in ("scara", "tx40"))
 VOID = {"meta", "link", "br", "img"}

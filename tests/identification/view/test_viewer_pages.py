@@ -23,9 +23,9 @@ from identification.regression import Overrides
 from identification.report import Parameter, ParameterSet, comparison_section, differences
 from identification.view import draw_recording, write_rrd
 from identification.view.curves import column_plots
+from identification.view.recording_panels import event_logs, health_plots
 from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
-from identification.view.signal_panels import event_logs, health_plots
 
 SESSION = REPLAY / "scara" / "session.mcap"
 
