@@ -57,11 +57,11 @@ class Fit:
             a fit that was read from a file.
     """
 
-    def __init__(self, file: FitFile, place: str, evidence: results.Fit | None = None) -> None:
+    def __init__(self, file: FitFile, place: str, evidence: results.Evidence | None = None) -> None:
         self.file, self.place, self.evidence = file, place, evidence
 
     @classmethod
-    def of(cls, evidence: results.Fit) -> "Fit":
+    def of(cls, evidence: results.Evidence) -> "Fit":
         """The fit that was just made."""
         return cls(results.fit_file(evidence), evidence.problem.signals.recording, evidence)
 
@@ -251,7 +251,7 @@ class Fit:
         pair = load_signals(log), Path(log)
         return results.predict_recordings(self.file, self.place, [pair], Overrides())[0]
 
-    def _made(self) -> results.Fit:
+    def _made(self) -> results.Evidence:
         if self.evidence is None:
             raise BadInputError(
                 "was read from a file", place=self.place, expected="a fit in memory, or its log"

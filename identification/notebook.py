@@ -36,7 +36,7 @@ from .study import Noise, Run, Study
 P = ParamSpec("P")
 
 
-def _of_user(found: results.Fit) -> Fit:
+def _of_user(found: results.Evidence) -> Fit:
     """The fit as users have it; called by what users call, so that the warning names their line."""
     fit = Fit.of(found)
     if refused := [line.text for line in fit.trust if line.level == "do not use"]:
@@ -44,7 +44,7 @@ def _of_user(found: results.Fit) -> Fit:
     return fit
 
 
-def _for_users(identify: Callable[P, results.Fit]) -> Callable[P, Fit]:
+def _for_users(identify: Callable[P, results.Evidence]) -> Callable[P, Fit]:
     @wraps(identify)
     def identified(*args: P.args, **kwargs: P.kwargs) -> Fit:
         return _of_user(identify(*args, **kwargs))

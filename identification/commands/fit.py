@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from acquisition.robot import Robot
 
     from ..data import Recordings
-    from ..results import Fit
+    from ..results import Evidence
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -130,7 +130,7 @@ def _pictures(options: argparse.Namespace) -> list[Path]:
     return pictures
 
 
-def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
+def edited_descriptions(fit: "Evidence", recordings: list[Path]) -> list[str]:
     """A line for each robot.toml, beside a recording or in the working folder, that differs
     from the recording's own.
     """
@@ -162,7 +162,7 @@ def _prior(options: argparse.Namespace) -> "Robot | None":
 
 def _identify(
     options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]
-) -> "Fit":
+) -> "Evidence":
     from ..methods import Iteration
     from ..report import read_fit
     from ..results import identify, stored_beta

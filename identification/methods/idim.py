@@ -19,7 +19,7 @@ from .iteration import Iteration
 from .model import Model, ProgressCallback, read_model
 from .passes import Pass
 from .position_noise import position_noise_line
-from .solution import Solution, evidence_of, solution_by_instruments, status_of
+from .solution import Solution, inputs_of, solution_by_instruments, status_of
 from .start import (
     at_gains,
     least_squares,
@@ -153,21 +153,21 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     x = model.x_of(estimate, x)
     full, ls, kept = solution_of(model, at_gains(model, found), essential=essential)
     solved = replace(found, tau_predicted=model.predicted(x)) if gains else ls
-    evidence = evidence_of(model, method, solved, x, full.estimate, kept)
+    inputs = inputs_of(model, method, solved, x, full.estimate, kept)
     if gains:
         text = "drive gains by the measured motion: no robot is simulated " + (
             "with these" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
-        made = {**evidence.made, "fixed point": judge("fixed point", ending, why=text)}
+        made = {**inputs.made, "fixed point": judge("fixed point", ending, why=text)}
     else:
         # Once, of the first recording: it looks at the beginning of a long one anyway.
-        first = evidence.problem.with_samples()
+        first = inputs.problem.with_samples()
         alone = model.unknowns.plain and not len(model.load)
         noise = position_noise_line(first, method, ls, kept, alone=alone)
-        made = {**evidence.made, "position noise": noise}
-    evidence = replace(evidence, made=made)
-    return Solution(model=model, x=x, evidence=evidence, least_squares=ls, essential=kept)
+        made = {**inputs.made, "position noise": noise}
+    inputs = replace(inputs, made=made)
+    return Solution(model=model, x=x, inputs=inputs, least_squares=ls, essential=kept)
 
 
 def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:

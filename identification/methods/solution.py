@@ -36,7 +36,7 @@ class Solution:
 
     Attributes:
         model: recordings and unknowns; `x`: (p,) the values of the estimate.
-        evidence: inputs of the tests.
+        inputs: of the tests.
         least_squares: that of the fit itself or, of `iv`, weighted least squares of the same
             recordings and settings; `essential`: the parameters that are essential by it.
         simulated: by recording, the robot simulated with the estimate; none after least squares.
@@ -50,7 +50,7 @@ class Solution:
 
     model: Model
     x: Array
-    evidence: FitData
+    inputs: FitData
     least_squares: Pass
     essential: FTest
     simulated: tuple[Simulated, ...] = ()
@@ -70,7 +70,7 @@ def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> t
     return tuple(name for name in names if is_base(name) and name in essential.names)
 
 
-def evidence_of(
+def inputs_of(
     model: Model,
     method: Method,
     solved: Pass,
@@ -154,12 +154,12 @@ def solution_by_instruments(
     (status, reason), (strength, F) = ended, tests
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
-    evidence = evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
-    line = fixed_point_line(status, reason, gains=bool(evidence.gains))
+    inputs = inputs_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
+    line = fixed_point_line(status, reason, gains=bool(inputs.gains))
     return Solution(
         model=model,
         x=x,
-        evidence=replace(evidence, first_stage_F=F, made={**evidence.made, "fixed point": line}),
+        inputs=replace(inputs, first_stage_F=F, made={**inputs.made, "fixed point": line}),
         least_squares=loop.ls,
         essential=loop.essential,
         simulated=confirmed,

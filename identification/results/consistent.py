@@ -25,7 +25,7 @@ from ..estimation import (
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import recorded_power
 from ..report import ConsistentFile, StandardParameter
-from .fit import Fit
+from .evidence import Evidence
 from .on_recording import errors_on, validated
 
 # of the variance by the prior alone: above, the value is more from the prior than the recording
@@ -61,7 +61,7 @@ def read_prior(path: Path, robot: Robot) -> Robot:
 
 
 @one_thread
-def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
+def with_consistent(fit: Evidence, prior: Robot | None = None) -> Evidence:
     """The fit with the nearest physically consistent parameters and their torque error; the
     estimate stays the same.
 

@@ -10,7 +10,7 @@ from acquisition.robot import Robot
 
 from .. import report
 from ..control import FoundLaw
-from .fit import Fit
+from .evidence import Evidence
 from .gain_results import smallest_cragg_donald
 from .horizon import HORIZONS_S
 from .on_recording import FitOnRecording, errors_on, validated
@@ -19,7 +19,7 @@ from .recorded import on_recording, remarks
 from .recording_report import first_ahead
 
 
-def fit_file(fit: Fit) -> report.FitFile:
+def fit_file(fit: Evidence) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
     robot, each = fit.problem.signals.robot, fit.recordings if len(fit.recordings) > 1 else ()
     return report.FitFile(
@@ -46,7 +46,7 @@ def fit_file(fit: Fit) -> report.FitFile:
     )
 
 
-def _trust_keys(fit: Fit) -> dict[str, Any]:
+def _trust_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the tests, and of what they looked at."""
     lines, signals = fit.trust.lines, fit.problem.signals
     return {
@@ -86,7 +86,7 @@ def _trust_keys(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _estimate_keys(fit: Fit) -> dict[str, Any]:
+def _estimate_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the parameters, and of the rows that they are from."""
     e, full = fit.estimate, fit.full
     return {
@@ -174,7 +174,7 @@ def _recording(one: FitOnRecording, whole: report.TorqueResidual) -> report.Reco
     )
 
 
-def _error_by_ls(fit: Fit) -> float | None:
+def _error_by_ls(fit: Evidence) -> float | None:
     """The torque error of least squares, percent."""
     each = [
         validated(one.problem, one.values(fit.least_squares.estimate)) for one in fit.recordings
@@ -182,7 +182,7 @@ def _error_by_ls(fit: Fit) -> float | None:
     return errors_on(each)[-1].relative_error_percent
 
 
-def _iv_keys(fit: Fit) -> dict[str, Any]:
+def _iv_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the instrumental variable method."""
     return {
         "reason": fit.solution.reason,

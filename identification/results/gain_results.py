@@ -31,15 +31,15 @@ UNITS = (*["kg m²"] * 6, *["kg m"] * 3, "kg")  # of LINK
 MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
 
 
-def smallest_cragg_donald(evidence: FitData) -> float:
+def smallest_cragg_donald(data: FitData) -> float:
     """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W
     and L, per instrument.
 
     Cragg, Donald, Testing identifiability and specification in instrumental variable models,
     Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
     """
-    system, Z, w = evidence.observed.system, evidence.observed.Z, evidence.weight[:, None]
-    gains = [system.names.index(name) for name in evidence.gains]
+    system, Z, w = data.observed.system, data.observed.Z, data.weight[:, None]
+    gains = [system.names.index(name) for name in data.gains]
     others, E, known = np.delete(Z, gains, axis=1) * w, system.W[:, gains] * w, Z[:, gains] * w
     basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
     E, known = (x - basis @ (basis.T @ x) for x in (E, known))

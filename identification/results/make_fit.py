@@ -19,7 +19,7 @@ from ..methods import Iteration, Model, ProgressCallback, Solution, solve
 from ..regression import ROWS, Overrides, Problem, sample_weights
 from ..report import FTest, Method, base_name
 from ..trust import MIN_FIRST_STAGE_F, trust_in, with_predictions
-from .fit import Fit
+from .evidence import Evidence
 from .gain_results import gains_of, payloads_of
 from .on_recording import FitOnRecording, errors_on
 from .recording_report import gain_warnings
@@ -40,7 +40,7 @@ def identify(
     iteration: Iteration | None = None,
     essential: bool = False,
     say: ProgressCallback = lambda text: None,
-) -> Fit:
+) -> Evidence:
     """Identify base parameters, and judge the fit by its tests.
 
     Parameters and errors as of `methods.solve`. The status of least squares is `solved`; that of
@@ -59,7 +59,7 @@ def identify_ls(
     method: Literal["ols", "wls"] = "wls",
     essential: bool = False,
     say: ProgressCallback = lambda text: None,
-) -> Fit:
+) -> Evidence:
     """Identify by least squares, IDIM-LS, section 2 of Janot2014; parameters as of `identify`."""
     return identify(signals, overrides, method=method, essential=essential, say=say)
 
@@ -71,18 +71,18 @@ def identify_iv(
     *,
     essential: bool = False,
     say: ProgressCallback = lambda text: None,
-) -> Fit:
+) -> Evidence:
     """Identify by instrumental variables, IDIM-IV, section 3 of Janot2014; as of `identify`."""
     return identify(
         signals, overrides, method="iv", iteration=iteration, essential=essential, say=say
     )
 
 
-def fit_of(solution: Solution) -> Fit:
+def fit_of(solution: Solution) -> Evidence:
     """The fit of a solution: its torque errors, its tests, its warnings, gains and payloads."""
     model, x, z = solution.model, solution.x, solution.simulated
     data, held_out, (tau, predicted, counts, t_s) = with_predictions(
-        solution.evidence, partial(model.torques, x, judged=True)
+        solution.inputs, partial(model.torques, x, judged=True)
     )
     parts = zip(data.problems, model.unknowns.arms, spans_of([*map(len, t_s)]), strict=True)
     fitted = [
@@ -101,7 +101,7 @@ def fit_of(solution: Solution) -> Fit:
         for k, (problem, arm, part) in enumerate(parts)
     ]
     payloads, far = payloads_of(model, data)
-    return Fit(
+    return Evidence(
         solution=solution,
         data=data,
         recordings=tuple(fitted[k] for k in model.order),
@@ -162,7 +162,7 @@ def _short_moves(problem: Problem) -> list[str]:
 
 
 def _iv_warnings(solution: Solution) -> tuple[str, ...]:
-    model, z, F = solution.model, solution.simulated, solution.evidence.first_stage_F
+    model, z, F = solution.model, solution.simulated, solution.inputs.first_stage_F
     each = list(zip((problem.signals.robot for problem in model.problems), z, strict=True))
     without = [robot for robot, one in each if one.controller == "surrogate"]
     unknown = [

@@ -24,7 +24,7 @@ class FitOnRecording:
         names: (b,) of its base parameters in those of the fit; `carried`: (b,) the payload's share
             of them; `beta`: (b,) their values, with that.
         t_s: (rows,) instants of decimated rows, s, behind filters that depend on the motion only;
-            those of the fit are in its evidence.
+            those of the fit are in `Evidence.data`.
         tau, tau_predicted: (rows, n) torques there; `counts`: whether the joint moves, as in rows
             of a fit.
         held_out: its torque predicted by the fit of the other recordings; None if there are none.

@@ -29,12 +29,12 @@ from ..model import (
 from ..regression import Overrides, Problem, make_problem, with_common_band
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name
 from .consistent import read_prior, refuse_unknown_gain
-from .fit import Fit
+from .evidence import Evidence
 from .horizon import errors_ahead
 from .on_recording import FitOnRecording, errors_on, validated
 
 
-def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
+def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
     """The parameters that a fit estimated, labelled by its method: IV, LS or OLS; or those that
     least squares of the same recording estimated, labelled LS.
     """

@@ -18,7 +18,7 @@ from ..methods import Iteration
 from ..model import InverseModel, direct_model, poses_of, why_not_positive
 from ..options import StudyOptions
 from ..regression import Overrides
-from ..results import Fit, identify_iv, identify_ls
+from ..results import Evidence, identify_iv, identify_ls
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 
 
@@ -116,7 +116,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
     robot, run = robot_from_files(files, "study"), Run(number=number)
     base, true = study_truth(robot)
 
-    def result(fit: Fit) -> RunFit:
+    def result(fit: Evidence) -> RunFit:
         model = direct_model(InverseModel(robot), base.standard_parameters(fit.beta))
         return RunFit(
             beta=fit.beta,

@@ -24,7 +24,7 @@ from identification.regression import Overrides, make_problem, motion_blocks, sa
 from identification.regression.lag import LagFilters
 from identification.regression.states import LAG_ORDERS
 from identification.report import TrustLine
-from identification.results import Fit, identify, identify_ls
+from identification.results import Evidence, identify, identify_ls
 from identification.trust import trust_in
 
 
@@ -44,7 +44,7 @@ def recorded(
 @cache
 def fitted(
     signals: Signals, *, method: str | None = None, torque_lag_s: float | str | None = None
-) -> Fit:
+) -> Evidence:
     return identify(signals, Overrides(torque_lag_s=torque_lag_s), method=method)
 
 

@@ -41,7 +41,7 @@ from identification.regression import (
     weights_at,
 )
 from identification.report import TrustLine
-from identification.results import Fit, identify, identify_ls
+from identification.results import Evidence, identify, identify_ls
 from identification.trust import (
     LEVELS,
     WORDS,
@@ -112,7 +112,7 @@ def without_gains(signals: Signals, unit: str = "A") -> Signals:
 @cache
 def examined(
     method: str, name: str, cell: Imperfections = WHITE, fault: str = "", by: str = "spans"
-) -> tuple[Fit, FitData]:
+) -> tuple[Evidence, FitData]:
     return looked_at(method, recorded(name, cell, fault), by)
 
 

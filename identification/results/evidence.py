@@ -1,4 +1,4 @@
-"""Results of an identification: the estimate, its settings, and its tests."""
+"""What a fit was made from: the estimate, its settings, and its tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,12 +35,12 @@ Found = TypeVar("Found", Estimate, Intervals)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Fit:
+class Evidence:
     """Base parameters of a robot from one recording or several, with their tests.
 
     Attributes:
         solution: what the method found, with its passes and their status.
-        data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
+        data: rows, estimate, instruments, and whatever else its tests looked at.
         recordings: in the order given.
         errors: of the rows that count, one entry per joint and, last, all joints together.
         own: the test of parameters of single recordings; None if all are shared.
