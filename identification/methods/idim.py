@@ -14,19 +14,12 @@ from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
 from ..trust import judge
-from . import iteration as iv
-from .iteration import Iteration
+from .iteration import Iteration, Loop, by_reference, conclude, next_values, tests_of
 from .model import Model, ProgressCallback, read_model
 from .passes import Pass
 from .position_noise import position_noise_line
 from .solution import Solution, inputs_of, solution_by_instruments, status_of
-from .start import (
-    at_gains,
-    least_squares,
-    solution_of,
-    step_of,
-    with_best_ramps,
-)
+from .start import at_gains, least_squares, solution_of, step_of, with_best_ramps
 
 
 @one_thread
@@ -74,9 +67,9 @@ def solve(
     model, found = least_squares(*with_best_ramps(model, instruments=by == "iv"), by)  # (B)
     if by == "iv" and _can_be_simulated(model, found):
         try:
-            start, how = at_gains(model, found), iteration or Iteration()
-            loop = iv.Loop(model, start, how, essential=essential)
-            del found, start  # its rows are as many as those of a pass
+            how = iteration or Iteration()
+            loop = Loop(model, at_gains(model, found), how, essential=essential)
+            del found  # its rows are as many as those of a pass
             solution = _by_instruments(loop, say)
         except NoFitError as error:
             if method is None and not overrides.gains:
@@ -107,10 +100,9 @@ def _read(
     model = read_model(signals, replace(overrides, method="iv" if overrides.gains else method), say)
     by, reason = (method, "as requested") if method is not None else _default_method(model)
     by = "iv" if overrides.gains else by
-    settings = [problem.settings for problem in model.problems]
-    low = settings[0].low_speed.iv if by == "iv" else settings[0].low_speed.ls
+    low = model.problem.settings.low_speed.iv if by == "iv" else model.problem.settings.low_speed.ls
     # not every recording has its reference
-    if any(one.low_speed_percent != low for one in settings):
+    if any(problem.settings.low_speed_percent != low for problem in model.problems):
         model = read_model(signals, replace(overrides, method=by), say)
     if iteration is not None and by != "iv":
         raise BadInputError(
@@ -136,8 +128,8 @@ def _can_be_simulated(model: Model, found: Pass) -> bool:
     if they are positive, and references recorded.
     """
     gains = model.x_of(found.estimate, found.x)[model.unknowns.gains]
-    positive = found.parameters_settled and bool((gains > 0).all())
-    return not model.unknowns.motors or (positive and model.exogenous)
+    can = model.exogenous and found.parameters_settled and bool((gains > 0).all())
+    return can or not model.unknowns.motors
 
 
 def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Solution:
@@ -159,18 +151,17 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
             "with these" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
-        made = {**inputs.made, "fixed point": judge("fixed point", ending, why=text)}
+        line = {"fixed point": judge("fixed point", ending, why=text)}
     else:
+        alone = model.unknowns.plain and not len(model.load)
         # Once, of the first recording: it looks at the beginning of a long one anyway.
         first = inputs.problem.with_samples()
-        alone = model.unknowns.plain and not len(model.load)
-        noise = position_noise_line(first, method, ls, kept, alone=alone)
-        made = {**inputs.made, "position noise": noise}
-    inputs = replace(inputs, made=made)
+        line = {"position noise": position_noise_line(first, method, ls, kept, alone=alone)}
+    inputs = replace(inputs, made={**inputs.made, **line})
     return Solution(model=model, x=x, inputs=inputs, least_squares=ls, essential=kept)
 
 
-def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:
+def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
     """IDIM-IV: the instruments Z are the columns of x along the motion of the robot simulated with
     the previous estimate.
 
@@ -180,7 +171,7 @@ def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:
     """
     model, passes, failure = loop.model, [loop.start], None
     while not passes[-1].is_last and len(passes) <= loop.most:
-        x, asked = iv.next_values(loop, passes)
+        x, asked = next_values(loop, passes)
         say(f"pass {len(passes)}: simulating the robot")
         passes = [one.without_rows() for one in passes]
         try:
@@ -188,15 +179,14 @@ def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:
         except NoFitError as error:
             failure = f"pass {len(passes)}: {error}"
             if len(passes) == 1:
-                place = ", ".join(problem.signals.recording for problem in model.problems)
+                place = ", ".join(model.recordings)
                 raise NoFitError(f"no instruments: {failure}", place=place) from error
             break
-    best, confirmed = iv.conclude(loop, passes)
-    tests = iv.tests_of(best)
+    best, confirmed = conclude(loop, passes)
+    tests = tests_of(best)
     ended = status_of(model, passes[-1], (best, confirmed), tests[1], failure)
-    if (alone := iv.by_reference(loop, best, ended)) is not None:
+    if (alone := by_reference(loop, best, ended)) is not None:
         best, confirmed = replace(alone, number=len(passes)), alone.z
-        passes, tests = [*passes, best], iv.tests_of(best)
+        passes, tests = [*passes, best], tests_of(best)
         ended = status_of(model, best, (best, confirmed), tests[1], None)
-    made = [one.without_rows() for one in passes[1:]]
-    return solution_by_instruments(loop, (best, confirmed), made, ended, tests)
+    return solution_by_instruments(loop, (best, confirmed), passes, ended, tests)

@@ -73,6 +73,11 @@ class Model:
         return self.problems[self.order[0]]
 
     @property
+    def recordings(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(problem.signals.recording for problem in self.problems)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The names of the free unknowns, the first of x."""
         return self.unknowns.names
@@ -81,15 +86,16 @@ class Model:
     def equations(self) -> tuple[Equation, ...]:
         """Of each recording."""
         work = self.work if len(self.problems) == 1 else HERE
-        each = enumerate(self.problems)
-        return tuple(equation_of(one, self.unknowns, k, work) for k, one in each)
+        return tuple(
+            equation_of(one, self.unknowns, k, work) for k, one in enumerate(self.problems)
+        )
 
     @cached_property
     def load(self) -> Ints:
         """Places of the parameters of load friction in x."""
-        names, of = self.problem.base.names, self.equations[0].load
-        places = [self.names.index(names[place]) for term in of for place in term.places]
-        return np.array(places, dtype=np.intp)
+        own = [place for term in self.equations[0].load for place in term.places]
+        names = [self.problem.base.names[place] for place in own]
+        return np.array([self.names.index(name) for name in names], dtype=np.intp)
 
     @property
     def exogenous(self) -> bool:
@@ -112,18 +118,17 @@ class Model:
     def concluded(self, x: Array) -> tuple[Problem, ...]:
         """The problems with the lags and gains of x."""
         kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
-        found = []
-        for problem, equation in zip(self.problems, self.equations, strict=True):
-            known = problem.settings.lag
-            lag = replace(known, value_s=float(x[equation.drives.lag]), prior=known)
-            settings = replace(problem.settings, lag=lag)
-            found.append(replace(problem, settings=settings, gains=kappa))
-        return tuple(found)
+        return tuple(
+            replace(problem, settings=replace(problem.settings, lag=lag), gains=kappa)
+            for problem, equation in zip(self.problems, self.equations, strict=True)
+            for known in [problem.settings.lag]
+            for lag in [replace(known, value_s=float(x[equation.drives.lag]), prior=known)]
+        )
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
         """The results of a task for each recording: of several on the workers of the fit."""
-        pairs = zip(self.equations, each, strict=True)
-        return _run(self.work, task, [(one, *given) for one, given in pairs])
+        tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
+        return _run(self.work, task, tasks)
 
     def candidates(
         self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
@@ -255,12 +260,13 @@ class Model:
 
     def with_ramps(self, ramp_rows: float) -> "Model":
         """The same recordings with other ramps of the weights of samples."""
-        problems = (
+        problems = [
             replace(one, settings=replace(one.settings, ramp_rows=ramp_rows))
             for one in self.problems
+        ]
+        return replace(
+            self, overrides=replace(self.overrides, ramp_rows=ramp_rows), problems=tuple(problems)
         )
-        overrides = replace(self.overrides, ramp_rows=ramp_rows)
-        return replace(self, overrides=overrides, problems=tuple(problems))
 
 
 def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -281,8 +287,7 @@ def model_of(
     """The model of recordings."""
     names, wanted = [m.name for m in problems[0].signals.robot.motors], overrides.gains or ()
     motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
-    of_gains = ("Fv", "Fc") if overrides.gains else ()
-    unknowns = make_unknowns(problems, motors, of_gains)
+    unknowns = make_unknowns(problems, motors, ("Fv", "Fc") if wanted else ())
     return Model(
         problems=tuple(problems),
         laws=tuple(laws),
@@ -311,16 +316,15 @@ def observe(
 
 def with_common_rate(
     given: Recordings,
-    found: list[Problem],
-    laws: list[FoundLaw | None],
+    found: Sequence[tuple[Problem, FoundLaw | None]],
     overrides: Overrides,
     most: float,
 ) -> tuple[list[Problem], list[FoundLaw | None]]:
-    """The same with common cut-off, rate of rows and filters of the errors; only those whose
-    cut-off or rate changes are read again.
+    """The recordings and their laws with common cut-off, rate of rows and filters of the errors;
+    only those whose cut-off or rate changes are read again.
     """
-    settings = [problem.settings for problem in found]
-    rates = [problem.signals.sample_rate_hz for problem in found]
+    settings = [problem.settings for problem, _ in found]
+    rates = [problem.signals.sample_rate_hz for problem, _ in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
     common = [max(1, round(fs / row_hz)) for fs in rates]
@@ -329,10 +333,9 @@ def with_common_rate(
     ]
     of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
     tasks = [(given.sources[k], one, most) for k, one in zip(again, of, strict=True)]
-    found, laws = list(found), list(laws)
-    for k, (problem, law) in zip(again, _run(given.work, observe, tasks), strict=True):
-        found[k], laws[k] = problem, law
-    return with_common_band(found), laws
+    read = dict(zip(again, _run(given.work, observe, tasks), strict=True))
+    problems, laws = zip(*(read.get(k, one) for k, one in enumerate(found)), strict=True)
+    return with_common_band(problems), list(laws)
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: ProgressCallback) -> Model:
@@ -347,9 +350,8 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: ProgressC
         most = MAX_HELD / count
         say(f"reading {count} recordings")
     each = _run(work, observe, [(source, overrides, most) for source in given.sources])
-    found, laws = map(list, zip(*each, strict=True))
-    check_one_robot([problem.signals for problem in found])
-    found, laws = with_common_rate(given, found, laws, overrides, most)
+    check_one_robot([problem.signals for problem, _ in each])
+    found, laws = with_common_rate(given, each, overrides, most)
     signals = [problem.signals for problem in found]
     by_digest = sorted(range(count), key=lambda k: (signals[k].sha256, signals[k].recording))
     return model_of(

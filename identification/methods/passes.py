@@ -73,11 +73,6 @@ class Pass:
         return self.estimate.names[int(self.change_in_sigma.argmax())]
 
     @property
-    def residual_settled(self) -> bool:
-        """Whether the residual norm changed by no more than the tolerance."""
-        return self.residual_change_percent is None
-
-    @property
     def kind(self) -> InstrumentKind:
         """The kind of its instruments, as of `Simulated`: of several recordings the worst, which
         is the last.
@@ -103,7 +98,7 @@ class Pass:
     @property
     def settled(self) -> bool:
         """Whether both tests hold."""
-        return self.residual_settled and self.parameters_settled
+        return self.residual_change_percent is None and self.parameters_settled
 
     @property
     def is_last(self) -> bool:

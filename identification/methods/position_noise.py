@@ -57,8 +57,8 @@ def position_noise_line(
     except NoFitError as error:
         return judge(NAME, {"no noise": True}, reason=error.args[0])
     names = tuple(x for x in essential.names if x in plain.names and x in asked.names)
-    indices = np.array([asked.names.index(name) for name in names])
-    beta, half = plain.values_of(names), ls.intervals.half[indices]
+    half = ls.intervals.half[[asked.names.index(name) for name in names]]
+    beta = plain.values_of(names)
     off = np.abs(0.5 * (both[0].values_of(names) + both[1].values_of(names)) - beta)
     with np.errstate(divide="ignore", invalid="ignore"):
         widths, percents = (
@@ -113,8 +113,7 @@ def _noise_like(problem: Problem) -> Array:
     scale = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])
     white = np.fft.rfft(rng.standard_normal((size, q.shape[1])), axis=0) * scale
     turns = np.exp(-2j * np.pi * frequencies)[:, None]
-    noise = np.fft.irfft(white / (1 - CORRELATIONS[best] * turns), size, axis=0)
-    return np.asarray(noise[: len(q)])
+    return np.fft.irfft(white / (1 - CORRELATIONS[best] * turns), size, axis=0)[: len(q)]
 
 
 def _with_noise(problem: Problem, noise: Array) -> Problem:
@@ -130,7 +129,5 @@ def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
     """Least squares of the recording with the parameters `of` another, without load friction."""
     system = rows_of_recording(*equation_alone(problem)).system
     asked = set(map(base_name, of.names))
-    columns = np.array(
-        [k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()]
-    )
+    columns = np.flatnonzero(np.isin(system.names, [*asked]) & system.W.any(axis=0))
     return solver_of(method)(system.with_columns(columns))

@@ -65,9 +65,8 @@ class Solution:
 
 def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    certain = found.half < np.abs(estimate.beta)
-    names = compress(estimate.names, certain)
-    return tuple(name for name in names if is_base(name) and name in essential.names)
+    certain = compress(estimate.names, found.half < np.abs(estimate.beta))
+    return tuple(name for name in certain if is_base(name) and name in essential.names)
 
 
 def inputs_of(
@@ -110,11 +109,11 @@ def counted_lags(
     model: Model, lags: Sequence[Lag], rows: Rows, estimate: Estimate
 ) -> tuple[Lag, ...]:
     """The lags with their recordings, and the moves of an estimate by one deviation of each."""
-    moves, found = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), []
-    for lag, group, move in zip(lags, model.unknowns.groups, moves.T, strict=True):
-        names = tuple(model.problems[k].signals.recording for k in group)
-        found.append(replace(lag, moved=lag.sd_s * np.abs(move), recordings=names))
-    return tuple(found)
+    moves, names = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), model.recordings
+    return tuple(
+        replace(lag, moved=lag.sd_s * np.abs(move), recordings=tuple(names[k] for k in group))
+        for lag, group, move in zip(lags, model.unknowns.groups, moves.T, strict=True)
+    )
 
 
 def held_and_counted(
@@ -143,16 +142,15 @@ def solution_by_instruments(
     tests: tuple[float, float],
 ) -> Solution:
     """The solution of the pass that is returned with the robot that confirms it, how the passes
-    `ended`, and the `tests` of its instruments.
+    `ended`, from least squares on, and the `tests` of its instruments.
     """
-    best, confirmed = concluded
-    model, estimate, rows = loop.model, best.estimate, best.rows
-    assert rows is not None
-    x = model.x_of(estimate, best.x)
+    (best, confirmed), model = concluded, loop.model
+    assert best.rows is not None
+    x = model.x_of(best.estimate, best.x)
     tau, (predicted,), *_ = model.torques(x)
-    solved = replace(best, rows=replace(rows, tau=tau, late=None), tau_predicted=predicted)
+    solved = replace(best, rows=replace(best.rows, tau=tau, late=None), tau_predicted=predicted)
     (status, reason), (strength, F) = ended, tests
-    if reason is not None and best.number != len(passes):
+    if reason is not None and best.number != passes[-1].number:
         reason += f"; pass {best.number} is returned: it tracks best"
     inputs = inputs_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
     line = fixed_point_line(status, reason, gains=bool(inputs.gains))
@@ -166,7 +164,7 @@ def solution_by_instruments(
         status=status,
         reason=reason,
         start=loop.iteration.start,
-        passes=tuple(passes),
+        passes=tuple(one.without_rows() for one in passes[1:]),
         returned=best.number,
         strength=strength,
     )
@@ -206,9 +204,9 @@ def status_of(
         return "diverged", unconfirmed
     moving = []
     if not last.parameters_settled:
-        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+        moving += [f"{last.changed} still changes by {last.change_sigma:.2g} sigma"]
     if (percent := last.residual_change_percent) is not None:
-        moving.append(f"the residual norm still changes by {percent:.2g} %")
+        moving += [f"the residual norm still changes by {percent:.2g} %"]
     still = " and ".join(moving) or "only the start is known"
     return "max_iterations", f"after {last.number} passes {still}"
 

@@ -16,9 +16,8 @@ from .consistent import (
 from .evidence import Evidence
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
-from .horizon import HORIZONS_S, errors_ahead
 from .make_fit import identify, identify_iv, identify_ls
-from .on_recording import FitOnRecording, validated
+from .on_recording import HORIZONS_S, FitOnRecording, errors_ahead, validated
 from .parameters import (
     consistent_fit,
     fitted_parameters,

@@ -127,8 +127,8 @@ class Evidence:
     @property
     def saturated_percent(self) -> float | None:
         """Share of recorded samples at a drive's limit; None if no limit is stated."""
-        z = self.solution.simulated
-        return largest([max(one.saturated.values(), default=None) for one in z])
+        each = [one.saturated.values() for one in self.solution.simulated]
+        return largest([max(percents, default=None) for percents in each])
 
     @property
     def t_s(self) -> Array:
@@ -190,24 +190,15 @@ class Evidence:
         """What is no fault: torque demands sampled at one phase of the control, an error of
         inertias that is no lag.
         """
-        each = [one.problem.signals for one in self.recordings]
+        each = [one.signals for one in self.recordings]
         robots = [s.robot for s in each if s.of_drives and s.motion_hz is None]
-        return tuple(
-            dict.fromkeys(
-                text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)
-            )
-        )
+        texts = [text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)]
+        return tuple(dict.fromkeys(texts))
 
     @property
     def reference(self) -> Literal["recorded", "surrogate"]:
         """`surrogate`: the measured position, with which instruments are not strictly exogenous."""
-        given = all(one.problem.signals.q_ref is not None for one in self.recordings)
-        return "recorded" if given else "surrogate"
-
-    @property
-    def rows_used_percent(self) -> float:
-        """Share of the rows that count."""
-        return float(100 * self.data.observed.counts.mean())
+        return "recorded" if self.solution.model.exogenous else "surrogate"
 
     @property
     def contrast(self) -> tuple[float, str]:

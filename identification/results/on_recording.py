@@ -1,4 +1,6 @@
-"""A recording, and the torque that a fit predicts on it."""
+"""A recording, the torque that a fit predicts on it, and how far it predicts the motion: its direct
+model, open loop, from measured states.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,10 +10,15 @@ import numpy as np
 from ..arrays import Array, Bools
 from ..data import Signals
 from ..estimation import Estimate, torque_errors
+from ..model import direct_model
 from ..regression import Problem, equation_alone, torque_of_recording
 from ..report import TorqueResidual
-from ..simulation import Simulated
+from ..simulation import Simulated, open_loop
 from ..trust import HeldOut
+
+HORIZONS_S = (0.1, 0.5, 1.0)
+MOST_STARTS = 20
+MAX_STEP_S = 0.001
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,8 +68,9 @@ class FitOnRecording:
 
 def validated(problem: Problem, beta: Array) -> FitOnRecording:
     """The torque of base parameters (b,), with the payload, on a recording."""
-    torques = torque_of_recording(*equation_alone(problem), [beta], judged=True)
-    tau, (predicted,), counts, _, t_s, _ = torques
+    tau, (predicted,), counts, _, t_s, _ = torque_of_recording(
+        *equation_alone(problem), [beta], judged=True
+    )
     return FitOnRecording(
         problem=problem.for_errors,
         names=problem.base.names,
@@ -80,6 +88,39 @@ def errors_on(recordings: Sequence[FitOnRecording]) -> tuple[TorqueResidual, ...
     rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
     tau, predicted, counts = map(np.concatenate, zip(*rows, strict=True))
     robot = recordings[0].signals.robot
-    names = [joint.name for joint in robot.joints]
-    joints = list(zip(names, robot.effort_units, strict=True))
-    return torque_errors(tau, predicted, counts, joints)
+    joints = zip((joint.name for joint in robot.joints), robot.effort_units, strict=True)
+    return torque_errors(tau, predicted, counts, list(joints))
+
+
+def first_ahead(recordings: Sequence[FitOnRecording]) -> Array | None:
+    """How far the motion is predicted ahead, in the first of the recordings that shows it."""
+    return next((one.ahead for one in recordings if one.ahead is not None), None)
+
+
+def errors_ahead(problem: Problem, beta: Array) -> Array | None:
+    """Predict the positions of a recording by base parameters (b,) and its recorded torque.
+
+    Returns (2, h, n) the rms over the starts of the error after each of `HORIZONS_S`, and of the
+    way moved until then, rad or m; None where the recording is too short, M is not positive, or the
+    motion grows beyond bounds.
+    """
+    s, fs = problem.settings, problem.signals.sample_rate_hz
+    ahead = [max(1, round(x * fs)) for x in HORIZONS_S]
+    span, measured = ahead[-1] + 1, problem.measured_samples()
+    starts = [
+        k for k in range(s.start, s.stop - span, max(1, span)) if measured[k : k + span].all()
+    ]
+    model = direct_model(problem.model, problem.base.standard_parameters(beta))
+    fastest, each = np.abs(problem.motion.between(s.start, s.stop, s.cutoff_hz).dq).max(axis=0), []
+    for k in starts[:: -(-len(starts) // MOST_STARTS)] if starts else ():
+        motion = problem.motion.between(k, k + span, s.cutoff_hz)
+        tau = problem.drives(k, k + span, s.torque_lag_s)
+        if problem.signals.known_torque is not None:
+            tau = tau + problem.signals.known_torque[k : k + span]
+        try:
+            q = open_loop(model, (motion.q[0], motion.dq[0]), tau, (fs, MAX_STEP_S), fastest)
+        except ArithmeticError:
+            return None
+        each.append((q[ahead] - motion.q[ahead], motion.q[ahead] - motion.q[0]))
+    found = np.sqrt(np.mean(np.square(each), axis=0)) if each else np.array(np.inf)
+    return found if np.isfinite(found).all() else None

@@ -23,9 +23,8 @@ from ..report import (
     TorqueResidual,
     columns,
 )
-from .horizon import HORIZONS_S
-from .on_recording import FitOnRecording
-from .recorded import on_recording, with_settings
+from .fit_files import with_settings
+from .on_recording import HORIZONS_S, FitOnRecording, first_ahead
 
 
 def recording_document(
@@ -64,11 +63,6 @@ def recording_document(
     )
 
 
-def first_ahead(recordings: Sequence[FitOnRecording]) -> Array | None:
-    """How far the motion is predicted ahead, in the first of the recordings that shows it."""
-    return next((one.ahead for one in recordings if one.ahead is not None), None)
-
-
 def validation_document(
     recordings: Sequence[FitOnRecording],
     fit: str,
@@ -79,7 +73,7 @@ def validation_document(
     """The torque errors of a fit on recordings that it was not made from."""
     each = [one.problem.signals for one in recordings]
     names, title = [one.recording for one in each], "relative torque error of the consistent set, %"
-    told = [OnRecording(**on_recording(one.problem)) for one in recordings]
+    told = [OnRecording(**with_settings(one.signals, one.problem.settings)) for one in recordings]
     lines = [line for one in told for line in settings_lines(one, used="evaluated on")]
     lines += [line for one in told for line in recording_lines(one)]
     rows: list[Row] = [
