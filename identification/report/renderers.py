@@ -158,14 +158,15 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
     title = document.title.split("; ")[0] if document.badge else document.title
     sections = document.sections
     first = next((k for k, section in enumerate(sections) if section.table), len(sections))
-    parts = [
-        _element(f"h{heading}", title),
-        *_tiles(document),
-        *(part for section in sections[:first] for part in _html_section(section, heading + 1)),
-        *([figures] if figures else []),
-        *(part for section in sections[first:] for part in _html_section(section, heading + 1)),
-    ]
-    return "\n".join(parts)
+    return "\n".join(
+        [
+            _element(f"h{heading}", title),
+            *_tiles(document),
+            *(part for section in sections[:first] for part in _html_section(section, heading + 1)),
+            *([figures] if figures else []),
+            *(part for section in sections[first:] for part in _html_section(section, heading + 1)),
+        ]
+    )
 
 
 def _tiles(document: Document) -> list[str]:

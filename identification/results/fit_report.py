@@ -21,7 +21,7 @@ from ..report import (
     known,
     value_form,
 )
-from ..trust import LEVELS
+from ..trust import LEVELS, Trust
 from . import recording_report as shared
 from .gain_results import gain_sections, payload_sections
 
@@ -69,8 +69,7 @@ def fit_document(fit: FitFile) -> Document:
 
 def first_line(fit: FitFile, held: float | None, percents: Mapping[str, float]) -> str:
     """Method and its reason, status, verdict with its worst finding, and the main figures."""
-    worst = next(iter(fit.trust or ()), None)
-    finding = "" if worst is None or fit.verdict == "trust" else worst.finding or worst.test
+    finding = Trust(lines=tuple(fit.trust)).finding if fit.trust else ""
     verdict = ": ".join(text for text in (fit.verdict, finding) if text)
     figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     # the status alone has no reason where instruments are those of a simulated robot
@@ -98,23 +97,24 @@ def _determined(percents: Mapping[str, float], of: int) -> str:
 def _verdict_section(fit: FitFile) -> Section:
     reason = f": {fit.reason}" if fit.reason else ""
     assumed = [one.what for one in fit.assumed or ()]
-    lines = [f"assumed: {', '.join(assumed)}"] if assumed else []
-    status, error = (
-        f"status: {fit.status}{reason}",
+    first = [f"assumed: {', '.join(assumed)}"] if assumed else []
+    status = [f"status: {fit.status}{reason}"]
+    last = [
         shared.error_line(fit.errors, fit.error_cutoff_hz),
-    )
-    lines += [status, error, *(f"note: {text}" for text in fit.notes)]
+        *(f"note: {text}" for text in fit.notes),
+    ]
     if fit.status in NO_FIXED_POINT:
         percent = _percent(known(fit.least_squares_error_percent))
-        lines.append(f"least squares has a torque error of {percent}: --method wls")
+        last.append(f"least squares has a torque error of {percent}: --method wls")
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
-    stated = [line for line in lines if reason or line != status]  # the title has the status
-    shown = tuple(fit.warnings[:MAX_SHORT_WARNINGS])
     return Section(
-        lines=(*lines, _essential_line(fit)),
+        lines=(*first, *status, *last, _essential_line(fit)),
         warnings=tuple(fit.warnings),
-        short=Section(lines=(*stated, *more), warnings=shown),
+        short=Section(
+            lines=(*first, *(status if reason else []), *last, *more),  # the title has the status
+            warnings=tuple(fit.warnings[:MAX_SHORT_WARNINGS]),
+        ),
     )
 
 
@@ -124,18 +124,17 @@ def _trust_section(fit: FitFile) -> Section:
     lines = tuple(
         f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in tests
     )
-    by_level = {level: [line.test for line in tests if line.level == level] for level in LEVELS}
-    found = len(by_level["do not use"]) + len(by_level["caution"])
-    passed = f"{len(by_level['ok'])} of {len(lines)} checks passed"
-    for what, names in (
-        ("inconclusive", by_level["cannot tell"]),
-        ("not possible", by_level["not made"]),
-    ):
-        passed += f"; {len(names)} {what}: {', '.join(names)}" if names else ""
+    of = {level: [line.test for line in tests if line.level == level] for level in LEVELS}
+    others = [("inconclusive", of["cannot tell"]), ("not possible", of["not made"])]
+    passed = (
+        f"{len(of['ok'])} of {len(lines)} checks passed",
+        *(f"{len(names)} {what}: {', '.join(names)}" for what, names in others if names),
+    )
+    found = lines[: len(of["do not use"]) + len(of["caution"])]
     return Section(
         title=f"verdict: {fit.verdict}",
         lines=lines,
-        short=Section(lines=(*lines[:found], f"{passed} (--all)")),
+        short=Section(lines=(*found, f"{'; '.join(passed)} (--all)")),
     )
 
 
@@ -143,15 +142,15 @@ def _essential_line(fit: FitFile) -> str:
     if not fit.essential:  # a file of an earlier version
         return f"{fit.size} parameters"
     count, unclear = len(fit.essential.names), len(fit.unclear)
-    by = " (by least squares)" if fit.iterations else ""
-    line = f"{count} of {fit.size} parameters determined{by}"
+    line = f"{count} of {fit.size} parameters determined"
+    line += " (by least squares)" if fit.iterations else ""
     line += f", {unclear} unclear: an interval wider than the value" if unclear else ""
     if fit.essential.F is None or not math.isfinite(fit.essential.F):
         return line
-    without = fit.size - count - unclear
     return (
-        f"{line}, {without} without effect on the torque: F test p = {fit.essential.p_value:.2g} "
-        f"(corrected for correlation p = {fit.essential.p_effective:.2g})"
+        f"{line}, {fit.size - count - unclear} without effect on the torque: F test "
+        f"p = {fit.essential.p_value:.2g} (corrected for correlation "
+        f"p = {fit.essential.p_effective:.2g})"
     )
 
 
@@ -253,9 +252,9 @@ def _number(value: float | UnsetType | None, form: str) -> str:
 def _rows_line(fit: FitFile) -> str:
     """The number of rows by their weights, and what weighs nothing."""
     percent = (fit.low_speed_percent or {}).get("iv" if fit.method == "iv" else "ls")
-    slow = "4 % of the peak speed (1 % with root, load or Stribeck terms)"
     slow = (
-        f"{slow}, or 4 deviations of its noise"
+        "4 % of the peak speed (1 % with root, load or Stribeck terms), or 4 deviations of its "
+        "noise"
         if percent is None
         else f"{percent:g} % of the peak speed"
     )
@@ -269,10 +268,11 @@ def _rows_line(fit: FitFile) -> str:
 
 def _iv_sections(fit: FitFile) -> list[Section]:
     """The passes of the instrumental variable method, and the errors of the direct model."""
-    rows = list[Row]()
-    for number, p in enumerate(fit.iterations or (), 1):
-        gains = [math.nan if gain is None else gain for gain in p.gains]
-        rows.append(
+    passes = Table(
+        columns=columns(numbers=("pass",))
+        + columns("instruments", numbers=("|rho|", "largest change, sigma"))
+        + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
+        rows=tuple(
             (
                 Number(number, "d"),
                 p.instruments,
@@ -280,31 +280,23 @@ def _iv_sections(fit: FitFile) -> list[Section]:
                 Number(p.largest_change_sigma, ".2g"),
                 p.changed_most,
                 Number(p.tracking_error_percent, ".2f"),
-                Number(min(gains), ".3g"),
-                Number(max(gains), ".3g"),
+                *(Number(end(gains), ".3g") for end in (min, max)),
                 Number(p.condition_number_ztw, ".1f"),
             )
-        )
-    passes = Table(
-        columns=columns(numbers=("pass",))
-        + columns("instruments", numbers=("|rho|", "largest change, sigma"))
-        + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
-        rows=tuple(rows),
-    )
-    direct = Table(
-        columns=columns("joint", numbers=("position", "torque")),
-        rows=tuple(
-            (
-                d.name,
-                Number(d.position_error_percent, ".2f"),
-                Number(d.torque_error_percent, ".2f"),
-            )
-            for d in fit.direct_model or ()
+            for number, p in enumerate(fit.iterations or (), 1)
+            for gains in [[math.nan if gain is None else gain for gain in p.gains]]
         ),
     )
-    title = "simulated robot against the recording, %"
-    sections = [Section(title=f"passes from start: {fit.start}", table=passes, short=HIDDEN)]
-    return sections + [Section(title=title, table=direct, short=HIDDEN)] * bool(direct.rows)
+    direct = tuple(
+        (d.name, Number(d.position_error_percent, ".2f"), Number(d.torque_error_percent, ".2f"))
+        for d in fit.direct_model or ()
+    )
+    sections = {f"passes from start: {fit.start}": passes}
+    if direct:
+        sections["simulated robot against the recording, %"] = Table(
+            columns=columns("joint", numbers=("position", "torque")), rows=direct
+        )
+    return [Section(title=title, table=table, short=HIDDEN) for title, table in sections.items()]
 
 
 def _iv_lines(fit: FitFile) -> tuple[str, ...]:

@@ -54,22 +54,21 @@ def smallest_cragg_donald(data: FitData) -> float:
 
 def gains_of(model: Model, data: FitData) -> tuple[DriveGain, ...]:
     """The drive gains that were identified, in the order of their motors."""
-    of, robot, found = model.unknowns, model.problem.signals.robot, list[DriveGain]()
-    for m, name in zip(of.motors, of.names[of.gains], strict=True):
-        motor, at = robot.motors[m], data.estimate.names.index(name)
-        value = float(robot.gain[m] * data.estimate.beta[at])
-        width = float(np.abs(robot.gain[m]) * data.intervals.half[at])
-        found.append(
-            DriveGain(
-                motor=motor.name,
-                unit=f"{robot.effort_units[m]}/{motor.recorded_unit}",
-                described=motor.gain,
-                value=value,
-                half_width=width,
-                determined=width < MAX_GAIN_SHARE * abs(value),
-            )
+    of, robot = model.unknowns, model.problem.signals.robot
+    motors, places = [*of.motors], [data.estimate.names.index(name) for name in of.names[of.gains]]
+    values = (robot.gain[motors] * data.estimate.beta[places]).tolist()
+    widths = (np.abs(robot.gain[motors]) * data.intervals.half[places]).tolist()
+    return tuple(
+        DriveGain(
+            motor=robot.motors[m].name,
+            unit=f"{robot.effort_units[m]}/{robot.motors[m].recorded_unit}",
+            described=robot.motors[m].gain,
+            value=value,
+            half_width=width,
+            determined=width < MAX_GAIN_SHARE * abs(value),
         )
-    return tuple(found)
+        for m, value, width in zip(motors, values, widths, strict=True)
+    )
 
 
 def payloads_of(model: Model, data: FitData) -> tuple[tuple[PayloadOfFit, ...], list[str]]:
@@ -82,16 +81,18 @@ def payloads_of(model: Model, data: FitData) -> tuple[tuple[PayloadOfFit, ...], 
         own = [estimate.names.index(name) for name in one.names if name in estimate.names]
         covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
         values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
-        pairs = zip(model.problems, model.unknowns.arms, strict=True)
-        name = next(problem.signals.recording for problem, arm in pairs if arm.payload is one)
+        pairs = zip(model.recordings, model.unknowns.arms, strict=True)
+        name = next(recording for recording, arm in pairs if arm.payload is one)
         if one.names and not sigma.any():
-            text = "no body of positive density is near: its values are stated or a ball's"
-            far.append(f"payload of {name}: {text}")
+            far.append(
+                f"payload of {name}: no body of positive density is near: its values are stated or "
+                "a ball's"
+            )
         half, stated = found.reach * sigma, one.payload
         payloads.append(
             PayloadOfFit(
                 recording=name,
-                stated=one.payload.text,
+                stated=stated.text,
                 parameters=list(standard_parameters(LINK, UNITS, values, half, prior)),
                 base_parameters=dict(zip(base.names, one.values(estimate).tolist(), strict=True)),
                 described=stated.describe(model.problem.signals.robot.joints[-1].name),
@@ -109,60 +110,83 @@ def gain_sections(fit: FitFile) -> list[Section]:
     """
     if not fit.gains:
         return []
+    heads = columns("motor", numbers=("described", "identified", "±95%", "in %"))
+    rows = tuple(
+        (
+            one.motor,
+            Number(one.described, ".4g"),
+            Number(one.value, ".4g"),
+            Number(one.half_width, ".2g"),
+            Number(
+                100 * one.half_width / abs(one.value) if one.value else math.inf, ".2f", most=1000
+            ),
+            one.unit,
+            "" if one.determined else "not determined",
+        )
+        for one in fit.gains
+    )
     line = (
         f"smallest Cragg-Donald eigenvalue {known(fit.cragg_donald) or 0.0:.3g}: how well the "
         "payload separates gains and arm"
     )
-    table = Table(
-        columns=columns("motor", numbers=("described", "identified", "±95%", "in %"))
-        + columns("unit", ""),
-        rows=tuple(
-            (
-                one.motor,
-                Number(one.described, ".4g"),
-                Number(one.value, ".4g"),
-                Number(one.half_width, ".2g"),
-                Number(
-                    100 * one.half_width / abs(one.value) if one.value else math.inf,
-                    ".2f",
-                    most=1000,
-                ),
-                one.unit,
-                "" if one.determined else "not determined",
-            )
-            for one in fit.gains
-        ),
-    )
     values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in fit.gains]
-    short = Section(lines=(f"drive gains: {', '.join(values)}",))
-    return [Section(title="drive gains", table=table, lines=(line,), short=short)]
+    return [
+        Section(
+            title="drive gains",
+            table=Table(columns=heads + columns("unit", ""), rows=rows),
+            lines=(line,),
+            short=Section(lines=(f"drive gains: {', '.join(values)}",)),
+        )
+    ]
 
 
 def payload_sections(fit: FitFile) -> list[Section]:
     """The payloads as the nearest bodies of positive density."""
-    found = list[Section]()
-    heads = columns("", numbers=("value", "±95%")) + columns("unit", "mostly from")
-    for one in fit.payloads or ():
-        (*inertias, x, y, z, mass), title = one.parameters, f"payload of {one.recording}"
-        m, width, joint = mass.value, mass.half_width or 0.0, fit.joints[-1].name
-        weighed = (one.mass_half_width_kg or math.nan) if "mass" in one.given else width
-        rows: list[Row] = [_row("mass", m, weighed, mass, known="mass" in one.given)]
-        for name, of in zip(("centre of mass x", "y", "z"), (x, y, z), strict=True):
-            # that of the mass is included
-            half = float(np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width))
-            rows.append(_row(name, of.value / m, half, of, "m", known="center" in one.given))
-        rows += [_row(of.name, of.value, of.half_width or 0.0, of) for of in inertias]
-        line = f"stated: {one.described}; values in the frame of {joint}, inertia about its origin"
-        table, short = Table(columns=heads, rows=tuple(rows)), f"{title}: mass {m:.4g} kg"
-        if mass.from_prior and "mass" not in one.given:
-            short = (
-                f"{title}: it has no scale, as nothing tells it from the arm: record without it "
-                "too, or state its mass"
+    return [_payload_section(one, fit.joints[-1].name) for one in fit.payloads or ()]
+
+
+def _payload_section(one: PayloadOfFit, joint: str) -> Section:
+    (*inertias, x, y, z, mass), title = one.parameters, f"payload of {one.recording}"
+    m, width, weighed = mass.value, mass.half_width or 0.0, "mass" in one.given
+    centre = zip(("centre of mass x", "y", "z"), (x, y, z), strict=True)
+    rows = (
+        _row(
+            "mass",
+            m,
+            one.mass_half_width_kg or math.nan if weighed else width,
+            mass,
+            known=weighed,
+        ),
+        *(
+            _row(
+                name,
+                of.value / m,
+                # that of the mass is included
+                float(np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width)),
+                of,
+                "m",
+                known="center" in one.given,
             )
-        found.append(
-            Section(title=title, table=table, lines=(line,), short=Section(lines=(short,)))
+            for name, of in centre
+        ),
+        *(_row(of.name, of.value, of.half_width or 0.0, of) for of in inertias),
+    )
+    line = f"stated: {one.described}; values in the frame of {joint}, inertia about its origin"
+    short = f"{title}: mass {m:.4g} kg"
+    if mass.from_prior and not weighed:
+        short = (
+            f"{title}: it has no scale, as nothing tells it from the arm: record without it too, "
+            "or state its mass"
         )
-    return found
+    return Section(
+        title=title,
+        table=Table(
+            columns=columns("", numbers=("value", "±95%")) + columns("unit", "mostly from"),
+            rows=rows,
+        ),
+        lines=(line,),
+        short=Section(lines=(short,)),
+    )
 
 
 def _row(

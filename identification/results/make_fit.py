@@ -120,13 +120,12 @@ def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:
     """
     if not (own := model.unknowns.own):
         return None
-    names, x = full.names, model.x_of(full, x)
-    rows = model.rows(x)
+    rows, names = model.rows(model.x_of(full, x)), [*map(base_name, full.names)]
     W, Y = rows.of(model.unknowns.arm).weighted(full.weights)
-    shared = list(dict.fromkeys(map(base_name, names)))
-    merge = np.array([[float(base_name(name) == one) for one in shared] for name in names])
+    shared = list(dict.fromkeys(names))
+    merge = np.array([[float(name == one) for one in shared] for name in names])
     norm, left = (relative_residual(A, Y) for A in (W, W @ merge))
-    rho = (rows.tau - model.predicted(x, full)) * full.weights * rows.counts
+    rho = (rows.tau - model.predicted(rows.x, full)) * full.weights * rows.counts
     extra, freedom = len(names) - len(shared), full.rows - len(names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
     return f_test(own, F, extra, full.rows, len(names), autocorrelation(rho) or 0.0)
@@ -136,8 +135,13 @@ def _warnings(model: Model) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [model.problems[k] for k in model.order]
     of_settings = [
-        [*p.for_errors.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)]
+        text
         for p in problems
+        for text in (
+            *p.for_errors.settings.warnings,
+            *_short_moves(p),
+            *gain_warnings(p.signals),
+        )
     ]
     named = [
         f"{p.signals.recording}: " * (len(problems) > 1) + f"recording: {event.text}"
@@ -145,7 +149,7 @@ def _warnings(model: Model) -> tuple[str, ...]:
         for event in p.signals.events
         if event.kind == "warning"
     ]
-    return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
+    return (*dict.fromkeys(of_settings), *named)
 
 
 def _short_moves(problem: Problem) -> list[str]:

@@ -71,16 +71,17 @@ def validation_document(
     consistent: tuple[TorqueResidual, ...] = (),
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from."""
-    each = [one.problem.signals for one in recordings]
-    names, title = [one.recording for one in each], "relative torque error of the consistent set, %"
+    names = [one.signals.recording for one in recordings]
     told = [OnRecording(**with_settings(one.signals, one.problem.settings)) for one in recordings]
     lines = [line for one in told for line in settings_lines(one, used="evaluated on")]
     lines += [line for one in told for line in recording_lines(one)]
-    rows: list[Row] = [
-        (name, Number(one.errors[-1].relative_error_percent, ".4f"))
-        for name, one in zip(names, recordings, strict=True)
-    ]
-    table = Table(columns=columns("recording", numbers=("torque error",)), rows=tuple(rows))
+    table = Table(
+        columns=columns("recording", numbers=("torque error",)),
+        rows=tuple(
+            (name, Number(one.errors[-1].relative_error_percent, ".4f"))
+            for name, one in zip(names, recordings, strict=True)
+        ),
+    )
     return Document(
         title=f"{fit} on {', '.join(names)}: {headline(errors)}",
         sections=(
@@ -94,7 +95,17 @@ def validation_document(
             *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             *_ahead_section(recordings),
             replace(errors_section(errors), short=None),
-            *([replace(errors_section(consistent), title=title, short=None)] if consistent else []),
+            *(
+                [
+                    replace(
+                        errors_section(consistent),
+                        title="relative torque error of the consistent set, %",
+                        short=None,
+                    )
+                ]
+                if consistent
+                else []
+            ),
             Section(title="settings", lines=tuple(lines)),
         ),
     )
