@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from msgspec import UnsetType
 from numpy.typing import ArrayLike
 
@@ -131,13 +130,13 @@ class Fit:
     @property
     def t_s(self) -> Array:
         """(rows,) instants of the rows of all recordings, in their order, s."""
-        return np.concatenate([one.t_s for one in self._recordings()])
+        return self._made().t_s
 
     def residuals(self) -> Array:
         """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`,
         those that do not count too.
         """
-        return np.concatenate([one.tau - one.tau_predicted for one in self._recordings()])
+        return self._made().tau - self._made().tau_predicted
 
     def predict(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """(rows, n) torque, N m or N, of the model without payload along q, dq, ddq
@@ -198,10 +197,9 @@ class Fit:
         Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there
             are no such parameters; or the fit was read from a file.
         """
-        evidence = self._made()
-        robot = evidence.problem.signals.robot
+        robot = self._made().problem.signals.robot
         found = None if prior is None else results.read_prior(Path(prior), robot)
-        return Fit.of(results.with_consistent(evidence, found))
+        return Fit.of(results.with_consistent(self._made(), found))
 
     @property
     def document(self) -> Document:
@@ -248,8 +246,8 @@ class Fit:
         """The recordings of the fit, or the fit on a `log`."""
         if log is None:
             return self._made().recordings
-        pair = load_signals(log), Path(log)
-        return results.predict_recordings(self.file, self.place, [pair], Overrides())[0]
+        pairs = [(load_signals(log), Path(log))]
+        return results.predict_recordings(self.file, self.place, pairs, Overrides())[0]
 
     def _made(self) -> results.Evidence:
         if self.evidence is None:
@@ -267,16 +265,20 @@ class Fit:
                 self.document.short, figures=notebook_figure(torque) if torque else ""
             )
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
-        rows = [
-            (p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g"))
-            for p in best
-        ]
         shown = report.Section(
-            title=f"the {len(rows)} best known parameters",
+            title=f"the {len(best)} best known parameters",
             warnings=tuple(x.text for x in self.trust if x.level in ("do not use", "caution")),
             table=report.Table(
                 columns=report.columns("name", "unit", numbers=("value", "±95%")),
-                rows=tuple(rows),
+                rows=tuple(
+                    (
+                        p.name,
+                        p.unit,
+                        Number(p.value, report.value_form(p.spread)),
+                        Number(p.half, ".2g"),
+                    )
+                    for p in best
+                ),
             ),
         )
         document = report.Document(

@@ -191,12 +191,12 @@ def fit(
         "feedforward": feedforward,
         "payload": payload or "",
     }
-    given: dict[str, Any] = {"q": q, "effort": tau, "sample_rate_hz": sample_rate_hz}
+    given = {"q": q, "effort": tau, "sample_rate_hz": sample_rate_hz}
     given |= {name: x for name, x in optional.items() if x is not None}
     sources = _several_of_arrays(described, given) if several else (_of_arrays(described, given),)
-    recordings = Recordings(sources=sources)
-    found = results.identify(recordings, overrides, method=method, essential=essential)
-    return _of_user(found)
+    return _of_user(
+        results.identify(Recordings(sources=sources), overrides, method=method, essential=essential)
+    )
 
 
 def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ...]:

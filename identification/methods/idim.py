@@ -140,8 +140,9 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
     rows = model.rows(x, model.candidates(x, (found.rows.speed, found.rows.most)))
     estimate = step_of(model, rows, method)  # of these very rows
-    intervals = intervals_of(rows.system, estimate)
-    found = replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
+    found = replace(
+        found, x=x, rows=rows, estimate=estimate, intervals=intervals_of(rows.system, estimate)
+    )
     x = model.x_of(estimate, x)
     full, ls, kept = solution_of(model, at_gains(model, found), essential=essential)
     solved = replace(found, tau_predicted=model.predicted(x)) if gains else ls

@@ -221,7 +221,7 @@ class Model:
         # Once in this process, if samples are held; else each task prepares its own.
         here = 1 in (self.work.workers, len(self.problems))
         held = here and all(len(one.signals.q) for one in self.problems)
-        return [cache(one) for one in each] if held else each
+        return [*map(cache, each)] if held else each
 
     def with_instruments(
         self,

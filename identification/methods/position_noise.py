@@ -44,7 +44,6 @@ def position_noise_line(
     settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
     if reason is not None:
         return judge(NAME, {"no noise": True}, reason=reason)
-    assert settings.cutoff_hz is not None
     problem = problem.first_minutes()
     noise = _noise_like(problem)
     try:

@@ -224,16 +224,12 @@ def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> st
     percents = [np.inf if one.percent is None else one.percent for one in confirmed]
     if not max(percents) <= MAX_TRACKING_PERCENT:
         return "the simulated position does not follow the measured one"
-    for d in direct_errors(confirmed):
-        if (
-            d.position_error_percent is not None
-            and not d.position_error_percent <= MAX_TRACKING_PERCENT
-        ):
-            return (
-                f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from "
-                "the measured one"
-            )
-    return None
+    far = [
+        f"simulated joint {d.name} differs by {percent:.1f} % from the measured one"
+        for d in direct_errors(confirmed)
+        if (percent := d.position_error_percent) is not None and not percent <= MAX_TRACKING_PERCENT
+    ]
+    return far[0] if far else None
 
 
 def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:

@@ -13,11 +13,10 @@ from .consistent import (
     urdf_prior,
     with_consistent,
 )
-from .evidence import Evidence
+from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_ahead, validated
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
 from .make_fit import identify, identify_iv, identify_ls
-from .on_recording import HORIZONS_S, FitOnRecording, errors_ahead, validated
 from .parameters import (
     consistent_fit,
     fitted_parameters,

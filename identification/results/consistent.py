@@ -25,8 +25,7 @@ from ..estimation import (
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import recorded_power
 from ..report import ConsistentFile, StandardParameter
-from .evidence import Evidence
-from .on_recording import errors_on, validated
+from .evidence import Evidence, errors_on, validated
 
 # of the variance by the prior alone: above, the value is more from the prior than the recording
 MIN_PRIOR_SHARE = 0.5

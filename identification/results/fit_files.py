@@ -14,9 +14,8 @@ from .. import report
 from ..control import FoundLaw
 from ..data import Signals
 from ..regression import Settings, forward_backward_3db_hz
-from .evidence import Evidence
+from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_on, first_ahead, validated
 from .gain_results import smallest_cragg_donald
-from .on_recording import HORIZONS_S, FitOnRecording, errors_on, first_ahead, validated
 from .parameters import fitted_parameters
 
 
@@ -295,7 +294,7 @@ def remarks(signals: Signals) -> list[str]:
     known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
     last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
     found = [f"recorder: {', '.join(last)}"] if last else []
-    if (payload := signals.payload) is not None:
-        carried = payload.describe(signals.robot.joints[-1].name)
-        found.append(f"payload of {signals.recording}: {carried}")
-    return found
+    if signals.payload is None:
+        return found
+    carried = signals.payload.describe(signals.robot.joints[-1].name)
+    return [*found, f"payload of {signals.recording}: {carried}"]

@@ -9,11 +9,9 @@ from msgspec import UNSET, UnsetType
 from ..regression import ROWS
 from ..report import (
     NO_FIXED_POINT,
-    Cell,
     Document,
     FitFile,
     Number,
-    Row,
     Section,
     Table,
     base_name,
@@ -155,18 +153,22 @@ def _essential_line(fit: FitFile) -> str:
 
 
 def _parameters(fit: FitFile) -> Section:
-    rows, error = list[Row](), known(fit.prior_held_out_error_percent)
+    error = known(fit.prior_held_out_error_percent)
     prior = any(p.prior is not UNSET for p in fit.parameters)
-    for p in fit.parameters:
-        form, percent = value_form(p.sigma), 100 * p.half / abs(p.value) if p.value else math.inf
-        numbers: list[Cell] = [
+    rows = [
+        (
+            p.name,
             Number(p.value, form),
             Number(p.half, form),
-            Number(percent, ".2f", most=1000),
-        ]
-        numbers += ["" if p.prior is UNSET else Number(p.prior, form)] * prior
-        mark = "yes" if p.essential else ""
-        rows.append((p.name, *numbers, p.unit, Number(p.sigma, form), mark))
+            Number(p.half_percent, ".2f", most=1000),
+            *(["" if p.prior is UNSET else Number(p.prior, form)] if prior else []),
+            p.unit,
+            Number(p.sigma, form),
+            "yes" if p.essential else "",
+        )
+        for p in fit.parameters
+        for form in [value_form(p.sigma)]
+    ]
     heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * prior)) + columns(
         "unit"
     )
@@ -199,8 +201,7 @@ def _consistent(fit: FitFile) -> list[Section]:
     if not (c := fit.consistent):
         return []
     standard, line = fit.standard_parameters or [], fit.line_of.get("consistent")
-    alike = line is not None and line.value == c.chi2
-    own = "" if alike else " (the verdict's line `consistent` has its own)"
+    own = " (the verdict's line `consistent` has its own)"
     heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
     rows, of_base = (
         [
@@ -218,25 +219,27 @@ def _consistent(fit: FitFile) -> list[Section]:
     )
     moves = [(p.name, p.move or 0.0) for p in c.base_parameters or ()]
     left = [f"{name} ({move:+.2g})" for name, move in moves if abs(move) > 1]
-    known = [p for p in standard if p.from_prior]
     lines = (
         "all pseudo-inertias and rotor inertias are positive, friction adds no energy; prior: "
-        f"{c.prior}{own}",
+        + c.prior
+        + ("" if line is not None and line.value == c.chi2 else own),
         f"added chi² {c.chi2:.3g} on {len(moves)} parameters; largest move "
         f"{c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
         f"relative torque error {_percent(fit.moving_relative_error_percent)} → "
         f"{_percent(c.relative_error_percent)}",
-        f"{len(known)} of {len(rows)} values are the prior's: the torques say nothing about them",
+        f"{sum(p.from_prior for p in standard)} of {len(rows)} values are the prior's: the torques say nothing about them",
     )
     title = "physically consistent standard parameters"
-    table = Table(columns=heads, rows=tuple(row[:-1] for row in rows))
-    short = Section(title=title, lines=lines)
     base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(of_base))
-    whole = (*lines, f"certificate {c.certificate:.1e} (Newton decrement)")
     return [
-        Section(title=title, table=table, lines=whole, short=short),
+        Section(
+            title=title,
+            table=Table(columns=heads, rows=tuple(row[:-1] for row in rows)),
+            lines=(*lines, f"certificate {c.certificate:.1e} (Newton decrement)"),
+            short=Section(title=title, lines=lines),
+        ),
         Section(title="physically consistent base parameters", table=base, short=HIDDEN),
     ]
 

@@ -19,9 +19,8 @@ from ..methods import Iteration, Model, ProgressCallback, Solution, solve
 from ..regression import ROWS, Overrides, Problem, sample_weights
 from ..report import FTest, Method, base_name
 from ..trust import MIN_FIRST_STAGE_F, trust_in, with_predictions
-from .evidence import Evidence
+from .evidence import Evidence, FitOnRecording, errors_on
 from .gain_results import gains_of, payloads_of
-from .on_recording import FitOnRecording, errors_on
 from .recording_report import gain_warnings
 
 SURROGATE = (

@@ -30,8 +30,7 @@ from ..model import (
 from ..regression import Overrides, Problem, make_problem, with_common_band
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name
 from .consistent import read_prior, refuse_unknown_gain
-from .evidence import Evidence
-from .on_recording import FitOnRecording, errors_ahead, errors_on, validated
+from .evidence import Evidence, FitOnRecording, errors_ahead, errors_on, validated
 
 
 def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:

@@ -17,14 +17,13 @@ from ..report import (
     OnRecording,
     Parameter,
     RecordingOfFit,
-    Row,
     Section,
     Table,
     TorqueResidual,
     columns,
 )
+from .evidence import HORIZONS_S, FitOnRecording, first_ahead
 from .fit_files import with_settings
-from .on_recording import HORIZONS_S, FitOnRecording, first_ahead
 
 
 def recording_document(
@@ -115,12 +114,12 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
     """Errors of the positions that the direct model predicts, by joint, as of `first_ahead`."""
     if (found := first_ahead(recordings)) is None:
         return []
-    joints, (error, way) = recordings[0].problem.signals.robot.joints, found
+    joints, (error, way) = recordings[0].signals.robot.joints, found
     # a joint that stands has no way that its error could be compared with
     percents = 100 * error / np.where(way > 0.01 * way.max(axis=1, keepdims=True), way, np.nan)
-    rows: list[Row] = [
-        (joint.name, *(Number(float(x), ".3g") for x in of_joint))
-        for joint, of_joint in zip(joints, percents.T, strict=True)
+    rows = [
+        (joint.name, *(Number(x, ".3g") for x in of_joint))
+        for joint, of_joint in zip(joints, percents.T.tolist(), strict=True)
     ]
     return [
         Section(
@@ -138,34 +137,48 @@ def recordings_section(fit: FitFile) -> Section:
     """Errors of a fit on each of its recordings, held-out errors, and the
     test of own parameters.
     """
-    rows, lines, each = list[Row](), list[str](), fit.recordings or []
-    for one in each:
-        span = (x / one.sample_rate_hz for x in one.samples)
-        timing = (Number(one.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
-        both = (one.relative_error_percent, one.held_out_error_percent)
-        rows.append((one.recording, *timing, *(Number(x, ".4f") for x in both)))
-        if one.undetermined or one.relative_error_percent is None:
-            names = ", ".join(one.undetermined)
-            why = f"{names} undetermined" if names else "it has no torque"
-            lines.append(f"{one.recording} cannot be predicted by the others: {why}")
+    each = fit.recordings or []
+    rows = tuple(
+        (
+            one.recording,
+            Number(one.sample_rate_hz, "g"),
+            *(Number(x / one.sample_rate_hz, ".3f") for x in one.samples),
+            Number(one.relative_error_percent, ".4f"),
+            Number(one.held_out_error_percent, ".4f"),
+        )
+        for one in each
+    )
+    lines = [
+        f"{one.recording} cannot be predicted by the others: "
+        + (
+            f"{', '.join(one.undetermined)} undetermined"
+            if one.undetermined
+            else "it has no torque"
+        )
+        for one in each
+        if one.undetermined or one.relative_error_percent is None
+    ]
     if own := fit.own_parameters:
         lines.append(
             f"own parameters {', '.join(own.names)} against shared ones: F test p = "
             f"{Number(own.p_value, '.2g').text} "
             f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
         )
-    short = Section(lines=tuple(lines))
     row_hz = (fit.sample_rate_hz or 0.0) / (fit.decimation or 1)
     cutoff = "no low-pass" if fit.cutoff_hz is None else f"low-pass {fit.cutoff_hz:g} Hz"
-    lines.append("held out: predicted by a fit of the other recordings, in the same rows")
-    lines.append(f"common to all: {cutoff}, {row_hz:g} rows a second")
-    lines += [line for one in each for line in recording_lines(one)]
-    numbers = ("Hz", "from, s", "to, s", "trained", "held out")
     return Section(
         title="recordings: relative torque error, %",
-        table=Table(columns=columns("recording", numbers=numbers), rows=tuple(rows)),
-        lines=tuple(lines),
-        short=short,
+        table=Table(
+            columns=columns("recording", numbers=("Hz", "from, s", "to, s", "trained", "held out")),
+            rows=rows,
+        ),
+        lines=(
+            *lines,
+            "held out: predicted by a fit of the other recordings, in the same rows",
+            f"common to all: {cutoff}, {row_hz:g} rows a second",
+            *(line for one in each for line in recording_lines(one)),
+        ),
+        short=Section(lines=tuple(lines)),
     )
 
 
@@ -187,7 +200,7 @@ def error_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> s
 
 def half_width_percents(parameters: Iterable[Parameter]) -> dict[str, float]:
     """The half-width in percent of each essential parameter."""
-    return {p.name: 100 * p.half / abs(p.value) for p in parameters if p.essential}
+    return {p.name: p.half_percent for p in parameters if p.essential}
 
 
 def main_figures(
@@ -203,32 +216,33 @@ def main_figures(
     shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
     if percents:
         worst = max(percents, key=percents.__getitem__)
-        shown[f"half of the {len(percents)} determined parameters"] = (
-            f"±{np.median([*percents.values()]):.2g} %"
-        )
-        shown[f"the worst, {worst}"] = f"±{percents[worst]:.2g} %"
+        shown |= {
+            f"half of the {len(percents)} determined parameters": (
+                f"±{np.median([*percents.values()]):.2g} %"
+            ),
+            f"the worst, {worst}": f"±{percents[worst]:.2g} %",
+        }
     return tuple(shown.items())
 
 
 def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
     """Relative torque errors by joint; all joints together last."""
-    heads = columns("joint", "unit", numbers=("torque error",))
-    each = [
-        f"{error.name} {Number(error.relative_error_percent, '.2g').text} %"
-        for error in errors[:-1]
-    ]
-    rows = list[Row]()
-    for e in errors:
-        counts = (
+    each = [f"{e.name} {Number(e.relative_error_percent, '.2g').text} %" for e in errors[:-1]]
+    numbers = ("torque error", "rows moving", "rows standing", "residual lag-1")
+    rows = tuple(
+        (
+            e.name,
+            e.unit or "",
+            Number(e.relative_error_percent, ".4f"),
             Number(e.moving_rows, "d"),
             Number(e.standing_rows, "d"),
             Number(e.autocorrelation, ".2f"),
         )
-        rows.append((e.name, e.unit or "", Number(e.relative_error_percent, ".4f"), *counts))
-    wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
+        for e in errors
+    )
     return Section(
         title="relative torque error, %",
-        table=Table(columns=wide, rows=tuple(rows), total=True),
+        table=Table(columns=columns("joint", "unit", numbers=numbers), rows=rows, total=True),
         # a line above has all joints
         short=Section(
             lines=(f"torque error by joint: {', '.join(each)}",) if len(each) > 1 else ()
@@ -246,8 +260,9 @@ def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
         )
     notes = " with MATLAB's edge rule" if of.edges == "matlab" else ""
     if of.off_grid_periods > ON_GRID:
-        notes += f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: "
-        notes += "interpolated"
+        notes += (
+            f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: interpolated"
+        )
     name = of.provenance.recording if of.provenance else ""
     whole = f" of {of.recorded_samples / fs:.3f} s" if of.recorded_samples else ""
     return (
@@ -264,10 +279,10 @@ def gain_warnings(signals: Signals) -> tuple[str, ...]:
         return ()
     units = " and ".join(sorted(set(robot.effort_units)))
     text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    shared = (
-        "; joints share parameters, so the values are valid only if all drives have the same gain"
-    )
-    return (text + shared * (robot.n > 1),)
+    if robot.n > 1:
+        text += "; joints share parameters, so the values are valid only if all drives have the "
+        text += "same gain"
+    return (text,)
 
 
 def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
