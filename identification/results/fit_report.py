@@ -229,7 +229,8 @@ def _consistent(fit: FitFile) -> list[Section]:
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
         f"relative torque error {_percent(fit.moving_relative_error_percent)} → "
         f"{_percent(c.relative_error_percent)}",
-        f"{sum(p.from_prior for p in standard)} of {len(rows)} values are the prior's: the torques say nothing about them",
+        f"{sum(p.from_prior for p in standard)} of {len(rows)} values are the prior's: the "
+        "torques say nothing about them",
     )
     title = "physically consistent standard parameters"
     base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(of_base))
