@@ -17,8 +17,7 @@ from ..trust import judge
 from .iteration import Iteration, Loop, by_reference, conclude, next_values, tests_of
 from .model import Model, ProgressCallback, read_model
 from .passes import Pass
-from .position_noise import position_noise_line
-from .solution import Solution, inputs_of, solution_by_instruments, status_of
+from .solution import Solution, inputs_of, position_noise_line, solution_by_instruments, status_of
 from .start import at_gains, least_squares, solution_of, step_of, with_best_ramps
 
 
@@ -67,8 +66,9 @@ def solve(
     model, found = least_squares(*with_best_ramps(model, instruments=by == "iv"), by)  # (B)
     if by == "iv" and _can_be_simulated(model, found):
         try:
-            how = iteration or Iteration()
-            loop = Loop(model, at_gains(model, found), how, essential=essential)
+            loop = Loop(
+                model, at_gains(model, found), iteration or Iteration(), essential=essential
+            )
             del found  # its rows are as many as those of a pass
             solution = _by_instruments(loop, say)
         except NoFitError as error:
@@ -119,8 +119,9 @@ def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
     if model.exogenous:
         return "iv", "reference recorded"
     without = [problem.signals for problem in model.problems if problem.signals.q_ref is None]
-    where = f" in {without[0].recording}" if len(model.problems) > 1 else ""
-    return "wls", f"no reference{where}"
+    return "wls", "no reference" + (
+        f" in {without[0].recording}" if len(model.problems) > 1 else ""
+    )
 
 
 def _can_be_simulated(model: Model, found: Pass) -> bool:
@@ -128,17 +129,17 @@ def _can_be_simulated(model: Model, found: Pass) -> bool:
     if they are positive, and references recorded.
     """
     gains = model.x_of(found.estimate, found.x)[model.unknowns.gains]
-    can = model.exogenous and found.parameters_settled and bool((gains > 0).all())
-    return can or not model.unknowns.motors
+    return not model.unknowns.motors or (
+        model.exogenous and found.parameters_settled and bool((gains > 0).all())
+    )
 
 
 def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Solution:
     """IDIM-LS: W and Y from the measured torque and the filtered position; drive gains with the
     torque that x predicts as instruments.
     """
-    assert found.rows is not None
     x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
-    rows = model.rows(x, model.candidates(x, (found.rows.speed, found.rows.most)))
+    rows = model.rows(x, model.candidates(x, (found.kept.speed, found.kept.most)))
     estimate = step_of(model, rows, method)  # of these very rows
     found = replace(
         found, x=x, rows=rows, estimate=estimate, intervals=intervals_of(rows.system, estimate)
@@ -180,8 +181,9 @@ def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
         except NoFitError as error:
             failure = f"pass {len(passes)}: {error}"
             if len(passes) == 1:
-                place = ", ".join(model.recordings)
-                raise NoFitError(f"no instruments: {failure}", place=place) from error
+                raise NoFitError(
+                    f"no instruments: {failure}", place=", ".join(model.recordings)
+                ) from error
             break
     best, confirmed = conclude(loop, passes)
     tests = tests_of(best)

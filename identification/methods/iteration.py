@@ -71,9 +71,8 @@ class Loop:
 
     def __init__(self, model: Model, start: Pass, iteration: Iteration, *, essential: bool) -> None:
         """From least squares; `essential`: only such parameters are estimated."""
-        assert start.rows is not None
         self.model, self.iteration = model, iteration
-        self.measured = start.rows.speed, start.rows.most
+        self.measured = start.kept.speed, start.kept.most
         start, ls, self.essential = solution_of(model, start, essential=essential)
         self.start, self.ls = start.without_rows(), ls.without_rows()
         self.x = model.x_of(start.estimate, start.x)
@@ -93,10 +92,11 @@ class Loop:
         """
         system = rows.system.with_columns(self.fitted)
         Z = rows.Z if len(self.fitted) == len(self.model.names) else rows.Z[:, self.fitted]
-        weights = self.start.estimate.weights
-        return self.model.combined(system, instrumental_variables(system, Z, weights))
+        return self.model.combined(
+            system, instrumental_variables(system, Z, self.start.estimate.weights)
+        )
 
-    @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a start may be anything
     def next_pass(self, before: Sequence[Pass], x: Array, asked: Asked | None) -> Pass:
         """Make one pass: simulate, find the lag, estimate, and compare with the values before.
 
@@ -137,12 +137,9 @@ class Loop:
         change, w = np.abs(estimate.beta - x[self.fitted]), estimate.weights[system.joint_of_row]
         norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(system.names)])))
         norm_change, size = abs(estimate.residual_norm - norm_before), np.abs(estimate.beta)
-        with np.errstate(divide="ignore"):
-            in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
-            in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
-        moved_percent = None
-        if not norm_change <= tolerance * norm_before:
-            moved_percent = 100 * norm_change / norm_before if norm_before > 0 else 0.0
+        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
+        in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
+        norm_percent = 100 * norm_change / norm_before if norm_before > 0 else 0.0
         return Pass(
             x=rows.x,
             z=z,
@@ -153,7 +150,9 @@ class Loop:
             is_consistent=settled and not other,
             change_in_sigma=in_sigma,
             change_percent=float(in_percent.max()),
-            residual_change_percent=moved_percent,
+            residual_change_percent=(
+                None if norm_change <= tolerance * norm_before else norm_percent
+            ),
             parameters_settled=bool(
                 (change <= np.maximum(tolerance * size, estimate.sigma / 2)).all()
             ),
@@ -173,8 +172,7 @@ def start_values(loop: Loop) -> Asked:
     """
     problem, how, repeated = loop.model.problem, loop.iteration, loop.model.unknowns.repeated
     if how.start == "regular":
-        beta = regular_start(problem.model, problem.base, how.inertias)
-        return repeated(loop.x, beta), None
+        return repeated(loop.x, regular_start(problem.model, problem.base, how.inertias)), None
     x = loop.x if how.values is None else repeated(loop.x, how.values(problem.base))
     return x, loop.covariance(loop.start)
 
@@ -294,8 +292,7 @@ def _tracking(z: Sequence[Simulated]) -> float:
 
 def tests_of(one: Pass) -> tuple[float, float]:
     """Return strength and first-stage F of the instruments of a pass."""
-    assert one.rows is not None
-    system, estimate = one.rows.system, one.estimate
+    system, estimate = one.kept.system, one.estimate
     places = [system.names.index(name) for name in estimate.names]
     W, _ = system.with_columns(np.array(places)).weighted(estimate.weights)
     return first_stage(estimate.Q, W, estimate.rows)

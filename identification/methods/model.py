@@ -93,8 +93,8 @@ class Model:
     @cached_property
     def load(self) -> Ints:
         """Places of the parameters of load friction in x."""
-        own = [place for term in self.equations[0].load for place in term.places]
-        names = [self.problem.base.names[place] for place in own]
+        base = self.problem.base.names
+        names = [base[place] for term in self.equations[0].load for place in term.places]
         return np.array([self.names.index(name) for name in names], dtype=np.intp)
 
     @property
@@ -127,8 +127,8 @@ class Model:
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
         """The results of a task for each recording: of several on the workers of the fit."""
-        tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
-        return _run(self.work, task, tasks)
+        pairs = zip(self.equations, each, strict=True)
+        return _run(self.work, task, [(one, *given) for one, given in pairs])
 
     def candidates(
         self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
@@ -155,8 +155,12 @@ class Model:
 
     def rows(self, x: Array, further: Sequence[Candidate] = ()) -> Rows:
         """[C Z J r] of all recordings about x, along the measured motion."""
-        each = [(x, *further[k : k + 1]) for k in range(len(self.problems))]
-        return stacked_rows(self.run(rows_of_recording, each))
+        return stacked_rows(
+            self.run(
+                rows_of_recording,
+                [(x, *further[k : k + 1]) for k in range(len(self.problems))],
+            )
+        )
 
     def combined(self, system: System, estimate: Estimate) -> Estimate:
         """An estimate from these rows, combined with the stated centres of mass."""
@@ -190,10 +194,15 @@ class Model:
             )
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        task = partial(torque_of_recording, judged=judged)
-        tau, predicted, counts, _, t_s, at = zip(*self.run(task, each), strict=True)
-        both = np.concatenate(tau), np.concatenate(predicted, axis=1)
-        return *both, np.concatenate(counts), list(t_s), list(at)
+        found = self.run(partial(torque_of_recording, judged=judged), each)
+        tau, predicted, counts, _, t_s, at = zip(*found, strict=True)
+        return (
+            np.concatenate(tau),
+            np.concatenate(predicted, axis=1),
+            np.concatenate(counts),
+            list(t_s),
+            list(at),
+        )
 
     def predicted(self, x: Array, *estimate: Estimate) -> Array:
         """The torque (rows, n) that x, or an estimate, predicts."""
@@ -240,7 +249,7 @@ class Model:
         """
         none = [None] * len(robots)
         own = self.unknowns.simulated(*asked) if asked else none
-        further = none if measured is None else self.candidates(x, measured, simulated=True)
+        further = self.candidates(x, measured, simulated=True) if measured else none
         tasks = [
             (robot, (x, beta), term, of_lag)
             for robot, beta, term in zip(robots, own, further, strict=True)
@@ -331,8 +340,14 @@ def with_common_rate(
     again = [
         k for k, s in enumerate(settings) if (s.cutoff_hz, s.decimation) != (cutoff_hz, common[k])
     ]
-    of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
-    tasks = [(given.sources[k], one, most) for k, one in zip(again, of, strict=True)]
+    tasks = [
+        (
+            given.sources[k],
+            replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]),
+            most,
+        )
+        for k in again
+    ]
     read = dict(zip(again, _run(given.work, observe, tasks), strict=True))
     problems, laws = zip(*(read.get(k, one) for k, one in enumerate(found)), strict=True)
     return with_common_band(problems), list(laws)

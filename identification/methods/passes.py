@@ -59,8 +59,18 @@ class Pass:
         """The same without arrays as large as W."""
         if self.rows is None:
             return self
-        z = tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z)
-        return replace(self, z=z, rows=None, estimate=self.estimate.without_rows())
+        return replace(
+            self,
+            z=tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z),
+            rows=None,
+            estimate=self.estimate.without_rows(),
+        )
+
+    @property
+    def kept(self) -> Rows:
+        """Its rows, of the last pass or least squares, which keep them."""
+        assert self.rows is not None
+        return self.rows
 
     @property
     def change_sigma(self) -> float:

@@ -81,7 +81,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Mod
             model, x = leave_out_load(model, x, method)
         rows = model.rows(x)
     try:
-        return model, settle(model, x, rows, method)
+        return model, settle(model, rows, method)
     except NoFitError as error:
         if not model.unknowns.motors:
             raise
@@ -128,7 +128,7 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
     return model.combined(rows.system, found)
 
 
-def settle(model: Model, x: Array, rows: Rows, method: Method) -> Pass:
+def settle(model: Model, rows: Rows, method: Method) -> Pass:
     """Take steps of equation (C) until none is above a thousandth of a deviation.
 
         x <- x + c (Z'J)⁻¹ Z'r(x),     c = 1, 1/2, 1/4, 1/8
@@ -137,10 +137,10 @@ def settle(model: Model, x: Array, rows: Rows, method: Method) -> Pass:
     the weights of the step before, because those of least squares rise as the residual falls.
     Without load friction and gains one step is enough.
 
-    `x` (p,) are the values to start from, `rows` those about them. Returns the last step. Raises
+    The values to start from are those about which the `rows` are. Returns the last step. Raises
     `NoFitError` as `step_of`.
     """
-    estimate, settled = step_of(model, rows, method), True
+    x, estimate, settled = rows.x, step_of(model, rows, method), True
     for _ in range(MAX_STEPS if len(model.load) or model.unknowns.motors else 0):
         step = model.x_of(estimate, x) - x
         sigma = model.x_of(replace(estimate, beta=estimate.sigma), 0 * x)
@@ -182,8 +182,7 @@ def solution_of(model: Model, found: Pass, *, essential: bool) -> tuple[Pass, Pa
     only one. Returns the solution of all parameters; if only `essential` ones are asked for theirs,
     with the same weights, else the same again; and which they are.
     """
-    rows, full = found.rows, found.estimate
-    assert rows is not None
+    rows, full = found.kept, found.estimate
     x = model.x_of(full, found.x)
     predicted = model.predicted(x)
     rho = (rows.tau - predicted) * full.weights * rows.counts

@@ -182,11 +182,9 @@ def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
 
 
 def _cells(row: Difference) -> Row:
-    known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]
-    form = value_form(min(known, default=0.0))
-    values = [
-        number for x in (row.a, row.b) for number in ((x.value, x.half) if x else (None, None))
-    ]
+    both = (row.a, row.b)
+    form = value_form(min((x.spread for x in both if x and x.spread > 0), default=0.0))
+    values = [number for x in both for number in ((x.value, x.half) if x else (None, None))]
     return (
         row.name,
         row.unit,

@@ -63,14 +63,13 @@ def _print_section(console: Console, section: Section, width: int) -> None:
 
 def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
     # no break between a number and its unit; a line has no NUL
-    lines = textwrap.wrap(
+    for line in textwrap.wrap(
         one_line(text).replace(" %", "\0%"),
         width,
         subsequent_indent="  ",
         break_long_words=False,
         break_on_hyphens=False,
-    )
-    for line in lines or [""]:
+    ) or [""]:
         console.print(Text(line.replace("\0", " "), style=style))
 
 
@@ -120,12 +119,13 @@ def to_markdown(document: Document) -> str:
     """The report as Markdown, with its text escaped."""
     parts = [f"# {_plain(document.title)}"]
     for section in document.sections:
-        parts += [f"## {_plain(section.title)}"] if section.title else []
-        parts += [_markdown_table(section.table)] if section.table else []
-        lines = [f"- **warning: {_plain(text)}**" for text in section.warnings]
-        lines += [f"- {_plain(text)}" for text in section.lines]
-        parts += ["\n".join(lines)] if lines else []
-    return "\n\n".join(parts) + "\n"
+        warnings = (f"- **warning: {_plain(text)}**" for text in section.warnings)
+        parts += [
+            f"## {_plain(section.title)}" if section.title else "",
+            _markdown_table(section.table) if section.table else "",
+            "\n".join([*warnings, *(f"- {_plain(text)}" for text in section.lines)]),
+        ]
+    return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def _markdown_table(table: Table) -> str:
@@ -201,11 +201,9 @@ def _html_section(section: Section, heading: int) -> list[str]:
 
 
 def _html_table(table: Table) -> str:
-    rows = [
-        _html_row("th", table.columns, [heading for heading, _ in table.columns]),
-        *(_html_row("td", table.columns, [cell_text(cell) for cell in row]) for row in table.rows),
-    ]
-    return f'<div class="scroll"><table>{"".join(rows)}</table></div>'
+    head = _html_row("th", table.columns, [heading for heading, _ in table.columns])
+    rows = (_html_row("td", table.columns, [*map(cell_text, row)]) for row in table.rows)
+    return f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
 
 
 def _html_row(tag: str, columns: Columns, texts: Sequence[str]) -> str:

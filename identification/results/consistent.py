@@ -68,13 +68,16 @@ def with_consistent(fit: Evidence, prior: Robot | None = None) -> Evidence:
     drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
     own = fit.recordings[0].names  # of own parameters those of one recording
-    covariance = covariance_of_all(own, fit.estimate, fit.intervals, fit.full)
-    known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
+    known = Known(
+        beta=fit.beta,
+        covariance=covariance_of_all(own, fit.estimate, fit.intervals, fit.full),
+        reach=fit.intervals.reach,
+    )
     power = recorded_power([one.problem for one in fit.recordings if one.names == own], fit.beta)
     found, standard = consistent_set(fit.problem.model, fit.base, known, prior=prior, power=power)
     beta = np.array([one.value for one in found.base_parameters or ()])
-    errors = errors_on([validated(one.problem, beta + one.carried) for one in fit.recordings])
-    found = msgspec.structs.replace(found, relative_error_percent=errors[-1].relative_error_percent)
+    *_, error = errors_on([validated(one.problem, beta + one.carried) for one in fit.recordings])
+    found = msgspec.structs.replace(found, relative_error_percent=error.relative_error_percent)
     return replace(fit, consistent_set=found, standard_parameters=standard)
 
 

@@ -147,8 +147,11 @@ class Evidence:
         its base parameters.
         """
         found, names = self.solution.least_squares, self.solution.least_squares.estimate.names
-        estimate = self._of_base(found.estimate, names)
-        return replace(found, estimate=estimate, intervals=self._of_base(found.intervals, names))
+        return replace(
+            found,
+            estimate=self._of_base(found.estimate, names),
+            intervals=self._of_base(found.intervals, names),
+        )
 
     def _of_base(self, found: Found, names: Sequence[str]) -> Found:
         """The part of the base parameters, of those `names`."""
@@ -158,8 +161,7 @@ class Evidence:
     def essential(self) -> FTest:
         """The essential base parameters by least squares, and the test of leaving out others."""
         found = self.solution.essential
-        names = tuple(name for name in found.names if is_base(name))
-        return msgspec.structs.replace(found, names=names)
+        return msgspec.structs.replace(found, names=tuple(filter(is_base, found.names)))
 
     @cached_property
     def direct(self) -> tuple[DirectModelResidual, ...]:
@@ -173,14 +175,15 @@ class Evidence:
         """Of several recordings the last of these kinds that one of them has; None after least
         squares.
         """
-        kinds = [one.simulated.controller for one in self.recordings if one.simulated]
+        kinds = (one.simulated.controller for one in self.recordings if one.simulated)
         return max(kinds, key=get_args(ControllerKind).index, default=None)
 
     @property
     def saturated_percent(self) -> float | None:
         """Share of recorded samples at a drive's limit; None if no limit is stated."""
-        each = [one.saturated.values() for one in self.solution.simulated]
-        return largest([max(percents, default=None) for percents in each])
+        return largest(
+            [max(one.saturated.values(), default=None) for one in self.solution.simulated]
+        )
 
     @property
     def t_s(self) -> Array:

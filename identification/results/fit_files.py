@@ -15,7 +15,7 @@ from ..control import FoundLaw
 from ..data import Signals
 from ..regression import Settings, forward_backward_3db_hz
 from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_on, first_ahead, validated
-from .gain_results import smallest_cragg_donald
+from .make_fit import smallest_cragg_donald
 from .parameters import fitted_parameters
 
 
@@ -79,7 +79,12 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
         "held_out_error_percent": fit.held_out_error_percent,
         "prior_source": fit.data.prior_source or UNSET,
         "prior_held_out_error_percent": fit.data.prior_error_percent if fit.data.prior else UNSET,
-        "least_squares_error_percent": _error_by_ls(fit)
+        "least_squares_error_percent": errors_on(
+            [
+                validated(one.problem, one.values(fit.least_squares.estimate))
+                for one in fit.recordings
+            ]
+        )[-1].relative_error_percent
         if fit.status in report.NO_FIXED_POINT
         else UNSET,
     }
@@ -170,14 +175,6 @@ def _recording(one: FitOnRecording) -> report.RecordingOfFit:
         undetermined=list(held_out.undetermined) if held_out else [],
         remarks=remarks(signals),
     )
-
-
-def _error_by_ls(fit: Evidence) -> float | None:
-    """The torque error of least squares, percent."""
-    each = [
-        validated(one.problem, one.values(fit.least_squares.estimate)) for one in fit.recordings
-    ]
-    return errors_on(each)[-1].relative_error_percent
 
 
 def _iv_keys(fit: Evidence) -> dict[str, Any]:
@@ -275,11 +272,17 @@ def with_settings(signals: Signals, settings: Settings | None) -> dict[str, Any]
 def _inputs(signals: Signals) -> list[str]:
     """Known torque and feed-forward, and their use."""
     robot = signals.robot
-    torque = "known torque, added to that of the drives and to the simulated robot"
-    output = "feed-forward, added to the output of the simulated controller"
     given = (
-        (torque, signals.known_torque, robot.effort_units),
-        (output, signals.feedforward, [motor.recorded_unit for motor in robot.motors]),
+        (
+            "known torque, added to that of the drives and to the simulated robot",
+            signals.known_torque,
+            robot.effort_units,
+        ),
+        (
+            "feed-forward, added to the output of the simulated controller",
+            signals.feedforward,
+            [motor.recorded_unit for motor in robot.motors],
+        ),
     )
     return [
         f"{text}: rms " + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in each)
@@ -296,5 +299,8 @@ def remarks(signals: Signals) -> list[str]:
     found = [f"recorder: {', '.join(last)}"] if last else []
     if signals.payload is None:
         return found
-    carried = signals.payload.describe(signals.robot.joints[-1].name)
-    return [*found, f"payload of {signals.recording}: {carried}"]
+    return [
+        *found,
+        f"payload of {signals.recording}: "
+        + signals.payload.describe(signals.robot.joints[-1].name),
+    ]

@@ -21,7 +21,6 @@ from ..report import (
 )
 from ..trust import LEVELS, Trust
 from . import recording_report as shared
-from .gain_results import gain_sections, payload_sections
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
 HIDDEN = Section()  # the `short` of what only `--all` prints
@@ -32,17 +31,6 @@ def fit_document(fit: FitFile) -> Document:
     """The file of a fit as a report, the verdict first."""
     held, several = known(fit.held_out_error_percent), fit.recordings or ()
     percents = shared.half_width_percents(fit.parameters)
-    settings = Section(
-        title="settings and tests",
-        lines=(
-            *(() if several else shared.settings_lines(fit, used="fitted")),
-            f"cond(W) {_number(fit.condition_number, '.4f')}, with columns of norm one "
-            f"{_number(fit.condition_number_scaled, '.4f')}; {_rows_line(fit)}",
-            *(_iv_lines(fit) if fit.iterations else ()),
-            *(() if several else shared.recording_lines(fit)),
-        ),
-        short=HIDDEN,
-    )
     assert fit.provenance is not None
     prior = {f"held out, links of the {fit.prior_source}": known(fit.prior_held_out_error_percent)}
     return Document(
@@ -52,14 +40,24 @@ def fit_document(fit: FitFile) -> Document:
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
-            *gain_sections(fit),
-            *payload_sections(fit),
+            *shared.gain_sections(fit),
+            *shared.payload_sections(fit),
             _parameters(fit),
             *_consistent(fit),
             *(_iv_sections(fit) if fit.iterations else ()),
             shared.errors_section(fit.errors),
             *([shared.recordings_section(fit)] if several else []),
-            settings,
+            Section(
+                title="settings and tests",
+                lines=(
+                    *(() if several else shared.settings_lines(fit, used="fitted")),
+                    f"cond(W) {_number(fit.condition_number, '.4f')}, with columns of norm one "
+                    f"{_number(fit.condition_number_scaled, '.4f')}; {_rows_line(fit)}",
+                    *(_iv_lines(fit) if fit.iterations else ()),
+                    *(() if several else shared.recording_lines(fit)),
+                ),
+                short=HIDDEN,
+            ),
             *_expressions(fit),
         ),
     )
@@ -102,8 +100,8 @@ def _verdict_section(fit: FitFile) -> Section:
         *(f"note: {text}" for text in fit.notes),
     ]
     if fit.status in NO_FIXED_POINT:
-        percent = _percent(known(fit.least_squares_error_percent))
-        last.append(f"least squares has a torque error of {percent}: --method wls")
+        error = _percent(known(fit.least_squares_error_percent))
+        last.append(f"least squares has a torque error of {error}: --method wls")
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
     return Section(
@@ -233,7 +231,6 @@ def _consistent(fit: FitFile) -> list[Section]:
         "torques say nothing about them",
     )
     title = "physically consistent standard parameters"
-    base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(of_base))
     return [
         Section(
             title=title,
@@ -241,7 +238,13 @@ def _consistent(fit: FitFile) -> list[Section]:
             lines=(*lines, f"certificate {c.certificate:.1e} (Newton decrement)"),
             short=Section(title=title, lines=lines),
         ),
-        Section(title="physically consistent base parameters", table=base, short=HIDDEN),
+        Section(
+            title="physically consistent base parameters",
+            table=Table(
+                columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(of_base)
+            ),
+            short=HIDDEN,
+        ),
     ]
 
 
@@ -272,30 +275,31 @@ def _rows_line(fit: FitFile) -> str:
 
 def _iv_sections(fit: FitFile) -> list[Section]:
     """The passes of the instrumental variable method, and the errors of the direct model."""
-    passes = Table(
-        columns=columns(numbers=("pass",))
-        + columns("instruments", numbers=("|rho|", "largest change, sigma"))
-        + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
-        rows=tuple(
-            (
-                Number(number, "d"),
-                p.instruments,
-                Number(p.residual_norm, ".3f"),
-                Number(p.largest_change_sigma, ".2g"),
-                p.changed_most,
-                Number(p.tracking_error_percent, ".2f"),
-                *(Number(end(gains), ".3g") for end in (min, max)),
-                Number(p.condition_number_ztw, ".1f"),
-            )
-            for number, p in enumerate(fit.iterations or (), 1)
-            for gains in [[math.nan if gain is None else gain for gain in p.gains]]
-        ),
-    )
     direct = tuple(
         (d.name, Number(d.position_error_percent, ".2f"), Number(d.torque_error_percent, ".2f"))
         for d in fit.direct_model or ()
     )
-    sections = {f"passes from start: {fit.start}": passes}
+    sections = {
+        f"passes from start: {fit.start}": Table(
+            columns=columns(numbers=("pass",))
+            + columns("instruments", numbers=("|rho|", "largest change, sigma"))
+            + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
+            rows=tuple(
+                (
+                    Number(number, "d"),
+                    p.instruments,
+                    Number(p.residual_norm, ".3f"),
+                    Number(p.largest_change_sigma, ".2g"),
+                    p.changed_most,
+                    Number(p.tracking_error_percent, ".2f"),
+                    *(Number(end(gains), ".3g") for end in (min, max)),
+                    Number(p.condition_number_ztw, ".1f"),
+                )
+                for number, p in enumerate(fit.iterations or (), 1)
+                for gains in [[math.nan if gain is None else gain for gain in p.gains]]
+            ),
+        )
+    }
     if direct:
         sections["simulated robot against the recording, %"] = Table(
             columns=columns("joint", numbers=("position", "torque")), rows=direct

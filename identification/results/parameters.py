@@ -135,15 +135,16 @@ def stored_settings(
                 f"{signals.recording}: the lag of the fit, {1e3 * lag.value_s:.3g} ms, is not "
                 f"used: {'; '.join(others)}; --torque-lag-s states one"
             ]
-    found = Overrides(
-        cutoff_hz=stored.cutoff_hz or 0.0,
-        decimation=n_d,
-        span=stored.span_rule,
-        edges=stored.edges,
-        low_speed_percent=None if low is None else LowSpeed(ls=low.get("ls"), iv=low.get("iv")),
-        torque_lag_s=lag_s,
-    )
-    return given.over(found), notes
+    return given.over(
+        Overrides(
+            cutoff_hz=stored.cutoff_hz or 0.0,
+            decimation=n_d,
+            span=stored.span_rule,
+            edges=stored.edges,
+            low_speed_percent=None if low is None else LowSpeed(ls=low.get("ls"), iv=low.get("iv")),
+            torque_lag_s=lag_s,
+        )
+    ), notes
 
 
 def stored_robot(stored: FitFile, place: str) -> Robot:

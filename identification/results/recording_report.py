@@ -1,7 +1,8 @@
-"""Reports of a recording: settings and ranges before a fit; torque errors of a
-fit on other recordings.
+"""Reports of a recording: settings and ranges before a fit; torque errors of a fit on other
+recordings. Sections that the report of a fit has too, and those of its drive gains and payloads.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -16,11 +17,15 @@ from ..report import (
     Number,
     OnRecording,
     Parameter,
+    PayloadOfFit,
     RecordingOfFit,
+    Row,
     Section,
+    StandardParameter,
     Table,
     TorqueResidual,
     columns,
+    known,
 )
 from .evidence import HORIZONS_S, FitOnRecording, first_ahead
 from .fit_files import with_settings
@@ -39,25 +44,27 @@ def recording_document(
         *(settings_lines(told, used="a fit would use") if settings else []),
         *recording_lines(told),
     )
-    ranges = Table(
-        columns=columns("joint", "unit", numbers=("position from", "to"))
-        + columns("unit", numbers=("effort from", "to")),
-        rows=tuple(
-            (
-                joint.name,
-                joint.position_unit,
-                *_ends(signals.q[:, j]),
-                robot.effort_units[j],
-                *_ends(signals.effort[:, j]),
-            )
-            for j, joint in enumerate(robot.joints)
-        ),
-    )
     return Document(
         title=f"{robot.name}: recorded, not fitted",
         sections=(
             Section(lines=lines, warnings=tuple(settings.warnings) if settings else ()),
-            Section(title="ranges", table=ranges),
+            Section(
+                title="ranges",
+                table=Table(
+                    columns=columns("joint", "unit", numbers=("position from", "to"))
+                    + columns("unit", numbers=("effort from", "to")),
+                    rows=tuple(
+                        (
+                            joint.name,
+                            joint.position_unit,
+                            *_ends(signals.q[:, j]),
+                            robot.effort_units[j],
+                            *_ends(signals.effort[:, j]),
+                        )
+                        for j, joint in enumerate(robot.joints)
+                    ),
+                ),
+            ),
         ),
     )
 
@@ -72,15 +79,6 @@ def validation_document(
     """The torque errors of a fit on recordings that it was not made from."""
     names = [one.signals.recording for one in recordings]
     told = [OnRecording(**with_settings(one.signals, one.problem.settings)) for one in recordings]
-    lines = [line for one in told for line in settings_lines(one, used="evaluated on")]
-    lines += [line for one in told for line in recording_lines(one)]
-    table = Table(
-        columns=columns("recording", numbers=("torque error",)),
-        rows=tuple(
-            (name, Number(one.errors[-1].relative_error_percent, ".4f"))
-            for name, one in zip(names, recordings, strict=True)
-        ),
-    )
     return Document(
         title=f"{fit} on {', '.join(names)}: {headline(errors)}",
         sections=(
@@ -91,7 +89,22 @@ def validation_document(
                 ),
                 warnings=warnings,
             ),
-            *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
+            *(
+                [
+                    Section(
+                        title="recordings",
+                        table=Table(
+                            columns=columns("recording", numbers=("torque error",)),
+                            rows=tuple(
+                                (name, Number(one.errors[-1].relative_error_percent, ".4f"))
+                                for name, one in zip(names, recordings, strict=True)
+                            ),
+                        ),
+                    )
+                ]
+                if len(recordings) > 1
+                else []
+            ),
             *_ahead_section(recordings),
             replace(errors_section(errors), short=None),
             *(
@@ -105,7 +118,13 @@ def validation_document(
                 if consistent
                 else []
             ),
-            Section(title="settings", lines=tuple(lines)),
+            Section(
+                title="settings",
+                lines=(
+                    *(line for one in told for line in settings_lines(one, used="evaluated on")),
+                    *(line for one in told for line in recording_lines(one)),
+                ),
+            ),
         ),
     )
 
@@ -117,7 +136,7 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
     joints, (error, way) = recordings[0].signals.robot.joints, found
     # a joint that stands has no way that its error could be compared with
     percents = 100 * error / np.where(way > 0.01 * way.max(axis=1, keepdims=True), way, np.nan)
-    rows = [
+    rows: list[Row] = [
         (joint.name, *(Number(x, ".3g") for x in of_joint))
         for joint, of_joint in zip(joints, percents.T.tolist(), strict=True)
     ]
@@ -138,7 +157,7 @@ def recordings_section(fit: FitFile) -> Section:
     test of own parameters.
     """
     each = fit.recordings or []
-    rows = tuple(
+    rows: tuple[Row, ...] = tuple(
         (
             one.recording,
             Number(one.sample_rate_hz, "g"),
@@ -212,7 +231,7 @@ def main_figures(
     """The figures to read first, by what they are: torque errors, and half-widths of essential
     parameters (`percents`).
     """
-    errors = {"torque error": error, "held out": held_out} | {**more}
+    errors = {"torque error": error, "held out": held_out, **more}
     shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
     if percents:
         worst = max(percents, key=percents.__getitem__)
@@ -263,26 +282,13 @@ def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
         notes += (
             f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: interpolated"
         )
-    name = of.provenance.recording if of.provenance else ""
     whole = f" of {of.recorded_samples / fs:.3f} s" if of.recorded_samples else ""
     return (
-        f"{name}: {fs:g} Hz, {cutoff}, decimated by {of.decimation}{notes}",
+        f"{of.provenance.recording if of.provenance else ''}: {fs:g} Hz, {cutoff}, decimated by "
+        f"{of.decimation}{notes}",
         f"{used}: {of.span}, {start / fs:.3f} s to {stop / fs:.3f} s{whole}",
         *of.inputs,
     )
-
-
-def gain_warnings(signals: Signals) -> tuple[str, ...]:
-    """A warning of the units if the drive gains are not given."""
-    robot = signals.robot
-    if robot.gain_known:
-        return ()
-    units = " and ".join(sorted(set(robot.effort_units)))
-    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    if robot.n > 1:
-        text += "; joints share parameters, so the values are valid only if all drives have the "
-        text += "same gain"
-    return (text,)
 
 
 def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
@@ -294,3 +300,101 @@ def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
 
 def _ends(x: Array) -> tuple[Number, Number]:
     return Number(float(x.min()), ".4g"), Number(float(x.max()), ".4g")
+
+
+def gain_sections(fit: FitFile) -> list[Section]:
+    """Identified drive gains beside those of the description, and how well they are told apart from
+    the arm: the smallest eigenvalue of the statistic of Cragg and Donald.
+    """
+    if not fit.gains:
+        return []
+    heads = columns("motor", numbers=("described", "identified", "±95%", "in %"))
+    rows = tuple(
+        (
+            one.motor,
+            Number(one.described, ".4g"),
+            Number(one.value, ".4g"),
+            Number(one.half_width, ".2g"),
+            Number(
+                100 * one.half_width / abs(one.value) if one.value else math.inf, ".2f", most=1000
+            ),
+            one.unit,
+            "" if one.determined else "not determined",
+        )
+        for one in fit.gains
+    )
+    values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in fit.gains]
+    return [
+        Section(
+            title="drive gains",
+            table=Table(columns=heads + columns("unit", ""), rows=rows),
+            lines=(
+                f"smallest Cragg-Donald eigenvalue {known(fit.cragg_donald) or 0.0:.3g}: how well "
+                "the payload separates gains and arm",
+            ),
+            short=Section(lines=(f"drive gains: {', '.join(values)}",)),
+        )
+    ]
+
+
+def payload_sections(fit: FitFile) -> list[Section]:
+    """The payloads as the nearest bodies of positive density."""
+    return [_payload_section(one, fit.joints[-1].name) for one in fit.payloads or ()]
+
+
+def _payload_section(one: PayloadOfFit, joint: str) -> Section:
+    (*inertias, x, y, z, mass), title = one.parameters, f"payload of {one.recording}"
+    m, width, weighed = mass.value, mass.half_width or 0.0, "mass" in one.given
+    centre = zip(("centre of mass x", "y", "z"), (x, y, z), strict=True)
+    rows = (
+        _row(
+            "mass",
+            m,
+            one.mass_half_width_kg or math.nan if weighed else width,
+            mass,
+            known=weighed,
+        ),
+        *(
+            _row(
+                name,
+                of.value / m,
+                # that of the mass is included
+                float(np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width)),
+                of,
+                "m",
+                known="center" in one.given,
+            )
+            for name, of in centre
+        ),
+        *(_row(of.name, of.value, of.half_width or 0.0, of) for of in inertias),
+    )
+    short = f"{title}: mass {m:.4g} kg"
+    if mass.from_prior and not weighed:
+        short = (
+            f"{title}: it has no scale, as nothing tells it from the arm: record without it too, "
+            "or state its mass"
+        )
+    return Section(
+        title=title,
+        table=Table(
+            columns=columns("", numbers=("value", "±95%")) + columns("unit", "mostly from"),
+            rows=rows,
+        ),
+        lines=(
+            f"stated: {one.described}; values in the frame of {joint}, inertia about its origin",
+        ),
+        short=Section(lines=(short,)),
+    )
+
+
+def _row(
+    name: str,
+    value: float,
+    half: float,
+    of: StandardParameter,
+    unit: str = "",
+    *,
+    known: bool = False,
+) -> Row:
+    source = "stated" if known else "prior" if of.from_prior else "recording"
+    return name, Number(value, ".4g"), Number(half, ".2g"), unit or of.unit, source
