@@ -100,7 +100,8 @@ def _read(
     model = read_model(signals, replace(overrides, method="iv" if overrides.gains else method), say)
     by, reason = (method, "as requested") if method is not None else _default_method(model)
     by = "iv" if overrides.gains else by
-    low = model.problem.settings.low_speed.iv if by == "iv" else model.problem.settings.low_speed.ls
+    least = model.problems[0].settings.low_speed
+    low = least.iv if by == "iv" else least.ls
     # not every recording has its reference
     if any(problem.settings.low_speed_percent != low for problem in model.problems):
         model = read_model(signals, replace(overrides, method=by), say)

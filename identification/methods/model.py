@@ -127,8 +127,8 @@ class Model:
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
         """The results of a task for each recording: of several on the workers of the fit."""
-        pairs = zip(self.equations, each, strict=True)
-        return _run(self.work, task, [(one, *given) for one, given in pairs])
+        tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
+        return _run(self.work, task, tasks)
 
     def candidates(
         self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
@@ -263,8 +263,13 @@ class Model:
         """
         if not left_out:
             return self
-        problems = [problem.without_terms(left_out) for problem in self.problems]
-        found = model_of(problems, self.laws, self.overrides, self.work, self.order)
+        found = model_of(
+            [problem.without_terms(left_out) for problem in self.problems],
+            self.laws,
+            self.overrides,
+            self.work,
+            self.order,
+        )
         return replace(found, left_out=self.left_out | left_out)
 
     def with_ramps(self, ramp_rows: float) -> "Model":

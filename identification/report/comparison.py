@@ -119,9 +119,8 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
     """The comparison in words."""
-    lines = []
-    if not _have_expressions(a, b):
-        lines += ["parameters matched by name: a file of an earlier version has no expressions"]
+    by_name = "parameters matched by name: a file of an earlier version has no expressions"
+    lines = [] if _have_expressions(a, b) else [by_name]
     off = {row.name: abs(row.off_sigma) for row in rows if row.off_sigma is not None}
     if off:
         worst = max(off, key=lambda name: off[name])

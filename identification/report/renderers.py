@@ -77,10 +77,9 @@ def _rich_table(table: Table) -> RichTable:
     drawn = RichTable()
     for heading, numeric in table.columns:
         drawn.add_column(Text(heading), justify="right" if numeric else "left")
+    above_total = len(table.rows) - 1 if table.total else 0
     for number, row in enumerate(table.rows, 1):
-        if table.total and number == len(table.rows):
-            drawn.add_section()
-        drawn.add_row(*(Text(cell_text(cell)) for cell in row))
+        drawn.add_row(*(Text(cell_text(x)) for x in row), end_section=number == above_total)
     return drawn
 
 

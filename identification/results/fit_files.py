@@ -48,6 +48,11 @@ def fit_file(fit: Evidence) -> report.FitFile:
 def _trust_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the tests, and of what they looked at."""
     lines, signals = fit.trust.lines, fit.problem.signals
+    by_ls = [
+        validated(one.problem, one.values(fit.least_squares.estimate))
+        for one in fit.recordings
+        if fit.status in report.NO_FIXED_POINT
+    ]
     return {
         "verdict": fit.trust.verdict,
         "trust": list(lines),
@@ -79,13 +84,8 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
         "held_out_error_percent": fit.held_out_error_percent,
         "prior_source": fit.data.prior_source or UNSET,
         "prior_held_out_error_percent": fit.data.prior_error_percent if fit.data.prior else UNSET,
-        "least_squares_error_percent": errors_on(
-            [
-                validated(one.problem, one.values(fit.least_squares.estimate))
-                for one in fit.recordings
-            ]
-        )[-1].relative_error_percent
-        if fit.status in report.NO_FIXED_POINT
+        "least_squares_error_percent": errors_on(by_ls)[-1].relative_error_percent
+        if by_ls
         else UNSET,
     }
 

@@ -41,8 +41,8 @@ def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
     e, intervals = of.estimate, of.intervals
     essential = essential_names(fit.essential, e, intervals)
     known = true_parameters(fit.base, np.zeros(fit.base.b)).parameters
-    norms = np.linalg.norm(fit.data.W, axis=0).tolist()
-    torque = {} if by_ls else dict(zip(fit.data.estimate.names, norms, strict=True))
+    norms = zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True)
+    torque = {} if by_ls else dict(norms)
     columns = e.beta, intervals.low, intervals.high, e.sigma, e.sigma_percent
     found = zip(e.names, *(x.tolist() for x in columns), strict=True)
     return ParameterSet(
@@ -162,10 +162,10 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
     if stored.gains is UNSET:
         return robot
     found = {one.motor: one.value for one in stored.gains}
-    gains = [
-        found.get(motor.name, gain) for motor, gain in zip(robot.motors, robot.gain, strict=True)
-    ]
-    return replace(robot, identified_gain=np.array(gains))
+    pairs = zip(robot.motors, robot.gain, strict=True)
+    return replace(
+        robot, identified_gain=np.array([found.get(motor.name, gain) for motor, gain in pairs])
+    )
 
 
 def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:

@@ -79,6 +79,13 @@ def validation_document(
     """The torque errors of a fit on recordings that it was not made from."""
     names = [one.signals.recording for one in recordings]
     told = [OnRecording(**with_settings(one.signals, one.problem.settings)) for one in recordings]
+    table = Table(
+        columns=columns("recording", numbers=("torque error",)),
+        rows=tuple(
+            (name, Number(one.errors[-1].relative_error_percent, ".4f"))
+            for name, one in zip(names, recordings, strict=True)
+        ),
+    )
     return Document(
         title=f"{fit} on {', '.join(names)}: {headline(errors)}",
         sections=(
@@ -89,22 +96,7 @@ def validation_document(
                 ),
                 warnings=warnings,
             ),
-            *(
-                [
-                    Section(
-                        title="recordings",
-                        table=Table(
-                            columns=columns("recording", numbers=("torque error",)),
-                            rows=tuple(
-                                (name, Number(one.errors[-1].relative_error_percent, ".4f"))
-                                for name, one in zip(names, recordings, strict=True)
-                            ),
-                        ),
-                    )
-                ]
-                if len(recordings) > 1
-                else []
-            ),
+            *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             *_ahead_section(recordings),
             replace(errors_section(errors), short=None),
             *(
