@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from msgspec import UnsetType
 from numpy.typing import ArrayLike
 
@@ -18,24 +17,12 @@ from .data import Signals, load_signals
 from .errors import BadInputError
 from .model import BaseParameters, InverseModel, base_parameters
 from .options import Overrides
-from .report import (
-    Assumed,
-    Difference,
-    Document,
-    FitFile,
-    Number,
-    Parameter,
-    TorqueResidual,
-    TrustLine,
-    ValidationFile,
-    Verdict,
-)
 
 File = str | os.PathLike[str]
 Out = File | None
 
 
-class Parameters(tuple[Parameter, ...]):
+class Parameters(tuple[report.Parameter, ...]):
     """The parameters of a fit, in its order."""
 
     def to_dict(self) -> dict[str, list[Any]]:
@@ -57,11 +44,13 @@ class Fit:
             a fit that was read from a file.
     """
 
-    def __init__(self, file: FitFile, place: str, evidence: results.Fit | None = None) -> None:
+    def __init__(
+        self, file: report.FitFile, place: str, evidence: results.Evidence | None = None
+    ) -> None:
         self.file, self.place, self.evidence = file, place, evidence
 
     @classmethod
-    def of(cls, evidence: results.Fit) -> "Fit":
+    def of(cls, evidence: results.Evidence) -> "Fit":
         """The fit that was just made."""
         return cls(results.fit_file(evidence), evidence.problem.signals.recording, evidence)
 
@@ -74,19 +63,19 @@ class Fit:
         return f"Fit({self.file.summary})"
 
     @property
-    def verdict(self) -> Verdict | UnsetType:
+    def verdict(self) -> report.Verdict | UnsetType:
         """`trust`, `caution` or `do not use`: the worst test; unset in a file
         of an earlier version.
         """
         return self.file.verdict
 
     @property
-    def assumed(self) -> tuple[Assumed, ...]:
+    def assumed(self) -> tuple[report.Assumed, ...]:
         """What no test covers: `what`, `value`, `why`."""
         return tuple(self.file.assumed or ())
 
     @property
-    def trust(self) -> tuple[TrustLine, ...]:
+    def trust(self) -> tuple[report.TrustLine, ...]:
         """The tests, worst first: `test`, `level`, `value`, `text`."""
         return tuple(self.file.trust or ())
 
@@ -101,7 +90,7 @@ class Fit:
         return tuple(self.file.warnings)
 
     @property
-    def errors(self) -> tuple[TorqueResidual, ...]:
+    def errors(self) -> tuple[report.TorqueResidual, ...]:
         """Torque errors of the joints and, last, of all together."""
         return self.file.errors
 
@@ -131,13 +120,13 @@ class Fit:
     @property
     def t_s(self) -> Array:
         """(rows,) instants of the rows of all recordings, in their order, s."""
-        return np.concatenate([one.t_s for one in self._recordings()])
+        return self._made().t_s
 
     def residuals(self) -> Array:
         """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`,
         those that do not count too.
         """
-        return np.concatenate([one.tau - one.tau_predicted for one in self._recordings()])
+        return self._made().tau - self._made().tau_predicted
 
     def predict(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """(rows, n) torque, N m or N, of the model without payload along q, dq, ddq
@@ -145,7 +134,7 @@ class Fit:
         """
         return results.stored_torque(self.file, self.place, q, dq, ddq)
 
-    def compare(self, other: "Fit") -> tuple[Difference, ...]:
+    def compare(self, other: "Fit") -> tuple[report.Difference, ...]:
         """The differences of the parameters from those of another fit: `name`, `off`,
         `off_percent`, `off_sigma`.
 
@@ -163,7 +152,7 @@ class Fit:
 
     def validate(
         self, recording: Signals | File, overrides: Overrides | None = None
-    ) -> ValidationFile:
+    ) -> report.ValidationFile:
         """The torque errors on another recording of the robot, as of `identification.validate`."""
         pair = (
             (recording, Path())
@@ -198,13 +187,12 @@ class Fit:
         Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there
             are no such parameters; or the fit was read from a file.
         """
-        evidence = self._made()
-        robot = evidence.problem.signals.robot
+        robot = self._made().problem.signals.robot
         found = None if prior is None else results.read_prior(Path(prior), robot)
-        return Fit.of(results.with_consistent(evidence, found))
+        return Fit.of(results.with_consistent(self._made(), found))
 
     @property
-    def document(self) -> Document:
+    def document(self) -> report.Document:
         """The report. Raises `BadInputError` for known values, which have none."""
         if self.file.provenance is None:
             raise BadInputError(
@@ -241,17 +229,20 @@ class Fit:
 
         path, recordings = Path(path), self._recordings(log)
         for number, one in enumerate(recordings, start=1):
-            own = path.with_stem(f"{path.stem}_{number}") if len(recordings) > 1 else path
-            write_rrd(own, draw_fit(self.file, one))
+            write_rrd(
+                path.with_stem(f"{path.stem}_{number}") if len(recordings) > 1 else path,
+                draw_fit(self.file, one),
+            )
 
     def _recordings(self, log: File | None = None) -> Sequence[results.FitOnRecording]:
         """The recordings of the fit, or the fit on a `log`."""
         if log is None:
             return self._made().recordings
-        pair = load_signals(log), Path(log)
-        return results.predict_recordings(self.file, self.place, [pair], Overrides())[0]
+        return results.predict_recordings(
+            self.file, self.place, [(load_signals(log), Path(log))], Overrides()
+        )[0]
 
-    def _made(self) -> results.Fit:
+    def _made(self) -> results.Evidence:
         if self.evidence is None:
             raise BadInputError(
                 "was read from a file", place=self.place, expected="a fit in memory, or its log"
@@ -267,18 +258,6 @@ class Fit:
                 self.document.short, figures=notebook_figure(torque) if torque else ""
             )
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
-        rows = [
-            (p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g"))
-            for p in best
-        ]
-        shown = report.Section(
-            title=f"the {len(rows)} best known parameters",
-            warnings=tuple(x.text for x in self.trust if x.level in ("do not use", "caution")),
-            table=report.Table(
-                columns=report.columns("name", "unit", numbers=("value", "±95%")),
-                rows=tuple(rows),
-            ),
-        )
         document = report.Document(
             title=f"{self.place}: {self.file.summary}",
             badge=self.verdict or "",
@@ -288,7 +267,26 @@ class Fit:
                 {},
                 results.half_width_percents(self.parameters),
             ),
-            sections=(shown,),
+            sections=(
+                report.Section(
+                    title=f"the {len(best)} best known parameters",
+                    warnings=tuple(
+                        x.text for x in self.trust if x.level in ("do not use", "caution")
+                    ),
+                    table=report.Table(
+                        columns=report.columns("name", "unit", numbers=("value", "±95%")),
+                        rows=tuple(
+                            (
+                                p.name,
+                                p.unit,
+                                report.Number(p.value, report.value_form(p.spread)),
+                                report.Number(p.half, ".2g"),
+                            )
+                            for p in best
+                        ),
+                    ),
+                ),
+            ),
         )
         (chart,) = deviation_charts(
             report.ParameterSet(label=self.place, parameters={p.name: p for p in best}), ()

@@ -36,7 +36,7 @@ from .study import Noise, Run, Study
 P = ParamSpec("P")
 
 
-def _of_user(found: results.Fit) -> Fit:
+def _of_user(found: results.Evidence) -> Fit:
     """The fit as users have it; called by what users call, so that the warning names their line."""
     fit = Fit.of(found)
     if refused := [line.text for line in fit.trust if line.level == "do not use"]:
@@ -44,7 +44,7 @@ def _of_user(found: results.Fit) -> Fit:
     return fit
 
 
-def _for_users(identify: Callable[P, results.Fit]) -> Callable[P, Fit]:
+def _for_users(identify: Callable[P, results.Evidence]) -> Callable[P, Fit]:
     @wraps(identify)
     def identified(*args: P.args, **kwargs: P.kwargs) -> Fit:
         return _of_user(identify(*args, **kwargs))
@@ -191,12 +191,12 @@ def fit(
         "feedforward": feedforward,
         "payload": payload or "",
     }
-    given: dict[str, Any] = {"q": q, "effort": tau, "sample_rate_hz": sample_rate_hz}
+    given = {"q": q, "effort": tau, "sample_rate_hz": sample_rate_hz}
     given |= {name: x for name, x in optional.items() if x is not None}
     sources = _several_of_arrays(described, given) if several else (_of_arrays(described, given),)
-    recordings = Recordings(sources=sources)
-    found = results.identify(recordings, overrides, method=method, essential=essential)
-    return _of_user(found)
+    return _of_user(
+        results.identify(Recordings(sources=sources), overrides, method=method, essential=essential)
+    )
 
 
 def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ...]:

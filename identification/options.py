@@ -71,7 +71,7 @@ class Overrides:
     `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv,
     and `method` takes its own, by the recording if it is None; `ramp_rows` as of `Settings`;
     `torque_lag_s` "none" means no correction; `law` is the control law that another fit of the
-    recording found, with the same cut-off, decimation and span (`Fit.law`).
+    recording found, with the same cut-off, decimation and span (`Evidence.law`).
     """
 
     cutoff_hz: Annotated[

@@ -19,7 +19,7 @@ from acquisition.robot import load_robot
 from identification.data import Signals, load_signals
 from identification.methods import Iteration
 from identification.regression import Overrides
-from identification.results import Fit, identify_iv, identify_ls
+from identification.results import Evidence, identify_iv, identify_ls
 
 PAGE = REPLAY / "published.md"
 EMPS = "robot-identify fit emps.mcap --method wls --robot replay_data/emps/robot_published.toml"
@@ -60,11 +60,11 @@ EARLIER = {
 Row = tuple[str, str, str, str]
 
 
-def values(fit: Fit) -> dict[str, float]:
+def values(fit: Evidence) -> dict[str, float]:
     return dict(zip(fit.base.names, fit.beta, strict=True))
 
 
-def error(fit: Fit) -> float:
+def error(fit: Evidence) -> float:
     """Of all rows of the fit, behind its own filters."""
     tau = fit.data.observed.tau
     return 100 * np.linalg.norm(tau - fit.data.predicted) / np.linalg.norm(tau)

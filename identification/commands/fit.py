@@ -116,7 +116,7 @@ def _pictures(options: argparse.Namespace) -> list[Path]:
     return pictures
 
 
-def edited_descriptions(fit: "results.Fit", recordings: list[Path]) -> list[str]:
+def edited_descriptions(fit: "results.Evidence", recordings: list[Path]) -> list[str]:
     """A line for each robot.toml, beside a recording or in the working folder, that differs
     from the recording's own.
     """
@@ -134,7 +134,7 @@ def edited_descriptions(fit: "results.Fit", recordings: list[Path]) -> list[str]
     return list(lines)
 
 
-def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "results.Fit":
+def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "results.Evidence":
     """The fit; the prior of the links is read before, so that a recording in A or V is refused
     at once.
     """

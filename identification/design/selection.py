@@ -136,7 +136,7 @@ class TermChoice:
         """The recommended terms by joint, as a description lists them under `friction`."""
         return described_terms(self.robot, self.recommended.terms)
 
-    def fits(self) -> list[results.Fit]:
+    def fits(self) -> list[results.Evidence]:
         """Least squares of the recordings with the usual terms, and with the recommended ones."""
         return [
             results.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides)

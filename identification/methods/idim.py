@@ -14,19 +14,11 @@ from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
 from ..trust import judge
-from . import iteration as iv
-from .iteration import Iteration
+from .iteration import Iteration, Loop, by_reference, conclude, next_values, tests_of
 from .model import Model, ProgressCallback, read_model
 from .passes import Pass
-from .position_noise import position_noise_line
-from .solution import Solution, evidence_of, solution_by_instruments, status_of
-from .start import (
-    at_gains,
-    least_squares,
-    solution_of,
-    step_of,
-    with_best_ramps,
-)
+from .solution import Solution, inputs_of, position_noise_line, solution_by_instruments, status_of
+from .start import at_gains, least_squares, solution_of, step_of, with_best_ramps
 
 
 @one_thread
@@ -74,9 +66,10 @@ def solve(
     model, found = least_squares(*with_best_ramps(model, instruments=by == "iv"), by)  # (B)
     if by == "iv" and _can_be_simulated(model, found):
         try:
-            start, how = at_gains(model, found), iteration or Iteration()
-            loop = iv.Loop(model, start, how, essential=essential)
-            del found, start  # its rows are as many as those of a pass
+            loop = Loop(
+                model, at_gains(model, found), iteration or Iteration(), essential=essential
+            )
+            del found  # its rows are as many as those of a pass
             solution = _by_instruments(loop, say)
         except NoFitError as error:
             if method is None and not overrides.gains:
@@ -107,10 +100,10 @@ def _read(
     model = read_model(signals, replace(overrides, method="iv" if overrides.gains else method), say)
     by, reason = (method, "as requested") if method is not None else _default_method(model)
     by = "iv" if overrides.gains else by
-    settings = [problem.settings for problem in model.problems]
-    low = settings[0].low_speed.iv if by == "iv" else settings[0].low_speed.ls
+    least = model.problems[0].settings.low_speed
+    low = least.iv if by == "iv" else least.ls
     # not every recording has its reference
-    if any(one.low_speed_percent != low for one in settings):
+    if any(problem.settings.low_speed_percent != low for problem in model.problems):
         model = read_model(signals, replace(overrides, method=by), say)
     if iteration is not None and by != "iv":
         raise BadInputError(
@@ -127,8 +120,9 @@ def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
     if model.exogenous:
         return "iv", "reference recorded"
     without = [problem.signals for problem in model.problems if problem.signals.q_ref is None]
-    where = f" in {without[0].recording}" if len(model.problems) > 1 else ""
-    return "wls", f"no reference{where}"
+    return "wls", "no reference" + (
+        f" in {without[0].recording}" if len(model.problems) > 1 else ""
+    )
 
 
 def _can_be_simulated(model: Model, found: Pass) -> bool:
@@ -136,41 +130,41 @@ def _can_be_simulated(model: Model, found: Pass) -> bool:
     if they are positive, and references recorded.
     """
     gains = model.x_of(found.estimate, found.x)[model.unknowns.gains]
-    positive = found.parameters_settled and bool((gains > 0).all())
-    return not model.unknowns.motors or (positive and model.exogenous)
+    return not model.unknowns.motors or (
+        model.exogenous and found.parameters_settled and bool((gains > 0).all())
+    )
 
 
 def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Solution:
     """IDIM-LS: W and Y from the measured torque and the filtered position; drive gains with the
     torque that x predicts as instruments.
     """
-    assert found.rows is not None
     x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
-    rows = model.rows(x, model.candidates(x, (found.rows.speed, found.rows.most)))
+    rows = model.rows(x, model.candidates(x, (found.kept.speed, found.kept.most)))
     estimate = step_of(model, rows, method)  # of these very rows
-    intervals = intervals_of(rows.system, estimate)
-    found = replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
+    found = replace(
+        found, x=x, rows=rows, estimate=estimate, intervals=intervals_of(rows.system, estimate)
+    )
     x = model.x_of(estimate, x)
     full, ls, kept = solution_of(model, at_gains(model, found), essential=essential)
     solved = replace(found, tau_predicted=model.predicted(x)) if gains else ls
-    evidence = evidence_of(model, method, solved, x, full.estimate, kept)
+    inputs = inputs_of(model, method, solved, x, full.estimate, kept)
     if gains:
         text = "drive gains by the measured motion: no robot is simulated " + (
             "with these" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
-        made = {**evidence.made, "fixed point": judge("fixed point", ending, why=text)}
+        line = {"fixed point": judge("fixed point", ending, why=text)}
     else:
-        # Once, of the first recording: it looks at the beginning of a long one anyway.
-        first = evidence.problem.with_samples()
         alone = model.unknowns.plain and not len(model.load)
-        noise = position_noise_line(first, method, ls, kept, alone=alone)
-        made = {**evidence.made, "position noise": noise}
-    evidence = replace(evidence, made=made)
-    return Solution(model=model, x=x, evidence=evidence, least_squares=ls, essential=kept)
+        # Once, of the first recording: it looks at the beginning of a long one anyway.
+        first = inputs.problem.with_samples()
+        line = {"position noise": position_noise_line(first, method, ls, kept, alone=alone)}
+    inputs = replace(inputs, made={**inputs.made, **line})
+    return Solution(model=model, x=x, inputs=inputs, least_squares=ls, essential=kept)
 
 
-def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:
+def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
     """IDIM-IV: the instruments Z are the columns of x along the motion of the robot simulated with
     the previous estimate.
 
@@ -180,7 +174,7 @@ def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:
     """
     model, passes, failure = loop.model, [loop.start], None
     while not passes[-1].is_last and len(passes) <= loop.most:
-        x, asked = iv.next_values(loop, passes)
+        x, asked = next_values(loop, passes)
         say(f"pass {len(passes)}: simulating the robot")
         passes = [one.without_rows() for one in passes]
         try:
@@ -188,15 +182,15 @@ def _by_instruments(loop: iv.Loop, say: ProgressCallback) -> Solution:
         except NoFitError as error:
             failure = f"pass {len(passes)}: {error}"
             if len(passes) == 1:
-                place = ", ".join(problem.signals.recording for problem in model.problems)
-                raise NoFitError(f"no instruments: {failure}", place=place) from error
+                raise NoFitError(
+                    f"no instruments: {failure}", place=", ".join(model.recordings)
+                ) from error
             break
-    best, confirmed = iv.conclude(loop, passes)
-    tests = iv.tests_of(best)
+    best, confirmed = conclude(loop, passes)
+    tests = tests_of(best)
     ended = status_of(model, passes[-1], (best, confirmed), tests[1], failure)
-    if (alone := iv.by_reference(loop, best, ended)) is not None:
+    if (alone := by_reference(loop, best, ended)) is not None:
         best, confirmed = replace(alone, number=len(passes)), alone.z
-        passes, tests = [*passes, best], iv.tests_of(best)
+        passes, tests = [*passes, best], tests_of(best)
         ended = status_of(model, best, (best, confirmed), tests[1], None)
-    made = [one.without_rows() for one in passes[1:]]
-    return solution_by_instruments(loop, (best, confirmed), made, ended, tests)
+    return solution_by_instruments(loop, (best, confirmed), passes, ended, tests)

@@ -71,21 +71,17 @@ class Loop:
 
     def __init__(self, model: Model, start: Pass, iteration: Iteration, *, essential: bool) -> None:
         """From least squares; `essential`: only such parameters are estimated."""
-        assert start.rows is not None
         self.model, self.iteration = model, iteration
-        self.measured = start.rows.speed, start.rows.most
+        self.measured = start.kept.speed, start.kept.most
         start, ls, self.essential = solution_of(model, start, essential=essential)
         self.start, self.ls = start.without_rows(), ls.without_rows()
         self.x = model.x_of(start.estimate, start.x)
         stored, names = model.problem.signals.robot.identification, model.names
         self.most = iteration.max_iterations or stored.max_iterations
         self.tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
-        prior = inertia_prior(model, self.x)
-        self.robots = model.robots(prior, gain_update=iteration.gain_update)
-        kept = {name for name in names if not essential or not is_base(name)} | {
-            *self.essential.names
-        }
-        self.fitted = np.flatnonzero([name in kept for name in names])
+        self.robots = model.robots(inertia_prior(model, self.x), gain_update=iteration.gain_update)
+        of = self.essential.names if essential else names
+        self.fitted = np.flatnonzero([name in of or not is_base(name) for name in names])
 
     def step(self, rows: Rows) -> Estimate:
         """Estimate the free unknowns from rows about x, with instruments along a simulated motion.
@@ -96,10 +92,11 @@ class Loop:
         """
         system = rows.system.with_columns(self.fitted)
         Z = rows.Z if len(self.fitted) == len(self.model.names) else rows.Z[:, self.fitted]
-        estimate = instrumental_variables(system, Z, self.start.estimate.weights)
-        return self.model.combined(system, estimate)
+        return self.model.combined(
+            system, instrumental_variables(system, Z, self.start.estimate.weights)
+        )
 
-    @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a start may be anything
     def next_pass(self, before: Sequence[Pass], x: Array, asked: Asked | None) -> Pass:
         """Make one pass: simulate, find the lag, estimate, and compare with the values before.
 
@@ -125,8 +122,9 @@ class Loop:
         of_lag = self.model.exogenous and not other
         # The first pass is not the last one where a lag is looked for, and needs no tests.
         tests = not of_lag or number > 1 or all(lag.stated for lag in before[-1].lags)
-        measured = self.measured if tests else None  # q_s, dq_s, ddq_s, with (E), and (6)
-        z, rows = self.model.with_instruments(self.robots, x, asked, measured, of_lag=of_lag)
+        z, rows = self.model.with_instruments(  # q_s, dq_s, ddq_s, with (E), and (6)
+            self.robots, x, asked, self.measured if tests else None, of_lag=of_lag
+        )
         rows, lags, settled = with_lags_found(rows, before[-1].lags, number)  # (G)
         try:
             estimate = self.step(rows)  # (C), (D)
@@ -139,12 +137,9 @@ class Loop:
         change, w = np.abs(estimate.beta - x[self.fitted]), estimate.weights[system.joint_of_row]
         norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(system.names)])))
         norm_change, size = abs(estimate.residual_norm - norm_before), np.abs(estimate.beta)
-        with np.errstate(divide="ignore"):
-            in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
-            in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
-        moved_percent = None
-        if not norm_change <= tolerance * norm_before:
-            moved_percent = 100 * norm_change / norm_before if norm_before > 0 else 0.0
+        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
+        in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
+        norm_percent = 100 * norm_change / norm_before if norm_before > 0 else 0.0
         return Pass(
             x=rows.x,
             z=z,
@@ -155,7 +150,9 @@ class Loop:
             is_consistent=settled and not other,
             change_in_sigma=in_sigma,
             change_percent=float(in_percent.max()),
-            residual_change_percent=moved_percent,
+            residual_change_percent=(
+                None if norm_change <= tolerance * norm_before else norm_percent
+            ),
             parameters_settled=bool(
                 (change <= np.maximum(tolerance * size, estimate.sigma / 2)).all()
             ),
@@ -175,8 +172,7 @@ def start_values(loop: Loop) -> Asked:
     """
     problem, how, repeated = loop.model.problem, loop.iteration, loop.model.unknowns.repeated
     if how.start == "regular":
-        beta = regular_start(problem.model, problem.base, how.inertias)
-        return repeated(loop.x, beta), None
+        return repeated(loop.x, regular_start(problem.model, problem.base, how.inertias)), None
     x = loop.x if how.values is None else repeated(loop.x, how.values(problem.base))
     return x, loop.covariance(loop.start)
 
@@ -217,16 +213,14 @@ def with_lags_found(
     """
     if rows.late is None:
         return rows, tuple(lags), True
-    f, before = len(rows.x) - len(lags), rows.x[-len(lags) :]
-    lags = tuple(lags_in(rows.late, before, lags))
+    before = rows.x[-len(lags) :]
+    lags = lags_in(rows.late, before, lags)
     values = np.array([lag.value_s for lag in lags])
     small = np.abs(values - before) < MAX_LAST_LAG * np.array([lag.period_s for lag in lags])
-    if number >= MAX_FULL_STEPS:
-        values = 0.5 * (values + before)
-        each = zip(lags, values.tolist(), strict=True)
-        lags = tuple(replace(lag, value_s=value_s) for lag, value_s in each)
+    values = 0.5 * (values + before) if number >= MAX_FULL_STEPS else values
+    lags = tuple(replace(lag, value_s=s) for lag, s in zip(lags, values.tolist(), strict=True))
     settled = bool(small.all()) and (number > 1 or all(lag.stated for lag in lags))
-    return rows.linearised_at(np.r_[rows.x[:f], values]), lags, settled
+    return rows.linearised_at(np.r_[rows.x[: -len(lags)], values]), lags, settled
 
 
 def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated, ...]]:
@@ -298,10 +292,9 @@ def _tracking(z: Sequence[Simulated]) -> float:
 
 def tests_of(one: Pass) -> tuple[float, float]:
     """Return strength and first-stage F of the instruments of a pass."""
-    assert one.rows is not None
-    system, estimate = one.rows.system, one.estimate
-    indices = np.array([system.names.index(name) for name in estimate.names])
-    W, _ = system.with_columns(indices).weighted(estimate.weights)
+    system, estimate = one.kept.system, one.estimate
+    places = [system.names.index(name) for name in estimate.names]
+    W, _ = system.with_columns(np.array(places)).weighted(estimate.weights)
     return first_stage(estimate.Q, W, estimate.rows)
 
 
@@ -335,8 +328,9 @@ def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = N
             turning = [
                 m for m in range(robot.n) if m != j and R[m, m] and R[m, j] and R[j].sum() == 1
             ]
-            shares = [J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2 for m in turning]
-            chi[f"Ia{j + 1}"] = J[j] + sum(shares)
+            chi[f"Ia{j + 1}"] = J[j] + sum(
+                J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2 for m in turning
+            )
         elif joint.type == "revolute":
             chi |= dict.fromkeys((f"XX{j + 1}", f"YY{j + 1}", f"ZZ{j + 1}"), J[j])
         else:

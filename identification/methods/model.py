@@ -73,6 +73,11 @@ class Model:
         return self.problems[self.order[0]]
 
     @property
+    def recordings(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(problem.signals.recording for problem in self.problems)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The names of the free unknowns, the first of x."""
         return self.unknowns.names
@@ -81,15 +86,16 @@ class Model:
     def equations(self) -> tuple[Equation, ...]:
         """Of each recording."""
         work = self.work if len(self.problems) == 1 else HERE
-        each = enumerate(self.problems)
-        return tuple(equation_of(one, self.unknowns, k, work) for k, one in each)
+        return tuple(
+            equation_of(one, self.unknowns, k, work) for k, one in enumerate(self.problems)
+        )
 
     @cached_property
     def load(self) -> Ints:
         """Places of the parameters of load friction in x."""
-        names, of = self.problem.base.names, self.equations[0].load
-        places = [self.names.index(names[place]) for term in of for place in term.places]
-        return np.array(places, dtype=np.intp)
+        base = self.problem.base.names
+        names = [base[place] for term in self.equations[0].load for place in term.places]
+        return np.array([self.names.index(name) for name in names], dtype=np.intp)
 
     @property
     def exogenous(self) -> bool:
@@ -112,18 +118,17 @@ class Model:
     def concluded(self, x: Array) -> tuple[Problem, ...]:
         """The problems with the lags and gains of x."""
         kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
-        found = []
-        for problem, equation in zip(self.problems, self.equations, strict=True):
-            known = problem.settings.lag
-            lag = replace(known, value_s=float(x[equation.drives.lag]), prior=known)
-            settings = replace(problem.settings, lag=lag)
-            found.append(replace(problem, settings=settings, gains=kappa))
-        return tuple(found)
+        return tuple(
+            replace(problem, settings=replace(problem.settings, lag=lag), gains=kappa)
+            for problem, equation in zip(self.problems, self.equations, strict=True)
+            for known in [problem.settings.lag]
+            for lag in [replace(known, value_s=float(x[equation.drives.lag]), prior=known)]
+        )
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
         """The results of a task for each recording: of several on the workers of the fit."""
-        pairs = zip(self.equations, each, strict=True)
-        return _run(self.work, task, [(one, *given) for one, given in pairs])
+        tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
+        return _run(self.work, task, tasks)
 
     def candidates(
         self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
@@ -150,8 +155,12 @@ class Model:
 
     def rows(self, x: Array, further: Sequence[Candidate] = ()) -> Rows:
         """[C Z J r] of all recordings about x, along the measured motion."""
-        each = [(x, *further[k : k + 1]) for k in range(len(self.problems))]
-        return stacked_rows(self.run(rows_of_recording, each))
+        return stacked_rows(
+            self.run(
+                rows_of_recording,
+                [(x, *further[k : k + 1]) for k in range(len(self.problems))],
+            )
+        )
 
     def combined(self, system: System, estimate: Estimate) -> Estimate:
         """An estimate from these rows, combined with the stated centres of mass."""
@@ -185,10 +194,15 @@ class Model:
             )
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        task = partial(torque_of_recording, judged=judged)
-        tau, predicted, counts, _, t_s, at = zip(*self.run(task, each), strict=True)
-        both = np.concatenate(tau), np.concatenate(predicted, axis=1)
-        return *both, np.concatenate(counts), list(t_s), list(at)
+        found = self.run(partial(torque_of_recording, judged=judged), each)
+        tau, predicted, counts, _, t_s, at = zip(*found, strict=True)
+        return (
+            np.concatenate(tau),
+            np.concatenate(predicted, axis=1),
+            np.concatenate(counts),
+            list(t_s),
+            list(at),
+        )
 
     def predicted(self, x: Array, *estimate: Estimate) -> Array:
         """The torque (rows, n) that x, or an estimate, predicts."""
@@ -216,7 +230,7 @@ class Model:
         # Once in this process, if samples are held; else each task prepares its own.
         here = 1 in (self.work.workers, len(self.problems))
         held = here and all(len(one.signals.q) for one in self.problems)
-        return [cache(one) for one in each] if held else each
+        return [*map(cache, each)] if held else each
 
     def with_instruments(
         self,
@@ -235,7 +249,7 @@ class Model:
         """
         none = [None] * len(robots)
         own = self.unknowns.simulated(*asked) if asked else none
-        further = none if measured is None else self.candidates(x, measured, simulated=True)
+        further = self.candidates(x, measured, simulated=True) if measured else none
         tasks = [
             (robot, (x, beta), term, of_lag)
             for robot, beta, term in zip(robots, own, further, strict=True)
@@ -249,18 +263,24 @@ class Model:
         """
         if not left_out:
             return self
-        problems = [problem.without_terms(left_out) for problem in self.problems]
-        found = model_of(problems, self.laws, self.overrides, self.work, self.order)
+        found = model_of(
+            [problem.without_terms(left_out) for problem in self.problems],
+            self.laws,
+            self.overrides,
+            self.work,
+            self.order,
+        )
         return replace(found, left_out=self.left_out | left_out)
 
     def with_ramps(self, ramp_rows: float) -> "Model":
         """The same recordings with other ramps of the weights of samples."""
-        problems = (
+        problems = [
             replace(one, settings=replace(one.settings, ramp_rows=ramp_rows))
             for one in self.problems
+        ]
+        return replace(
+            self, overrides=replace(self.overrides, ramp_rows=ramp_rows), problems=tuple(problems)
         )
-        overrides = replace(self.overrides, ramp_rows=ramp_rows)
-        return replace(self, overrides=overrides, problems=tuple(problems))
 
 
 def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -281,8 +301,7 @@ def model_of(
     """The model of recordings."""
     names, wanted = [m.name for m in problems[0].signals.robot.motors], overrides.gains or ()
     motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
-    of_gains = ("Fv", "Fc") if overrides.gains else ()
-    unknowns = make_unknowns(problems, motors, of_gains)
+    unknowns = make_unknowns(problems, motors, ("Fv", "Fc") if wanted else ())
     return Model(
         problems=tuple(problems),
         laws=tuple(laws),
@@ -311,28 +330,32 @@ def observe(
 
 def with_common_rate(
     given: Recordings,
-    found: list[Problem],
-    laws: list[FoundLaw | None],
+    found: Sequence[tuple[Problem, FoundLaw | None]],
     overrides: Overrides,
     most: float,
 ) -> tuple[list[Problem], list[FoundLaw | None]]:
-    """The same with common cut-off, rate of rows and filters of the errors; only those whose
-    cut-off or rate changes are read again.
+    """The recordings and their laws with common cut-off, rate of rows and filters of the errors;
+    only those whose cut-off or rate changes are read again.
     """
-    settings = [problem.settings for problem in found]
-    rates = [problem.signals.sample_rate_hz for problem in found]
+    settings = [problem.settings for problem, _ in found]
+    rates = [problem.signals.sample_rate_hz for problem, _ in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
     common = [max(1, round(fs / row_hz)) for fs in rates]
     again = [
         k for k, s in enumerate(settings) if (s.cutoff_hz, s.decimation) != (cutoff_hz, common[k])
     ]
-    of = [replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]) for k in again]
-    tasks = [(given.sources[k], one, most) for k, one in zip(again, of, strict=True)]
-    found, laws = list(found), list(laws)
-    for k, (problem, law) in zip(again, _run(given.work, observe, tasks), strict=True):
-        found[k], laws[k] = problem, law
-    return with_common_band(found), laws
+    tasks = [
+        (
+            given.sources[k],
+            replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=common[k]),
+            most,
+        )
+        for k in again
+    ]
+    read = dict(zip(again, _run(given.work, observe, tasks), strict=True))
+    problems, laws = zip(*(read.get(k, one) for k, one in enumerate(found)), strict=True)
+    return with_common_band(problems), list(laws)
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: ProgressCallback) -> Model:
@@ -347,9 +370,8 @@ def read_model(given: Signals | Recordings, overrides: Overrides, say: ProgressC
         most = MAX_HELD / count
         say(f"reading {count} recordings")
     each = _run(work, observe, [(source, overrides, most) for source in given.sources])
-    found, laws = map(list, zip(*each, strict=True))
-    check_one_robot([problem.signals for problem in found])
-    found, laws = with_common_rate(given, found, laws, overrides, most)
+    check_one_robot([problem.signals for problem, _ in each])
+    found, laws = with_common_rate(given, each, overrides, most)
     signals = [problem.signals for problem in found]
     by_digest = sorted(range(count), key=lambda k: (signals[k].sha256, signals[k].recording))
     return model_of(

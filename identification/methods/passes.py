@@ -59,8 +59,18 @@ class Pass:
         """The same without arrays as large as W."""
         if self.rows is None:
             return self
-        z = tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z)
-        return replace(self, z=z, rows=None, estimate=self.estimate.without_rows())
+        return replace(
+            self,
+            z=tuple(replace(one, motion=None, error=one.error[:0]) for one in self.z),
+            rows=None,
+            estimate=self.estimate.without_rows(),
+        )
+
+    @property
+    def kept(self) -> Rows:
+        """Its rows, of the last pass or least squares, which keep them."""
+        assert self.rows is not None
+        return self.rows
 
     @property
     def change_sigma(self) -> float:
@@ -71,11 +81,6 @@ class Pass:
     def changed(self) -> str:
         """The parameter that changes most, in its deviations."""
         return self.estimate.names[int(self.change_in_sigma.argmax())]
-
-    @property
-    def residual_settled(self) -> bool:
-        """Whether the residual norm changed by no more than the tolerance."""
-        return self.residual_change_percent is None
 
     @property
     def kind(self) -> InstrumentKind:
@@ -103,7 +108,7 @@ class Pass:
     @property
     def settled(self) -> bool:
         """Whether both tests hold."""
-        return self.residual_settled and self.parameters_settled
+        return self.residual_change_percent is None and self.parameters_settled
 
     @property
     def is_last(self) -> bool:

@@ -1,5 +1,6 @@
-"""The solution of a method: the estimate with the inputs of its tests; with instruments also how
-the passes ended, and whether the simulated robot confirms the estimate.
+"""The solution of a method: the estimate with the inputs of its tests. With instruments also how
+the passes ended, and whether the simulated robot confirms the estimate; of least squares the test
+for position noise, by simulation and extrapolation.
 """
 
 from collections.abc import Sequence
@@ -9,6 +10,8 @@ from itertools import compress
 import numpy as np
 
 from ..arrays import Array
+from ..data import ON_GRID
+from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     Intervals,
@@ -18,16 +21,40 @@ from ..estimation import (
     not_below_white,
 )
 from ..model import direct_model, why_not_positive
-from ..regression import Lag, Rows
-from ..report import DirectModelResidual, FTest, Method, Status, is_base
+from ..regression import (
+    FilteredMotion,
+    Lag,
+    Problem,
+    Rows,
+    equation_alone,
+    fast_size,
+    rows_of_recording,
+    sample_weights,
+)
+from ..report import (
+    DirectModelResidual,
+    FTest,
+    Method,
+    Status,
+    TrustLine,
+    base_name,
+    is_base,
+)
 from ..simulation import Simulated
-from ..trust import FitData, control_law_line, fixed_point_line, judge
+from ..trust import FitData, control_law_line, fixed_point_line, judge, part_of
 from .iteration import MIN_F, Loop
 from .model import Model
 from .passes import Pass, join_reasons
+from .start import solver_of
 
 # a larger error of the simulated position does not confirm the estimate
 MAX_TRACKING_PERCENT = 20.0
+NOISE = "position noise"
+CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
+BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
+MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
+# in half-widths and in percent of the value, both: of a wide interval half of it is no small error
+MAX_BIAS = ((1.0, 1.0), (0.5, 5.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +63,7 @@ class Solution:
 
     Attributes:
         model: recordings and unknowns; `x`: (p,) the values of the estimate.
-        evidence: inputs of the tests.
+        inputs: of the tests.
         least_squares: that of the fit itself or, of `iv`, weighted least squares of the same
             recordings and settings; `essential`: the parameters that are essential by it.
         simulated: by recording, the robot simulated with the estimate; none after least squares.
@@ -50,7 +77,7 @@ class Solution:
 
     model: Model
     x: Array
-    evidence: FitData
+    inputs: FitData
     least_squares: Pass
     essential: FTest
     simulated: tuple[Simulated, ...] = ()
@@ -65,12 +92,11 @@ class Solution:
 
 def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    certain = found.half < np.abs(estimate.beta)
-    names = compress(estimate.names, certain)
-    return tuple(name for name in names if is_base(name) and name in essential.names)
+    certain = compress(estimate.names, found.half < np.abs(estimate.beta))
+    return tuple(name for name in certain if is_base(name) and name in essential.names)
 
 
-def evidence_of(
+def inputs_of(
     model: Model,
     method: Method,
     solved: Pass,
@@ -81,8 +107,7 @@ def evidence_of(
     """Inputs of the trust tests of a solution and its x (p,), with the columns of candidates in
     its rows; `full`, `essential`: least squares of all parameters, and those essential by it.
     """
-    estimate, unknowns, rows = solved.estimate, model.unknowns, solved.rows
-    assert rows is not None
+    estimate, unknowns, rows = solved.estimate, model.unknowns, solved.kept
     candidates, *_ = model.candidates(x, (rows.speed, rows.most), simulated=not rows.recorded)
     lags = counted_lags(model, solved.lags, rows, estimate)
     within = held_and_counted(model, estimate, rows, lags)
@@ -110,11 +135,11 @@ def counted_lags(
     model: Model, lags: Sequence[Lag], rows: Rows, estimate: Estimate
 ) -> tuple[Lag, ...]:
     """The lags with their recordings, and the moves of an estimate by one deviation of each."""
-    moves, found = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), []
-    for lag, group, move in zip(lags, model.unknowns.groups, moves.T, strict=True):
-        names = tuple(model.problems[k].signals.recording for k in group)
-        found.append(replace(lag, moved=lag.sd_s * np.abs(move), recordings=names))
-    return tuple(found)
+    moves, names = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), model.recordings
+    return tuple(
+        replace(lag, moved=lag.sd_s * np.abs(move), recordings=tuple(names[k] for k in group))
+        for lag, group, move in zip(lags, model.unknowns.groups, moves.T, strict=True)
+    )
 
 
 def held_and_counted(
@@ -131,8 +156,8 @@ def held_and_counted(
         moves = moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
         stated = np.array([one.stated[places] for one in of.held])
         moved += list(half * np.abs(stated - moves) / found.reach)
-    sigma = not_below_white(estimate, found)
-    return intervals_from(estimate, np.hypot.reduce([sigma, *moved]), found.freedom)
+    sigma = np.hypot.reduce([not_below_white(estimate, found), *moved])
+    return intervals_from(estimate, sigma, found.freedom)
 
 
 def solution_by_instruments(
@@ -143,30 +168,28 @@ def solution_by_instruments(
     tests: tuple[float, float],
 ) -> Solution:
     """The solution of the pass that is returned with the robot that confirms it, how the passes
-    `ended`, and the `tests` of its instruments.
+    `ended`, from least squares on, and the `tests` of its instruments.
     """
-    best, confirmed = concluded
-    model, estimate, rows = loop.model, best.estimate, best.rows
-    assert rows is not None
-    x = model.x_of(estimate, best.x)
+    (best, confirmed), model = concluded, loop.model
+    x = model.x_of(best.estimate, best.x)
     tau, (predicted,), *_ = model.torques(x)
-    solved = replace(best, rows=replace(rows, tau=tau, late=None), tau_predicted=predicted)
+    solved = replace(best, rows=replace(best.kept, tau=tau, late=None), tau_predicted=predicted)
     (status, reason), (strength, F) = ended, tests
-    if reason is not None and best.number != len(passes):
+    if reason is not None and best.number != passes[-1].number:
         reason += f"; pass {best.number} is returned: it tracks best"
-    evidence = evidence_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
-    line = fixed_point_line(status, reason, gains=bool(evidence.gains))
+    inputs = inputs_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
+    line = fixed_point_line(status, reason, gains=bool(inputs.gains))
     return Solution(
         model=model,
         x=x,
-        evidence=replace(evidence, first_stage_F=F, made={**evidence.made, "fixed point": line}),
+        inputs=replace(inputs, first_stage_F=F, made={**inputs.made, "fixed point": line}),
         least_squares=loop.ls,
         essential=loop.essential,
         simulated=confirmed,
         status=status,
         reason=reason,
         start=loop.iteration.start,
-        passes=tuple(passes),
+        passes=tuple(one.without_rows() for one in passes[1:]),
         returned=best.number,
         strength=strength,
     )
@@ -187,7 +210,6 @@ def status_of(
     would hide a joint of small travel. `failure`: why the pass after the last gave no estimate.
     """
     best, confirmed = concluded
-    unconfirmed = None if best.by_reference else _unconfirmed(model, best, confirmed)
     if failure is not None:
         return "diverged", failure
     if not first_stage_F >= MIN_F:
@@ -198,6 +220,7 @@ def status_of(
         )
     if best.by_reference:
         return "converged", f"instruments: reference; {best.by_reference}"
+    unconfirmed = _unconfirmed(model, best, confirmed)
     if last.is_last:
         if unconfirmed is None and last.kind != "simulated":
             unconfirmed = f"settled without simulated instruments: {last.reason}"
@@ -206,11 +229,13 @@ def status_of(
         return "diverged", unconfirmed
     moving = []
     if not last.parameters_settled:
-        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+        moving += [f"{last.changed} still changes by {last.change_sigma:.2g} sigma"]
     if (percent := last.residual_change_percent) is not None:
-        moving.append(f"the residual norm still changes by {percent:.2g} %")
-    still = " and ".join(moving) or "only the start is known"
-    return "max_iterations", f"after {last.number} passes {still}"
+        moving += [f"the residual norm still changes by {percent:.2g} %"]
+    return (
+        "max_iterations",
+        f"after {last.number} passes {' and '.join(moving) or 'only the start is known'}",
+    )
 
 
 def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> str | None:
@@ -226,16 +251,12 @@ def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> st
     percents = [np.inf if one.percent is None else one.percent for one in confirmed]
     if not max(percents) <= MAX_TRACKING_PERCENT:
         return "the simulated position does not follow the measured one"
-    for d in direct_errors(confirmed):
-        if (
-            d.position_error_percent is not None
-            and not d.position_error_percent <= MAX_TRACKING_PERCENT
-        ):
-            return (
-                f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from "
-                "the measured one"
-            )
-    return None
+    far = [
+        f"simulated joint {d.name} differs by {percent:.1f} % from the measured one"
+        for d in direct_errors(confirmed)
+        if (percent := d.position_error_percent) is not None and not percent <= MAX_TRACKING_PERCENT
+    ]
+    return far[0] if far else None
 
 
 def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
@@ -255,3 +276,106 @@ def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
 def largest(percents: list[float | None]) -> float | None:
     """The largest that is not None: a joint may stand in one recording, or have no torque."""
     return max((x for x in percents if x is not None), default=None)
+
+
+def position_noise_line(
+    problem: Problem, method: Method, ls: Pass, essential: FTest, *, alone: bool
+) -> TrustLine | None:
+    """Bias of least squares by position noise, in half-widths.
+
+    Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric
+    measurement error models, JASA 89 (1994). Noise with the spectrum found above the low-pass is
+    added over the whole band, with both signs; the mean of the two moves is, to first order, the
+    bias by the noise within the band.
+
+    `alone`: `ls` has only this recording, without load friction.
+    """
+    settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
+    if reason is not None:
+        return judge(NOISE, {"no noise": True}, reason=reason)
+    problem = problem.first_minutes()
+    noise = _noise_like(problem)
+    try:
+        plain = (
+            asked
+            if alone and problem.settings is settings
+            else _least_squares(problem, method, asked)
+        )
+        both = [_least_squares(_with_noise(problem, way * noise), method, asked) for way in (1, -1)]
+    except NoFitError as error:
+        return judge(NOISE, {"no noise": True}, reason=error.args[0])
+    names = tuple(x for x in essential.names if x in plain.names and x in asked.names)
+    half = ls.intervals.half[[asked.names.index(name) for name in names]]
+    beta = plain.values_of(names)
+    off = np.abs(0.5 * (both[0].values_of(names) + both[1].values_of(names)) - beta)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        widths, percents = (
+            np.nan_to_num(off / half, posinf=np.inf),
+            np.nan_to_num(100 * off / np.abs(beta)),
+        )
+    matters = np.any([(widths > a) & (percents > b) for a, b in MAX_BIAS], axis=0)
+    worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
+    return judge(
+        NOISE,
+        {"biased": matters.any(), "ok": True},
+        value=float(widths[worst]),
+        name=names[worst],
+        percent=percents[worst],
+    )
+
+
+def _reason_against(problem: Problem) -> str | None:
+    """Why the noise cannot be estimated; None if it can."""
+    settings, signals = problem.settings, problem.signals
+    if settings.cutoff_hz is None:
+        return part_of(NOISE, "no low-pass")
+    if settings.cutoff_hz > MAX_CUTOFF * signals.sample_rate_hz:
+        return part_of(NOISE, "wide", cutoff_hz=settings.cutoff_hz)
+    return part_of(NOISE, "interpolated") if signals.off_grid > ON_GRID else None
+
+
+def _noise_like(problem: Problem) -> Array:
+    """Noise (N, n) with the spectrum of the positions well above low-pass and motion: white, or
+    the AR(1) that fits it.
+
+    Rounding and most encoders give white noise. Noise that falls with frequency is larger below
+    the low-pass than above.
+    """
+    settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
+    q = problem.signals.q[: settings.stop + round(fs)]  # no more than is used
+    used, size = q[settings.start : settings.stop], fast_size(len(q))
+    frequencies = np.fft.rfftfreq(size)
+    above = used - problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q
+    window = np.hanning(len(used))[:, None]
+    power = np.abs(np.fft.rfft(above * window, size, axis=0)) ** 2 / np.sum(window**2)
+    cosine = np.cos(2 * np.pi * frequencies)
+    seen = np.flatnonzero(frequencies > max(1.5 * (settings.cutoff_hz or 0.0) / fs, 1 / 8))
+    bands = [band for band in np.array_split(seen, BANDS) if len(band)]
+    # of an exponential distribution
+    level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)
+    phi, of_band = CORRELATIONS[:, None], np.array([cosine[band].mean() for band in bands])
+    shapes = 1 / (1 - 2 * phi * of_band + phi**2)
+    # (correlations, bands, n)
+    off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]
+    best = off.std(axis=1).argmin(axis=0)
+    scale = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])
+    white = np.fft.rfft(rng.standard_normal((size, q.shape[1])), axis=0) * scale
+    turns = np.exp(-2j * np.pi * frequencies)[:, None]
+    return np.fft.irfft(white / (1 - CORRELATIONS[best] * turns), size, axis=0)[: len(q)]
+
+
+def _with_noise(problem: Problem, noise: Array) -> Problem:
+    """With the weights of samples as they are."""
+    q = np.array(problem.signals.q)
+    q[: len(noise)] += noise
+    noisy = replace(problem, motion=FilteredMotion(problem.signals, q))
+    sample_weights(noisy, sample_weights(problem))
+    return noisy
+
+
+def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
+    """Least squares of the recording with the parameters `of` another, without load friction."""
+    system = rows_of_recording(*equation_alone(problem)).system
+    asked = set(map(base_name, of.names))
+    known = np.isin(system.names, [*asked]) & system.W.any(axis=0)
+    return solver_of(method)(system.with_columns(np.flatnonzero(known)))

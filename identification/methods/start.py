@@ -81,7 +81,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Mod
             model, x = leave_out_load(model, x, method)
         rows = model.rows(x)
     try:
-        return model, settle(model, x, rows, method)
+        return model, settle(model, rows, method)
     except NoFitError as error:
         if not model.unknowns.motors:
             raise
@@ -101,8 +101,9 @@ def at_gains(model: Model, found: Pass) -> Pass:
     rows = model.rows(x)
     system = rows.of(model.unknowns.arm)
     estimate = model.combined(system, weighted_least_squares(system))
-    intervals = intervals_of(system, estimate)
-    return replace(found, x=x, rows=rows, estimate=estimate, intervals=intervals)
+    return replace(
+        found, x=x, rows=rows, estimate=estimate, intervals=intervals_of(system, estimate)
+    )
 
 
 def solver_of(method: Method) -> Callable[[System], Estimate]:
@@ -127,7 +128,7 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
     return model.combined(rows.system, found)
 
 
-def settle(model: Model, x: Array, rows: Rows, method: Method) -> Pass:
+def settle(model: Model, rows: Rows, method: Method) -> Pass:
     """Take steps of equation (C) until none is above a thousandth of a deviation.
 
         x <- x + c (Z'J)⁻¹ Z'r(x),     c = 1, 1/2, 1/4, 1/8
@@ -136,10 +137,10 @@ def settle(model: Model, x: Array, rows: Rows, method: Method) -> Pass:
     the weights of the step before, because those of least squares rise as the residual falls.
     Without load friction and gains one step is enough.
 
-    `x` (p,) are the values to start from, `rows` those about them. Returns the last step. Raises
+    The values to start from are those about which the `rows` are. Returns the last step. Raises
     `NoFitError` as `step_of`.
     """
-    estimate, settled = step_of(model, rows, method), True
+    x, estimate, settled = rows.x, step_of(model, rows, method), True
     for _ in range(MAX_STEPS if len(model.load) or model.unknowns.motors else 0):
         step = model.x_of(estimate, x) - x
         sigma = model.x_of(replace(estimate, beta=estimate.sigma), 0 * x)
@@ -181,8 +182,7 @@ def solution_of(model: Model, found: Pass, *, essential: bool) -> tuple[Pass, Pa
     only one. Returns the solution of all parameters; if only `essential` ones are asked for theirs,
     with the same weights, else the same again; and which they are.
     """
-    rows, full = found.rows, found.estimate
-    assert rows is not None
+    rows, full = found.kept, found.estimate
     x = model.x_of(full, found.x)
     predicted = model.predicted(x)
     rho = (rows.tau - predicted) * full.weights * rows.counts
@@ -217,7 +217,7 @@ def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
         )
     raise BadInputError(
         "no recording differs in payload",
-        place=", ".join(problem.signals.recording for problem in model.problems),
+        place=", ".join(model.recordings),
         key="gains",
         expected="one recording without and one with a payload",
     )
@@ -225,8 +225,8 @@ def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
 
 def leave_out_load(model: Model, x: Array, method: Method) -> tuple[Model, Array]:
     """The model without load friction that may be zero about x, the least certain first, and x."""
-    rows, left_out = model.rows(x), dict[str, str]()
-    arm, names = rows.of(model.unknowns.arm), [model.names[i] for i in model.load]
+    arm, left_out = model.rows(x).of(model.unknowns.arm), dict[str, str]()
+    names = [model.names[i] for i in model.load]
     while names := [name for name in names if name not in left_out]:
         kept = arm.with_columns(np.flatnonzero([name not in left_out for name in arm.names]))
         if worst := most_collinear(model.problem, kept, names):
@@ -238,9 +238,11 @@ def leave_out_load(model: Model, x: Array, method: Method) -> tuple[Model, Array
         least = int(np.argmin(np.abs(value) / np.maximum(half, 1e-300)))
         if abs(value[least]) >= half[least]:
             break
-        joint = model.problem.joint_of(names[least])
-        text = f"{names[least]} = {value[least]:.2g} ± {half[least]:.2g} may be zero"
-        left_out[names[least]] = f"load friction of joint {joint} left out: {text}"
+        name, joint = names[least], model.problem.joint_of(names[least])
+        left_out[name] = (
+            f"load friction of joint {joint} left out: {name} = {value[least]:.2g} ± "
+            f"{half[least]:.2g} may be zero"
+        )
     return model.without(left_out), x[[name not in left_out for name in model.unknowns.all]]
 
 
@@ -275,12 +277,11 @@ def most_collinear(problem: Problem, system: System, indices: Collection[str]) -
     lowest = min(shares, key=shares.__getitem__)
     if shares[lowest] >= MIN_INDEPENDENT_NORM:
         return {}
-    kind = problem.term_of(lowest).kind
-    finding = (
-        f"{kind} friction of joint {problem.joint_of(lowest)} left out: {lowest} cannot be "
-        "distinguished from the others"
-    )
-    return {lowest: f"{finding} ({100 * shares[lowest]:.1f} % of its column is independent)"}
+    return {
+        lowest: f"{problem.term_of(lowest).kind} friction of joint {problem.joint_of(lowest)} left "
+        f"out: {lowest} cannot be distinguished from the others "
+        f"({100 * shares[lowest]:.1f} % of its column is independent)"
+    }
 
 
 def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
@@ -313,8 +314,11 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
     # a joint that the reference holds has no instruments along it
     for along in (instruments, False):
         if len(half) < len(tried):
-            each = {ramp: _half_widths(*one, along=along) for ramp, one in tried.items()}
-            half = {ramp: found for ramp, found in each.items() if found}
+            half = {
+                ramp: found
+                for ramp, one in tried.items()
+                if (found := _half_widths(*one, along=along))
+            }
     if not half:
         others = (one for ramp in OTHERS if _half_widths(*(one := at(ramp)), along=False))
         return next(others, tried[LONG])
@@ -337,5 +341,5 @@ def _half_widths(model: Model, rows: Rows, *, along: bool) -> dict[str, float]:
         if along and rows.Z.size:
             estimate = instrumental_variables(system, rows.Z[:, places], estimate.weights)
         half = intervals_of(system, estimate).half
-        return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}
+        return {name: x for name, x in zip(estimate.names, half.tolist(), strict=True) if x > 0}
     return {}

@@ -58,12 +58,8 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             place=f"{a.label} and {b.label}",
             expected="two fits of one robot, or of like robots",
         )
-    rows = []
-    for name, x in a.parameters.items():
-        if name not in partners:
-            rows.append(Difference(name=name, unit=x.unit, a=x))
-            continue
-        y = b.parameters[partners[name]]
+    for name, partner in partners.items():
+        x, y = a.parameters[name], b.parameters[partner]
         if x.unit != y.unit:
             raise BadInputError(
                 place=b.label,
@@ -71,26 +67,34 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
                 value=y.unit,
                 expected=f"{x.unit}, as in {a.label}",
             )
-        off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
-        rows.append(
+    rest = {name: y for name, y in b.parameters.items() if name not in partners.values()}
+    return [
+        *(
+            _difference(name, x, b.parameters[partners[name]])
+            if name in partners
+            else Difference(name=name, unit=x.unit, a=x)
+            for name, x in a.parameters.items()
+        ),
+        *(
             Difference(
-                name=name,
-                unit=x.unit,
-                a=x,
-                b=y,
-                off=off,
-                off_percent=100 * off / abs(y.value) if y.value else None,
-                off_sigma=off / sigma if sigma > 0 else None,
+                name=f"{name} of {b.label}" if name in a.parameters else name, unit=y.unit, b=y
             )
-        )
-    for name, y in b.parameters.items():
-        if name not in partners.values():
-            rows.append(
-                Difference(
-                    name=f"{name} of {b.label}" if name in a.parameters else name, unit=y.unit, b=y
-                )
-            )
-    return rows
+            for name, y in rest.items()
+        ),
+    ]
+
+
+def _difference(name: str, x: Parameter, y: Parameter) -> Difference:
+    off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
+    return Difference(
+        name=name,
+        unit=x.unit,
+        a=x,
+        b=y,
+        off=off,
+        off_percent=100 * off / abs(y.value) if y.value else None,
+        off_sigma=off / sigma if sigma > 0 else None,
+    )
 
 
 def _have_expressions(*sets: ParameterSet) -> bool:
@@ -115,9 +119,8 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
     """The comparison in words."""
-    lines = []
-    if not _have_expressions(a, b):
-        lines.append("parameters matched by name: a file of an earlier version has no expressions")
+    by_name = "parameters matched by name: a file of an earlier version has no expressions"
+    lines = [] if _have_expressions(a, b) else [by_name]
     off = {row.name: abs(row.off_sigma) for row in rows if row.off_sigma is not None}
     if off:
         worst = max(off, key=lambda name: off[name])
@@ -128,13 +131,11 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
             f"of {len(off)} parameters in both {shares}; largest difference {off[worst]:.2g} "
             f"sigma, {worst}"
         )
-    for values, missing in (
-        (a, [r.name for r in rows if r.b is None]),
-        (b, [r.name for r in rows if r.a is None]),
-    ):
-        if missing:
-            lines.append(f"only in {values.label}: {', '.join(missing)}")
-    return lines
+    missing = (
+        (a.label, [row.name for row in rows if row.b is None]),
+        (b.label, [row.name for row in rows if row.a is None]),
+    )
+    return lines + [f"only in {label}: {', '.join(names)}" for label, names in missing if names]
 
 
 def comparison_document(
@@ -150,9 +151,8 @@ def comparison_document(
             for row in rows
             if row.a and row.b
         ]
-        heads = columns("name", "unit", numbers=("value", "±95%", "prior", "ratio"))
         table = Table(
-            columns=heads,
+            columns=columns("name", "unit", numbers=("value", "±95%", "prior", "ratio")),
             rows=tuple((*_cells(row)[:5], Number(x, ".3g", most=1e6)) for row, x in both),
         )
         section, rows = replace(section, table=table), [row for row, _ in both]
@@ -181,11 +181,9 @@ def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
 
 
 def _cells(row: Difference) -> Row:
-    known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]
-    form = value_form(min(known, default=0.0))
-    values = [
-        number for x in (row.a, row.b) for number in ((x.value, x.half) if x else (None, None))
-    ]
+    both = (row.a, row.b)
+    form = value_form(min((x.spread for x in both if x and x.spread > 0), default=0.0))
+    values = [number for x in both for number in ((x.value, x.half) if x else (None, None))]
     return (
         row.name,
         row.unit,

@@ -83,8 +83,8 @@ class Section:
         if self.table is None or len(self.table.rows) <= MAX_SHORT_ROWS:
             return self
         table = replace(self.table, rows=tuple(self.table.rows[k] for k in sorted(order[:most])))
-        lines = (*self.lines, f"{len(self.table.rows) - len(table.rows)} rows hidden (--all)")
-        return replace(self, short=replace(self, table=table, lines=lines))
+        hidden = f"{len(self.table.rows) - len(table.rows)} rows hidden (--all)"
+        return replace(self, short=replace(self, table=table, lines=(*self.lines, hidden)))
 
 
 @dataclass(frozen=True, kw_only=True)

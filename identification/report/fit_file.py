@@ -231,14 +231,12 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     @property
     def errors(self) -> tuple[TorqueResidual, ...]:
         """Torque errors of the joints and, last, of all together."""
-        each = self.joints
-        whole = self.all_joints or TorqueResidual(
+        return *self.joints, self.all_joints or TorqueResidual(
             name="all",
             relative_error_percent=self.moving_relative_error_percent,
-            moving_rows=sum(joint.moving_rows for joint in each),
-            standing_rows=sum(joint.standing_rows for joint in each),
+            moving_rows=sum(joint.moving_rows for joint in self.joints),
+            standing_rows=sum(joint.standing_rows for joint in self.joints),
         )
-        return *each, whole
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
@@ -315,13 +313,10 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
             return f"{self.size} parameters"
         names = ", ".join(one.recording for one in self.recordings or (self.provenance,))
         told = "nothing moves" if error is None else f"torque error {error:.3g} %"
-        made = (
-            f"{self.provenance.robot}, {names}, {self.method}, {self.status}, verdict "
-            f"{self.verdict}"
-        )
         return (
-            f"{made}: {self.size} parameters, {sum(p.essential for p in self.parameters)} "
-            f"essential, {told}"
+            f"{self.provenance.robot}, {names}, {self.method}, {self.status}, verdict "
+            f"{self.verdict}: {self.size} parameters, "
+            f"{sum(p.essential for p in self.parameters)} essential, {told}"
         )
 
     def __repr__(self) -> str:
@@ -331,12 +326,10 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         """Warnings with the file `place`: a status without a fixed point,
         physically impossible values.
         """
-        unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")
-        status = [f"its status is {self.status}"] if unsettled else []
-        return [
-            f"{place}: {text}"
-            for text in (*status, *(doubt.text for doubt in self.doubts if doubt.severe))
-        ]
+        texts = [doubt.text for doubt in self.doubts if doubt.severe]
+        if self.status in (*NO_FIXED_POINT, "not_confirmed"):
+            texts = [f"its status is {self.status}", *texts]
+        return [f"{place}: {text}" for text in texts]
 
 
 class Ahead(msgspec.Struct, frozen=True, kw_only=True):
@@ -375,8 +368,11 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
             else f"not a fit: {error}".replace("JSON is malformed", "no JSON")
         )
         log = path if other == "mcap" else "LOG.mcap"
-        expected = f"a fit as `robot-identify fit {log} --json FIT.json` writes it"
-        raise BadInputError(text, place=str(path), expected=expected) from error
+        raise BadInputError(
+            text,
+            place=str(path),
+            expected=f"a fit as `robot-identify fit {log} --json FIT.json` writes it",
+        ) from error
     if stored.format != FORMAT:
         raise BadInputError(
             place=str(path),

@@ -1,5 +1,6 @@
 """The parameters in the JSON file of a fit: base and standard parameters, drive gains, payloads."""
 
+import math
 from typing import Annotated
 
 import msgspec
@@ -36,6 +37,11 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
         if self.low is None or self.high is None:
             return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
         return 0.5 * (self.high - self.low)
+
+    @property
+    def half_percent(self) -> float:
+        """Half the interval in percent of the value; infinite for a value of zero."""
+        return 100 * self.half / abs(self.value) if self.value else math.inf
 
     @property
     def torque(self) -> float:

@@ -63,14 +63,13 @@ def _print_section(console: Console, section: Section, width: int) -> None:
 
 def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
     # no break between a number and its unit; a line has no NUL
-    lines = textwrap.wrap(
+    for line in textwrap.wrap(
         one_line(text).replace(" %", "\0%"),
         width,
         subsequent_indent="  ",
         break_long_words=False,
         break_on_hyphens=False,
-    )
-    for line in lines or [""]:
+    ) or [""]:
         console.print(Text(line.replace("\0", " "), style=style))
 
 
@@ -78,10 +77,9 @@ def _rich_table(table: Table) -> RichTable:
     drawn = RichTable()
     for heading, numeric in table.columns:
         drawn.add_column(Text(heading), justify="right" if numeric else "left")
+    above_total = len(table.rows) - 1 if table.total else 0
     for number, row in enumerate(table.rows, 1):
-        if table.total and number == len(table.rows):
-            drawn.add_section()
-        drawn.add_row(*(Text(cell_text(cell)) for cell in row))
+        drawn.add_row(*(Text(cell_text(x)) for x in row), end_section=number == above_total)
     return drawn
 
 
@@ -120,12 +118,13 @@ def to_markdown(document: Document) -> str:
     """The report as Markdown, with its text escaped."""
     parts = [f"# {_plain(document.title)}"]
     for section in document.sections:
-        parts += [f"## {_plain(section.title)}"] if section.title else []
-        parts += [_markdown_table(section.table)] if section.table else []
-        lines = [f"- **warning: {_plain(text)}**" for text in section.warnings]
-        lines += [f"- {_plain(text)}" for text in section.lines]
-        parts += ["\n".join(lines)] if lines else []
-    return "\n\n".join(parts) + "\n"
+        warnings = (f"- **warning: {_plain(text)}**" for text in section.warnings)
+        parts += [
+            f"## {_plain(section.title)}" if section.title else "",
+            _markdown_table(section.table) if section.table else "",
+            "\n".join([*warnings, *(f"- {_plain(text)}" for text in section.lines)]),
+        ]
+    return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def _markdown_table(table: Table) -> str:
@@ -158,14 +157,15 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
     title = document.title.split("; ")[0] if document.badge else document.title
     sections = document.sections
     first = next((k for k, section in enumerate(sections) if section.table), len(sections))
-    parts = [
-        _element(f"h{heading}", title),
-        *_tiles(document),
-        *(part for section in sections[:first] for part in _html_section(section, heading + 1)),
-        *([figures] if figures else []),
-        *(part for section in sections[first:] for part in _html_section(section, heading + 1)),
-    ]
-    return "\n".join(parts)
+    return "\n".join(
+        [
+            _element(f"h{heading}", title),
+            *_tiles(document),
+            *(part for section in sections[:first] for part in _html_section(section, heading + 1)),
+            *([figures] if figures else []),
+            *(part for section in sections[first:] for part in _html_section(section, heading + 1)),
+        ]
+    )
 
 
 def _tiles(document: Document) -> list[str]:
@@ -200,11 +200,9 @@ def _html_section(section: Section, heading: int) -> list[str]:
 
 
 def _html_table(table: Table) -> str:
-    rows = [
-        _html_row("th", table.columns, [heading for heading, _ in table.columns]),
-        *(_html_row("td", table.columns, [cell_text(cell) for cell in row]) for row in table.rows),
-    ]
-    return f'<div class="scroll"><table>{"".join(rows)}</table></div>'
+    head = _html_row("th", table.columns, [heading for heading, _ in table.columns])
+    rows = (_html_row("td", table.columns, [*map(cell_text, row)]) for row in table.rows)
+    return f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
 
 
 def _html_row(tag: str, columns: Columns, texts: Sequence[str]) -> str:

@@ -1,8 +1,8 @@
 """Results: a fit with its tests, its JSON file and its documents; parameters of stored fits.
 
-It owns `Fit`, made of the solution of `methods`, and all that is said of it: `report.FitFile`, the
-report, the torque errors on other recordings, the nearest physically consistent parameters. It may
-use `methods` and the rooms below; `study` and all above use it.
+It owns `Evidence`, the solution of `methods` with its tests, and all that is said of it:
+`report.FitFile`, the report, the torque errors on other recordings, the nearest physically
+consistent parameters. It may use `methods` and the rooms below; `study` and all above use it.
 """
 
 from .consistent import (
@@ -13,12 +13,10 @@ from .consistent import (
     urdf_prior,
     with_consistent,
 )
-from .fit import Fit
+from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_ahead, validated
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
-from .horizon import HORIZONS_S, errors_ahead
 from .make_fit import identify, identify_iv, identify_ls
-from .on_recording import FitOnRecording, validated
 from .parameters import (
     consistent_fit,
     fitted_parameters,

@@ -25,8 +25,7 @@ from ..estimation import (
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import recorded_power
 from ..report import ConsistentFile, StandardParameter
-from .fit import Fit
-from .on_recording import errors_on, validated
+from .evidence import Evidence, errors_on, validated
 
 # of the variance by the prior alone: above, the value is more from the prior than the recording
 MIN_PRIOR_SHARE = 0.5
@@ -61,24 +60,24 @@ def read_prior(path: Path, robot: Robot) -> Robot:
 
 
 @one_thread
-def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
+def with_consistent(fit: Evidence, prior: Robot | None = None) -> Evidence:
     """The fit with the nearest physically consistent parameters and their torque error; the
     estimate stays the same.
 
     `prior` describes the a-priori links; None: the fitted description. Raises `BadInputError`: a
     drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
-    problem, full, own = fit.problem, fit.full, fit.recordings[0].names
-    # of own parameters those of one recording
-    covariance = covariance_of_all(own, fit.estimate, fit.intervals, full)
-    known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
-    alike = [one.problem for one in fit.recordings if one.names == own]
-    power = recorded_power(alike, fit.beta)
-    found, standard = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
+    own = fit.recordings[0].names  # of own parameters those of one recording
+    known = Known(
+        beta=fit.beta,
+        covariance=covariance_of_all(own, fit.estimate, fit.intervals, fit.full),
+        reach=fit.intervals.reach,
+    )
+    power = recorded_power([one.problem for one in fit.recordings if one.names == own], fit.beta)
+    found, standard = consistent_set(fit.problem.model, fit.base, known, prior=prior, power=power)
     beta = np.array([one.value for one in found.base_parameters or ()])
-    errors = errors_on([validated(one.problem, beta + one.carried) for one in fit.recordings])
-    error = errors[-1].relative_error_percent
-    found = msgspec.structs.replace(found, relative_error_percent=error)
+    *_, error = errors_on([validated(one.problem, beta + one.carried) for one in fit.recordings])
+    found = msgspec.structs.replace(found, relative_error_percent=error.relative_error_percent)
     return replace(fit, consistent_set=found, standard_parameters=standard)
 
 

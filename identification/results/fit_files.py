@@ -1,30 +1,29 @@
-"""The JSON files of a fit and of a validation."""
+"""The JSON files of a fit and of a validation: what both say of a recording, and their own keys."""
 
+import platform
 from collections.abc import Sequence
 from typing import Any
 
 import msgspec
+import numpy as np
 from msgspec import UNSET
 
 from acquisition.robot import Robot
 
 from .. import report
 from ..control import FoundLaw
-from .fit import Fit
-from .gain_results import smallest_cragg_donald
-from .horizon import HORIZONS_S
-from .on_recording import FitOnRecording, errors_on, validated
+from ..data import Signals
+from ..regression import Settings, forward_backward_3db_hz
+from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_on, first_ahead, validated
+from .make_fit import smallest_cragg_donald
 from .parameters import fitted_parameters
-from .recorded import on_recording, remarks
-from .recording_report import first_ahead
 
 
-def fit_file(fit: Fit) -> report.FitFile:
+def fit_file(fit: Evidence) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
-    robot, each = fit.problem.signals.robot, fit.recordings if len(fit.recordings) > 1 else ()
+    robot = fit.problem.signals.robot
     return report.FitFile(
-        **on_recording(fit.problem, fit.errors, fit.warnings),
-        recordings=[_recording(one, one.errors[-1]) for one in each] or UNSET,
+        **on_recordings(fit.recordings, fit.errors, fit.warnings),
         method=fit.method,
         method_reason=fit.solution.method_reason,
         status=fit.status,
@@ -46,9 +45,14 @@ def fit_file(fit: Fit) -> report.FitFile:
     )
 
 
-def _trust_keys(fit: Fit) -> dict[str, Any]:
+def _trust_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the tests, and of what they looked at."""
     lines, signals = fit.trust.lines, fit.problem.signals
+    by_ls = [
+        validated(one.problem, one.values(fit.least_squares.estimate))
+        for one in fit.recordings
+        if fit.status in report.NO_FIXED_POINT
+    ]
     return {
         "verdict": fit.trust.verdict,
         "trust": list(lines),
@@ -80,13 +84,13 @@ def _trust_keys(fit: Fit) -> dict[str, Any]:
         "held_out_error_percent": fit.held_out_error_percent,
         "prior_source": fit.data.prior_source or UNSET,
         "prior_held_out_error_percent": fit.data.prior_error_percent if fit.data.prior else UNSET,
-        "least_squares_error_percent": _error_by_ls(fit)
-        if fit.status in report.NO_FIXED_POINT
+        "least_squares_error_percent": errors_on(by_ls)[-1].relative_error_percent
+        if by_ls
         else UNSET,
     }
 
 
-def _estimate_keys(fit: Fit) -> dict[str, Any]:
+def _estimate_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the parameters, and of the rows that they are from."""
     e, full = fit.estimate, fit.full
     return {
@@ -142,12 +146,10 @@ def validation_file(
     consistent: tuple[report.TorqueResidual, ...] = (),
 ) -> report.ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
-    each = recordings if len(recordings) > 1 else ()
     ahead = first_ahead(recordings)
     return report.ValidationFile(
-        **on_recording(recordings[0].problem, errors, warnings),
+        **on_recordings(recordings, errors, warnings),
         fit=fit,
-        recordings=[_recording(one, one.errors[-1]) for one in each] or UNSET,
         ahead={
             f"{time_s:g}": report.Ahead(error=error.tolist(), way=way.tolist())
             for time_s, error, way in zip(HORIZONS_S, *ahead, strict=True)
@@ -158,8 +160,9 @@ def validation_file(
     )
 
 
-def _recording(one: FitOnRecording, whole: report.TorqueResidual) -> report.RecordingOfFit:
+def _recording(one: FitOnRecording) -> report.RecordingOfFit:
     signals, settings, held_out = one.signals, one.problem.settings, one.held_out
+    whole = one.errors[-1]
     return report.RecordingOfFit(
         recording=signals.recording,
         sha256=signals.sha256,
@@ -174,15 +177,7 @@ def _recording(one: FitOnRecording, whole: report.TorqueResidual) -> report.Reco
     )
 
 
-def _error_by_ls(fit: Fit) -> float | None:
-    """The torque error of least squares, percent."""
-    each = [
-        validated(one.problem, one.values(fit.least_squares.estimate)) for one in fit.recordings
-    ]
-    return errors_on(each)[-1].relative_error_percent
-
-
-def _iv_keys(fit: Fit) -> dict[str, Any]:
+def _iv_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the instrumental variable method."""
     return {
         "reason": fit.solution.reason,
@@ -212,7 +207,100 @@ def _iv_keys(fit: Fit) -> dict[str, Any]:
         "contrast_half_widths": fit.contrast[0],
         "contrast_parameter": fit.contrast[1],
         "least_squares": list(fitted_parameters(fit, by_ls=True).parameters.values()),
-        "rows_used_percent": fit.rows_used_percent,
+        "rows_used_percent": float(100 * fit.data.observed.counts.mean()),
         "saturated_percent": fit.saturated_percent,
         "direct_model": list(fit.direct),
     }
+
+
+def on_recordings(
+    recordings: Sequence[FitOnRecording],
+    errors: tuple[report.TorqueResidual, ...],
+    warnings: tuple[str, ...],
+) -> dict[str, Any]:
+    """The keys of `report.OnRecording`: the first recording with its settings, each if there are
+    several, and torque errors, which are told behind filters of their own.
+    """
+    (*joints, whole), problem = errors, recordings[0].problem
+    return with_settings(problem.signals, problem.settings) | {
+        "warnings": list(warnings),
+        "recordings": [_recording(one) for one in recordings] if len(recordings) > 1 else UNSET,
+        "error_cutoff_hz": problem.for_errors.settings.cutoff_hz,
+        "error_decimation": problem.for_errors.settings.decimation,
+        "relative_error_percent": whole.relative_error_percent,
+        "moving_relative_error_percent": whole.moving_relative_error_percent,
+        "standing_relative_error_percent": whole.standing_relative_error_percent,
+        "joints": joints,
+        "all_joints": whole,
+    }
+
+
+def with_settings(signals: Signals, settings: Settings | None) -> dict[str, Any]:
+    """The keys of a recording, and of its settings if there are any."""
+    fs = signals.sample_rate_hz
+    keys = {
+        "provenance": report.Provenance(
+            recording=signals.recording,
+            sha256=signals.sha256,
+            robot=signals.robot.name,
+            versions={"python": platform.python_version(), **report.versions()},
+        ),
+        "sample_rate_hz": fs,
+        "off_grid_periods": signals.off_grid,
+        "recorded_samples": len(signals.t_s),
+        "inputs": _inputs(signals),
+        "remarks": remarks(signals),
+    }
+    if settings is None:
+        return keys
+    return keys | {
+        "cutoff_hz": settings.cutoff_hz,
+        "cutoff_forward_backward_3db_hz": forward_backward_3db_hz(settings.cutoff_hz, fs)
+        if settings.cutoff_hz
+        else None,
+        "decimation": settings.decimation,
+        "edges": settings.edges,
+        "low_speed_percent": msgspec.structs.asdict(settings.low_speed),
+        "ramp_rows": settings.ramp_rows,
+        "torque_lag_s": settings.torque_lag_s,
+        "span": settings.span,
+        "span_rule": settings.span_rule,
+        "samples": (settings.start, settings.stop),
+    }
+
+
+def _inputs(signals: Signals) -> list[str]:
+    """Known torque and feed-forward, and their use."""
+    robot = signals.robot
+    given = (
+        (
+            "known torque, added to that of the drives and to the simulated robot",
+            signals.known_torque,
+            robot.effort_units,
+        ),
+        (
+            "feed-forward, added to the output of the simulated controller",
+            signals.feedforward,
+            [motor.recorded_unit for motor in robot.motors],
+        ),
+    )
+    return [
+        f"{text}: rms " + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in each)
+        for text, values, units in given
+        if values is not None
+        for each in [zip(robot.joints, np.sqrt(np.mean(values**2, axis=0)), units, strict=True)]
+    ]
+
+
+def remarks(signals: Signals) -> list[str]:
+    """The final counters of the recorder, and the payload, if any."""
+    known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
+    last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
+    found = [f"recorder: {', '.join(last)}"] if last else []
+    if signals.payload is None:
+        return found
+    return [
+        *found,
+        f"payload of {signals.recording}: "
+        + signals.payload.describe(signals.robot.joints[-1].name),
+    ]

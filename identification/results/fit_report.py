@@ -9,11 +9,9 @@ from msgspec import UNSET, UnsetType
 from ..regression import ROWS
 from ..report import (
     NO_FIXED_POINT,
-    Cell,
     Document,
     FitFile,
     Number,
-    Row,
     Section,
     Table,
     base_name,
@@ -21,9 +19,8 @@ from ..report import (
     known,
     value_form,
 )
-from ..trust import LEVELS
+from ..trust import LEVELS, Trust
 from . import recording_report as shared
-from .gain_results import gain_sections, payload_sections
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
 HIDDEN = Section()  # the `short` of what only `--all` prints
@@ -34,17 +31,6 @@ def fit_document(fit: FitFile) -> Document:
     """The file of a fit as a report, the verdict first."""
     held, several = known(fit.held_out_error_percent), fit.recordings or ()
     percents = shared.half_width_percents(fit.parameters)
-    settings = Section(
-        title="settings and tests",
-        lines=(
-            *(() if several else shared.settings_lines(fit, used="fitted")),
-            f"cond(W) {_number(fit.condition_number, '.4f')}, with columns of norm one "
-            f"{_number(fit.condition_number_scaled, '.4f')}; {_rows_line(fit)}",
-            *(_iv_lines(fit) if fit.iterations else ()),
-            *(() if several else shared.recording_lines(fit)),
-        ),
-        short=HIDDEN,
-    )
     assert fit.provenance is not None
     prior = {f"held out, links of the {fit.prior_source}": known(fit.prior_held_out_error_percent)}
     return Document(
@@ -54,14 +40,24 @@ def fit_document(fit: FitFile) -> Document:
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
-            *gain_sections(fit),
-            *payload_sections(fit),
+            *shared.gain_sections(fit),
+            *shared.payload_sections(fit),
             _parameters(fit),
             *_consistent(fit),
             *(_iv_sections(fit) if fit.iterations else ()),
             shared.errors_section(fit.errors),
             *([shared.recordings_section(fit)] if several else []),
-            settings,
+            Section(
+                title="settings and tests",
+                lines=(
+                    *(() if several else shared.settings_lines(fit, used="fitted")),
+                    f"cond(W) {_number(fit.condition_number, '.4f')}, with columns of norm one "
+                    f"{_number(fit.condition_number_scaled, '.4f')}; {_rows_line(fit)}",
+                    *(_iv_lines(fit) if fit.iterations else ()),
+                    *(() if several else shared.recording_lines(fit)),
+                ),
+                short=HIDDEN,
+            ),
             *_expressions(fit),
         ),
     )
@@ -69,8 +65,7 @@ def fit_document(fit: FitFile) -> Document:
 
 def first_line(fit: FitFile, held: float | None, percents: Mapping[str, float]) -> str:
     """Method and its reason, status, verdict with its worst finding, and the main figures."""
-    worst = next(iter(fit.trust or ()), None)
-    finding = "" if worst is None or fit.verdict == "trust" else worst.finding or worst.test
+    finding = Trust(lines=tuple(fit.trust)).finding if fit.trust else ""
     verdict = ": ".join(text for text in (fit.verdict, finding) if text)
     figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     # the status alone has no reason where instruments are those of a simulated robot
@@ -98,23 +93,24 @@ def _determined(percents: Mapping[str, float], of: int) -> str:
 def _verdict_section(fit: FitFile) -> Section:
     reason = f": {fit.reason}" if fit.reason else ""
     assumed = [one.what for one in fit.assumed or ()]
-    lines = [f"assumed: {', '.join(assumed)}"] if assumed else []
-    status, error = (
-        f"status: {fit.status}{reason}",
+    first = [f"assumed: {', '.join(assumed)}"] if assumed else []
+    status = [f"status: {fit.status}{reason}"]
+    last = [
         shared.error_line(fit.errors, fit.error_cutoff_hz),
-    )
-    lines += [status, error, *(f"note: {text}" for text in fit.notes)]
+        *(f"note: {text}" for text in fit.notes),
+    ]
     if fit.status in NO_FIXED_POINT:
-        percent = _percent(known(fit.least_squares_error_percent))
-        lines.append(f"least squares has a torque error of {percent}: --method wls")
+        error = _percent(known(fit.least_squares_error_percent))
+        last.append(f"least squares has a torque error of {error}: --method wls")
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
-    stated = [line for line in lines if reason or line != status]  # the title has the status
-    shown = tuple(fit.warnings[:MAX_SHORT_WARNINGS])
     return Section(
-        lines=(*lines, _essential_line(fit)),
+        lines=(*first, *status, *last, _essential_line(fit)),
         warnings=tuple(fit.warnings),
-        short=Section(lines=(*stated, *more), warnings=shown),
+        short=Section(
+            lines=(*first, *(status if reason else []), *last, *more),  # the title has the status
+            warnings=tuple(fit.warnings[:MAX_SHORT_WARNINGS]),
+        ),
     )
 
 
@@ -124,18 +120,17 @@ def _trust_section(fit: FitFile) -> Section:
     lines = tuple(
         f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in tests
     )
-    by_level = {level: [line.test for line in tests if line.level == level] for level in LEVELS}
-    found = len(by_level["do not use"]) + len(by_level["caution"])
-    passed = f"{len(by_level['ok'])} of {len(lines)} checks passed"
-    for what, names in (
-        ("inconclusive", by_level["cannot tell"]),
-        ("not possible", by_level["not made"]),
-    ):
-        passed += f"; {len(names)} {what}: {', '.join(names)}" if names else ""
+    of = {level: [line.test for line in tests if line.level == level] for level in LEVELS}
+    others = [("inconclusive", of["cannot tell"]), ("not possible", of["not made"])]
+    passed = (
+        f"{len(of['ok'])} of {len(lines)} checks passed",
+        *(f"{len(names)} {what}: {', '.join(names)}" for what, names in others if names),
+    )
+    found = lines[: len(of["do not use"]) + len(of["caution"])]
     return Section(
         title=f"verdict: {fit.verdict}",
         lines=lines,
-        short=Section(lines=(*lines[:found], f"{passed} (--all)")),
+        short=Section(lines=(*found, f"{'; '.join(passed)} (--all)")),
     )
 
 
@@ -143,31 +138,35 @@ def _essential_line(fit: FitFile) -> str:
     if not fit.essential:  # a file of an earlier version
         return f"{fit.size} parameters"
     count, unclear = len(fit.essential.names), len(fit.unclear)
-    by = " (by least squares)" if fit.iterations else ""
-    line = f"{count} of {fit.size} parameters determined{by}"
+    line = f"{count} of {fit.size} parameters determined"
+    line += " (by least squares)" if fit.iterations else ""
     line += f", {unclear} unclear: an interval wider than the value" if unclear else ""
     if fit.essential.F is None or not math.isfinite(fit.essential.F):
         return line
-    without = fit.size - count - unclear
     return (
-        f"{line}, {without} without effect on the torque: F test p = {fit.essential.p_value:.2g} "
-        f"(corrected for correlation p = {fit.essential.p_effective:.2g})"
+        f"{line}, {fit.size - count - unclear} without effect on the torque: F test "
+        f"p = {fit.essential.p_value:.2g} (corrected for correlation "
+        f"p = {fit.essential.p_effective:.2g})"
     )
 
 
 def _parameters(fit: FitFile) -> Section:
-    rows, error = list[Row](), known(fit.prior_held_out_error_percent)
+    error = known(fit.prior_held_out_error_percent)
     prior = any(p.prior is not UNSET for p in fit.parameters)
-    for p in fit.parameters:
-        form, percent = value_form(p.sigma), 100 * p.half / abs(p.value) if p.value else math.inf
-        numbers: list[Cell] = [
+    rows = [
+        (
+            p.name,
             Number(p.value, form),
             Number(p.half, form),
-            Number(percent, ".2f", most=1000),
-        ]
-        numbers += ["" if p.prior is UNSET else Number(p.prior, form)] * prior
-        mark = "yes" if p.essential else ""
-        rows.append((p.name, *numbers, p.unit, Number(p.sigma, form), mark))
+            Number(p.half_percent, ".2f", most=1000),
+            *(["" if p.prior is UNSET else Number(p.prior, form)] if prior else []),
+            p.unit,
+            Number(p.sigma, form),
+            "yes" if p.essential else "",
+        )
+        for p in fit.parameters
+        for form in [value_form(p.sigma)]
+    ]
     heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * prior)) + columns(
         "unit"
     )
@@ -200,8 +199,7 @@ def _consistent(fit: FitFile) -> list[Section]:
     if not (c := fit.consistent):
         return []
     standard, line = fit.standard_parameters or [], fit.line_of.get("consistent")
-    alike = line is not None and line.value == c.chi2
-    own = "" if alike else " (the verdict's line `consistent` has its own)"
+    own = " (the verdict's line `consistent` has its own)"
     heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
     rows, of_base = (
         [
@@ -219,26 +217,34 @@ def _consistent(fit: FitFile) -> list[Section]:
     )
     moves = [(p.name, p.move or 0.0) for p in c.base_parameters or ()]
     left = [f"{name} ({move:+.2g})" for name, move in moves if abs(move) > 1]
-    known = [p for p in standard if p.from_prior]
     lines = (
         "all pseudo-inertias and rotor inertias are positive, friction adds no energy; prior: "
-        f"{c.prior}{own}",
+        + c.prior
+        + ("" if line is not None and line.value == c.chi2 else own),
         f"added chi² {c.chi2:.3g} on {len(moves)} parameters; largest move "
         f"{c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
         f"relative torque error {_percent(fit.moving_relative_error_percent)} → "
         f"{_percent(c.relative_error_percent)}",
-        f"{len(known)} of {len(rows)} values are the prior's: the torques say nothing about them",
+        f"{sum(p.from_prior for p in standard)} of {len(rows)} values are the prior's: the "
+        "torques say nothing about them",
     )
     title = "physically consistent standard parameters"
-    table = Table(columns=heads, rows=tuple(row[:-1] for row in rows))
-    short = Section(title=title, lines=lines)
-    base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(of_base))
-    whole = (*lines, f"certificate {c.certificate:.1e} (Newton decrement)")
     return [
-        Section(title=title, table=table, lines=whole, short=short),
-        Section(title="physically consistent base parameters", table=base, short=HIDDEN),
+        Section(
+            title=title,
+            table=Table(columns=heads, rows=tuple(row[:-1] for row in rows)),
+            lines=(*lines, f"certificate {c.certificate:.1e} (Newton decrement)"),
+            short=Section(title=title, lines=lines),
+        ),
+        Section(
+            title="physically consistent base parameters",
+            table=Table(
+                columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(of_base)
+            ),
+            short=HIDDEN,
+        ),
     ]
 
 
@@ -253,9 +259,9 @@ def _number(value: float | UnsetType | None, form: str) -> str:
 def _rows_line(fit: FitFile) -> str:
     """The number of rows by their weights, and what weighs nothing."""
     percent = (fit.low_speed_percent or {}).get("iv" if fit.method == "iv" else "ls")
-    slow = "4 % of the peak speed (1 % with root, load or Stribeck terms)"
     slow = (
-        f"{slow}, or 4 deviations of its noise"
+        "4 % of the peak speed (1 % with root, load or Stribeck terms), or 4 deviations of its "
+        "noise"
         if percent is None
         else f"{percent:g} % of the peak speed"
     )
@@ -269,42 +275,36 @@ def _rows_line(fit: FitFile) -> str:
 
 def _iv_sections(fit: FitFile) -> list[Section]:
     """The passes of the instrumental variable method, and the errors of the direct model."""
-    rows = list[Row]()
-    for number, p in enumerate(fit.iterations or (), 1):
-        gains = [math.nan if gain is None else gain for gain in p.gains]
-        rows.append(
-            (
-                Number(number, "d"),
-                p.instruments,
-                Number(p.residual_norm, ".3f"),
-                Number(p.largest_change_sigma, ".2g"),
-                p.changed_most,
-                Number(p.tracking_error_percent, ".2f"),
-                Number(min(gains), ".3g"),
-                Number(max(gains), ".3g"),
-                Number(p.condition_number_ztw, ".1f"),
-            )
+    direct = tuple(
+        (d.name, Number(d.position_error_percent, ".2f"), Number(d.torque_error_percent, ".2f"))
+        for d in fit.direct_model or ()
+    )
+    sections = {
+        f"passes from start: {fit.start}": Table(
+            columns=columns(numbers=("pass",))
+            + columns("instruments", numbers=("|rho|", "largest change, sigma"))
+            + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
+            rows=tuple(
+                (
+                    Number(number, "d"),
+                    p.instruments,
+                    Number(p.residual_norm, ".3f"),
+                    Number(p.largest_change_sigma, ".2g"),
+                    p.changed_most,
+                    Number(p.tracking_error_percent, ".2f"),
+                    *(Number(end(gains), ".3g") for end in (min, max)),
+                    Number(p.condition_number_ztw, ".1f"),
+                )
+                for number, p in enumerate(fit.iterations or (), 1)
+                for gains in [[math.nan if gain is None else gain for gain in p.gains]]
+            ),
         )
-    passes = Table(
-        columns=columns(numbers=("pass",))
-        + columns("instruments", numbers=("|rho|", "largest change, sigma"))
-        + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
-        rows=tuple(rows),
-    )
-    direct = Table(
-        columns=columns("joint", numbers=("position", "torque")),
-        rows=tuple(
-            (
-                d.name,
-                Number(d.position_error_percent, ".2f"),
-                Number(d.torque_error_percent, ".2f"),
-            )
-            for d in fit.direct_model or ()
-        ),
-    )
-    title = "simulated robot against the recording, %"
-    sections = [Section(title=f"passes from start: {fit.start}", table=passes, short=HIDDEN)]
-    return sections + [Section(title=title, table=direct, short=HIDDEN)] * bool(direct.rows)
+    }
+    if direct:
+        sections["simulated robot against the recording, %"] = Table(
+            columns=columns("joint", numbers=("position", "torque")), rows=direct
+        )
+    return [Section(title=title, table=table, short=HIDDEN) for title, table in sections.items()]
 
 
 def _iv_lines(fit: FitFile) -> tuple[str, ...]:

@@ -1,4 +1,10 @@
-"""Identifies, and judges what was found: torque errors, tests and warnings of a solution."""
+"""Identifies, and judges what was found: torque errors, tests and warnings of a solution, its drive
+gains and payloads.
+
+E_m is the torque of motor m by its described gain, kappa_m the factor on it: a term `Drives` like
+the others, equation (I). What is stated of gains, masses and centres of mass has half-widths, which
+intervals count. Results of gains and payloads stand apart from the base parameters.
+"""
 
 from functools import partial
 from typing import Literal
@@ -16,18 +22,19 @@ from ..estimation import (
     spans_of,
 )
 from ..methods import Iteration, Model, ProgressCallback, Solution, solve
+from ..model import LINK
 from ..regression import ROWS, Overrides, Problem, sample_weights
-from ..report import FTest, Method, base_name
-from ..trust import MIN_FIRST_STAGE_F, trust_in, with_predictions
-from .fit import Fit
-from .gain_results import gains_of, payloads_of
-from .on_recording import FitOnRecording, errors_on
-from .recording_report import gain_warnings
+from ..report import DriveGain, FTest, Method, PayloadOfFit, base_name
+from ..trust import MIN_FIRST_STAGE_F, FitData, trust_in, with_predictions
+from .consistent import standard_parameters
+from .evidence import Evidence, FitOnRecording, errors_on
 
 SURROGATE = (
     "surrogate reference: none recorded, the measured position is used instead; the instruments "
     "are not strictly exogenous"
 )
+UNITS = (*["kg m²"] * 6, *["kg m"] * 3, "kg")  # of LINK
+MAX_GAIN_SHARE = 0.1  # half an interval over the gain: with more it is not determined
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 
 
@@ -40,49 +47,19 @@ def identify(
     iteration: Iteration | None = None,
     essential: bool = False,
     say: ProgressCallback = lambda text: None,
-) -> Fit:
+) -> Evidence:
     """Identify base parameters, and judge the fit by its tests.
 
     Parameters and errors as of `methods.solve`. The status of least squares is `solved`; that of
     `iv` is `converged` only if two passes agree and the robot simulated with the estimate follows
     the recording, or if instruments of the reference alone suffice.
     """
-    return fit_of(
-        solve(signals, overrides, method=method, iteration=iteration, essential=essential, say=say)
+    solution = solve(
+        signals, overrides, method=method, iteration=iteration, essential=essential, say=say
     )
-
-
-def identify_ls(
-    signals: Signals | Recordings,
-    overrides: Overrides,
-    *,
-    method: Literal["ols", "wls"] = "wls",
-    essential: bool = False,
-    say: ProgressCallback = lambda text: None,
-) -> Fit:
-    """Identify by least squares, IDIM-LS, section 2 of Janot2014; parameters as of `identify`."""
-    return identify(signals, overrides, method=method, essential=essential, say=say)
-
-
-def identify_iv(
-    signals: Signals | Recordings,
-    overrides: Overrides,
-    iteration: Iteration,
-    *,
-    essential: bool = False,
-    say: ProgressCallback = lambda text: None,
-) -> Fit:
-    """Identify by instrumental variables, IDIM-IV, section 3 of Janot2014; as of `identify`."""
-    return identify(
-        signals, overrides, method="iv", iteration=iteration, essential=essential, say=say
-    )
-
-
-def fit_of(solution: Solution) -> Fit:
-    """The fit of a solution: its torque errors, its tests, its warnings, gains and payloads."""
     model, x, z = solution.model, solution.x, solution.simulated
     data, held_out, (tau, predicted, counts, t_s) = with_predictions(
-        solution.evidence, partial(model.torques, x, judged=True)
+        solution.inputs, partial(model.torques, x, judged=True)
     )
     parts = zip(data.problems, model.unknowns.arms, spans_of([*map(len, t_s)]), strict=True)
     fitted = [
@@ -101,7 +78,7 @@ def fit_of(solution: Solution) -> Fit:
         for k, (problem, arm, part) in enumerate(parts)
     ]
     payloads, far = payloads_of(model, data)
-    return Fit(
+    return Evidence(
         solution=solution,
         data=data,
         recordings=tuple(fitted[k] for k in model.order),
@@ -114,19 +91,44 @@ def fit_of(solution: Solution) -> Fit:
     )
 
 
+def identify_ls(
+    signals: Signals | Recordings,
+    overrides: Overrides,
+    *,
+    method: Literal["ols", "wls"] = "wls",
+    essential: bool = False,
+    say: ProgressCallback = lambda text: None,
+) -> Evidence:
+    """Identify by least squares, IDIM-LS, section 2 of Janot2014; parameters as of `identify`."""
+    return identify(signals, overrides, method=method, essential=essential, say=say)
+
+
+def identify_iv(
+    signals: Signals | Recordings,
+    overrides: Overrides,
+    iteration: Iteration,
+    *,
+    essential: bool = False,
+    say: ProgressCallback = lambda text: None,
+) -> Evidence:
+    """Identify by instrumental variables, IDIM-IV, section 3 of Janot2014; as of `identify`."""
+    return identify(
+        signals, overrides, method="iv", iteration=iteration, essential=essential, say=say
+    )
+
+
 def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:
     """F test, by least squares, of the recordings' own parameters against shared ones;
     None if there are none.
     """
     if not (own := model.unknowns.own):
         return None
-    names, x = full.names, model.x_of(full, x)
-    rows = model.rows(x)
+    rows, names = model.rows(model.x_of(full, x)), [*map(base_name, full.names)]
     W, Y = rows.of(model.unknowns.arm).weighted(full.weights)
-    shared = list(dict.fromkeys(map(base_name, names)))
-    merge = np.array([[float(base_name(name) == one) for one in shared] for name in names])
+    shared = list(dict.fromkeys(names))
+    merge = np.array([[float(name == one) for one in shared] for name in names])
     norm, left = (relative_residual(A, Y) for A in (W, W @ merge))
-    rho = (rows.tau - model.predicted(x, full)) * full.weights * rows.counts
+    rho = (rows.tau - model.predicted(rows.x, full)) * full.weights * rows.counts
     extra, freedom = len(names) - len(shared), full.rows - len(names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
     return f_test(own, F, extra, full.rows, len(names), autocorrelation(rho) or 0.0)
@@ -136,8 +138,13 @@ def _warnings(model: Model) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [model.problems[k] for k in model.order]
     of_settings = [
-        [*p.for_errors.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)]
+        text
         for p in problems
+        for text in (
+            *p.for_errors.settings.warnings,
+            *_short_moves(p),
+            *_gain_warnings(p.signals),
+        )
     ]
     named = [
         f"{p.signals.recording}: " * (len(problems) > 1) + f"recording: {event.text}"
@@ -145,7 +152,7 @@ def _warnings(model: Model) -> tuple[str, ...]:
         for event in p.signals.events
         if event.kind == "warning"
     ]
-    return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
+    return (*dict.fromkeys(of_settings), *named)
 
 
 def _short_moves(problem: Problem) -> list[str]:
@@ -162,7 +169,7 @@ def _short_moves(problem: Problem) -> list[str]:
 
 
 def _iv_warnings(solution: Solution) -> tuple[str, ...]:
-    model, z, F = solution.model, solution.simulated, solution.evidence.first_stage_F
+    model, z, F = solution.model, solution.simulated, solution.inputs.first_stage_F
     each = list(zip((problem.signals.robot for problem in model.problems), z, strict=True))
     without = [robot for robot, one in each if one.controller == "surrogate"]
     unknown = [
@@ -192,3 +199,90 @@ def _iv_warnings(solution: Solution) -> tuple[str, ...]:
             else []
         ),
     )
+
+
+def _gain_warnings(signals: Signals) -> tuple[str, ...]:
+    """A warning of the units if the drive gains are not given."""
+    robot = signals.robot
+    if robot.gain_known:
+        return ()
+    units = " and ".join(sorted(set(robot.effort_units)))
+    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
+    if robot.n == 1:
+        return (text,)
+    shared = (
+        "joints share parameters, so the values are valid only if all drives have the same gain"
+    )
+    return (f"{text}; {shared}",)
+
+
+def smallest_cragg_donald(data: FitData) -> float:
+    """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W
+    and L, per instrument.
+
+    Cragg, Donald, Testing identifiability and specification in instrumental variable models,
+    Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
+    """
+    system, Z, w = data.observed.system, data.observed.Z, data.weight[:, None]
+    gains = [system.names.index(name) for name in data.gains]
+    others, E, known = np.delete(Z, gains, axis=1) * w, system.W[:, gains] * w, Z[:, gains] * w
+    basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
+    E, known = (x - basis @ (basis.T @ x) for x in (E, known))
+    Q = np.linalg.qr(known)[0]
+    explained = Q.T @ E
+    left = E - Q @ explained
+    m, freedom = E.shape[1], float(system.rows.sum()) - Z.shape[1]
+    root = np.linalg.cholesky(left.T @ left / max(1.0, freedom) + 1e-300 * np.eye(m))
+    half = np.linalg.solve(root, explained.T)
+    return float(np.linalg.eigvalsh(half @ half.T)[0] / m)
+
+
+def gains_of(model: Model, data: FitData) -> tuple[DriveGain, ...]:
+    """The drive gains that were identified, in the order of their motors."""
+    of, robot = model.unknowns, model.problem.signals.robot
+    motors, places = [*of.motors], [data.estimate.names.index(name) for name in of.names[of.gains]]
+    values = (robot.gain[motors] * data.estimate.beta[places]).tolist()
+    widths = (np.abs(robot.gain[motors]) * data.intervals.half[places]).tolist()
+    return tuple(
+        DriveGain(
+            motor=robot.motors[m].name,
+            unit=f"{robot.effort_units[m]}/{robot.motors[m].recorded_unit}",
+            described=robot.motors[m].gain,
+            value=value,
+            half_width=width,
+            determined=width < MAX_GAIN_SHARE * abs(value),
+        )
+        for m, value, width in zip(motors, values, widths, strict=True)
+    )
+
+
+def payloads_of(model: Model, data: FitData) -> tuple[tuple[PayloadOfFit, ...], list[str]]:
+    """The payloads as the nearest bodies of positive density, and warnings of those that are near
+    none.
+    """
+    estimate, found, base = data.estimate, data.intervals, model.problem.base
+    payloads, far = list[PayloadOfFit](), list[str]()
+    for one in model.unknowns.payloads:
+        own = [estimate.names.index(name) for name in one.names if name in estimate.names]
+        covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
+        values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
+        name = model.recordings[[arm.payload for arm in model.unknowns.arms].index(one)]
+        if one.names and not sigma.any():
+            far.append(
+                f"payload of {name}: no body of positive density is near: its values are stated or "
+                "a ball's"
+            )
+        half, stated = found.reach * sigma, one.payload
+        payloads.append(
+            PayloadOfFit(
+                recording=name,
+                stated=stated.text,
+                parameters=list(standard_parameters(LINK, UNITS, values, half, prior)),
+                base_parameters=dict(zip(base.names, one.values(estimate).tolist(), strict=True)),
+                described=stated.describe(model.problem.signals.robot.joints[-1].name),
+                given=["mass"] * (stated.mass_kg is not None)
+                + ["center"] * (stated.center_of_mass_m is not None),
+                mass_half_width_kg=stated.mass_half_width_kg or None,
+            )
+        )
+    return tuple(payloads), far

@@ -18,6 +18,7 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import BadInputError
 from ..estimation import one_thread
+from ..methods import essential_names
 from ..model import (
     BaseParameters,
     InverseModel,
@@ -29,24 +30,21 @@ from ..model import (
 from ..regression import Overrides, Problem, make_problem, with_common_band
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name
 from .consistent import read_prior, refuse_unknown_gain
-from .fit import Fit
-from .horizon import errors_ahead
-from .on_recording import FitOnRecording, errors_on, validated
+from .evidence import Evidence, FitOnRecording, errors_ahead, errors_on, validated
 
 
-def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
+def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
     """The parameters that a fit estimated, labelled by its method: IV, LS or OLS; or those that
     least squares of the same recording estimated, labelled LS.
     """
     of = fit.least_squares if by_ls else fit
     e, intervals = of.estimate, of.intervals
-    narrow = zip(e.names, e.beta, intervals.half, strict=True)
-    essential = {name for name, x, half in narrow if half < abs(x) and name in fit.essential.names}
-    known = true_parameters(fit.base, np.zeros(len(fit.base.names))).parameters
-    prior, columns = fit.data.prior, (e.beta, intervals.low, intervals.high, e.sigma)
-    norms = np.linalg.norm(fit.data.W, axis=0).tolist()
-    torque = {} if by_ls else dict(zip(fit.data.estimate.names, norms, strict=True))
-    found = zip(e.names, *(x.tolist() for x in (*columns, e.sigma_percent)), strict=True)
+    essential = essential_names(fit.essential, e, intervals)
+    known = true_parameters(fit.base, np.zeros(fit.base.b)).parameters
+    norms = zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True)
+    torque = {} if by_ls else dict(norms)
+    columns = e.beta, intervals.low, intervals.high, e.sigma, e.sigma_percent
+    found = zip(e.names, *(x.tolist() for x in columns), strict=True)
     return ParameterSet(
         label="LS" if by_ls else {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
         parameters={
@@ -59,7 +57,7 @@ def fitted_parameters(fit: Fit, *, by_ls: bool = False) -> ParameterSet:
                 sigma=sigma,
                 sigma_percent=percent,
                 essential=name in essential,
-                prior=prior.get(name, UNSET),
+                prior=fit.data.prior.get(name, UNSET),
                 column_norm=torque.get(name, UNSET),
             )
             for name, value, low, high, sigma, percent in found
@@ -120,33 +118,33 @@ def stored_settings(
     )
     notes = list[str]()
     if (lag := stored.lag) is not UNSET:
-        fitted = (
-            lag.effort_object or lag.effort_provenance,
-            lag.effort_timing,
-            stored.sample_rate_hz,
+        fitted = lag.effort_object or lag.effort_provenance
+        compared = (
+            ("effort object", signals.effort_object, fitted),
+            ("effort timing", signals.effort_timing, lag.effort_timing),
+            ("rate in Hz", rate_hz, stored.sample_rate_hz),
         )
-        here = signals.effort_object, signals.effort_timing, signals.sample_rate_hz
-        names = zip(("effort object", "effort timing", "rate in Hz"), fitted, here, strict=True)
         others = [
             f"its {name} is {own}, that of the fit {there}"
-            for name, there, own in names
+            for name, own, there in compared
             if own != there
         ]
         lag_s = None if others else lag.value_s
         if others and given.torque_lag_s is None:
-            text = (
-                f"the lag of the fit, {1e3 * lag.value_s:.3g} ms, is not used: {'; '.join(others)}"
-            )
-            notes = [f"{signals.recording}: {text}; --torque-lag-s states one"]
-    found = Overrides(
-        cutoff_hz=stored.cutoff_hz or 0.0,
-        decimation=n_d,
-        span=stored.span_rule,
-        edges=stored.edges,
-        low_speed_percent=None if low is None else LowSpeed(ls=low.get("ls"), iv=low.get("iv")),
-        torque_lag_s=lag_s,
-    )
-    return given.over(found), notes
+            notes = [
+                f"{signals.recording}: the lag of the fit, {1e3 * lag.value_s:.3g} ms, is not "
+                f"used: {'; '.join(others)}; --torque-lag-s states one"
+            ]
+    return given.over(
+        Overrides(
+            cutoff_hz=stored.cutoff_hz or 0.0,
+            decimation=n_d,
+            span=stored.span_rule,
+            edges=stored.edges,
+            low_speed_percent=None if low is None else LowSpeed(ls=low.get("ls"), iv=low.get("iv")),
+            torque_lag_s=lag_s,
+        )
+    ), notes
 
 
 def stored_robot(stored: FitFile, place: str) -> Robot:
@@ -164,42 +162,38 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
     if stored.gains is UNSET:
         return robot
     found = {one.motor: one.value for one in stored.gains}
-    gains = [
-        found.get(motor.name, gain) for motor, gain in zip(robot.motors, robot.gain, strict=True)
-    ]
-    return replace(robot, identified_gain=np.array(gains))
+    pairs = zip(robot.motors, robot.gain, strict=True)
+    return replace(
+        robot, identified_gain=np.array([found.get(motor.name, gain) for motor, gain in pairs])
+    )
 
 
 def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
     """(rows, n) torque IDM(q, dq, ddq) beta of a stored fit along a motion of
     three arrays (rows, n).
     """
-    model, arrays = (
-        InverseModel(stored_robot(stored, place)),
-        [np.asarray(x, dtype=np.float64) for x in motion],
-    )
-    shapes, base = [x.shape for x in arrays], base_parameters(model)
+    arrays = [np.asarray(x, dtype=np.float64) for x in motion]
+    base = base_parameters(model := InverseModel(stored_robot(stored, place)))
+    shapes = [x.shape for x in arrays]
     if any(shape != (len(arrays[0]), model.robot.n) for shape in shapes):
         raise BadInputError(
             key="shapes", value=shapes, expected=f"(rows, {model.robot.n}) of q, dq and ddq"
         )
-    return direct_model(model, base.standard_parameters(stored_beta(stored, base, place))).torque(
-        *arrays
-    )
+    chi = base.standard_parameters(stored_beta(stored, base, place))
+    return direct_model(model, chi).torque(*arrays)
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
     """Parameters that `base` lacks, or has in another unit or for another sum
     of standard parameters.
     """
-    units = dict(zip(base.names, base.units, strict=True))
-    sums = dict(zip(base.names, base.expressions, strict=True))
+    known = true_parameters(base, np.zeros(base.b)).parameters
     return [
         p.name
         for p in stored.parameters
-        if (name := base_name(p.name)) not in units
-        or p.unit != units[name]
-        or p.expression not in (None, sums[name])
+        if (x := known.get(base_name(p.name))) is None
+        or p.unit != x.unit
+        or p.expression not in (None, x.expression)
     ]
 
 
@@ -241,9 +235,11 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
     units = {base_name(p.name): p.unit for p in stored.parameters}
     for name, unit in zip(base.names, base.units, strict=True):
         if units.get(name, unit) != unit:
-            expected = f"{unit}, as the recording's robot has it"
             raise BadInputError(
-                place=place, key=f"{name}.unit", value=units[name], expected=expected
+                place=place,
+                key=f"{name}.unit",
+                value=units[name],
+                expected=f"{unit}, as the recording's robot has it",
             )
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
 
@@ -275,14 +271,14 @@ def signals_as_fitted(
         return signals, terms_without_fit(stored, base, place)
     names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
     if chosen or not stored.description:
-        text = f"perhaps not the same quantities as those of robot {signals.robot.name} here"
-        return signals, [f"{place}: {names}: {text}"]
-    note = (
+        return signals, [
+            f"{place}: {names}: perhaps not the same quantities as those of robot "
+            f"{signals.robot.name} here"
+        ]
+    again = load_signals(recording, stored_robot(stored, place))
+    return replace(again, payload=signals.payload), [
         f"{signals.recording}: its description does not have the parameters of the fit "
         f"({names}): that of {place} is used"
-    )
-    return replace(load_signals(recording, stored_robot(stored, place)), payload=signals.payload), [
-        note
     ]
 
 

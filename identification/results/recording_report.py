@@ -1,7 +1,8 @@
-"""Reports of a recording: settings and ranges before a fit; torque errors of a
-fit on other recordings.
+"""Reports of a recording: settings and ranges before a fit; torque errors of a fit on other
+recordings. Sections that the report of a fit has too, and those of its drive gains and payloads.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -16,16 +17,18 @@ from ..report import (
     Number,
     OnRecording,
     Parameter,
+    PayloadOfFit,
     RecordingOfFit,
     Row,
     Section,
+    StandardParameter,
     Table,
     TorqueResidual,
     columns,
+    known,
 )
-from .horizon import HORIZONS_S
-from .on_recording import FitOnRecording
-from .recorded import on_recording, with_settings
+from .evidence import HORIZONS_S, FitOnRecording, first_ahead
+from .fit_files import with_settings
 
 
 def recording_document(
@@ -41,32 +44,29 @@ def recording_document(
         *(settings_lines(told, used="a fit would use") if settings else []),
         *recording_lines(told),
     )
-    ranges = Table(
-        columns=columns("joint", "unit", numbers=("position from", "to"))
-        + columns("unit", numbers=("effort from", "to")),
-        rows=tuple(
-            (
-                joint.name,
-                joint.position_unit,
-                *_ends(signals.q[:, j]),
-                robot.effort_units[j],
-                *_ends(signals.effort[:, j]),
-            )
-            for j, joint in enumerate(robot.joints)
-        ),
-    )
     return Document(
         title=f"{robot.name}: recorded, not fitted",
         sections=(
             Section(lines=lines, warnings=tuple(settings.warnings) if settings else ()),
-            Section(title="ranges", table=ranges),
+            Section(
+                title="ranges",
+                table=Table(
+                    columns=columns("joint", "unit", numbers=("position from", "to"))
+                    + columns("unit", numbers=("effort from", "to")),
+                    rows=tuple(
+                        (
+                            joint.name,
+                            joint.position_unit,
+                            *_ends(signals.q[:, j]),
+                            robot.effort_units[j],
+                            *_ends(signals.effort[:, j]),
+                        )
+                        for j, joint in enumerate(robot.joints)
+                    ),
+                ),
+            ),
         ),
     )
-
-
-def first_ahead(recordings: Sequence[FitOnRecording]) -> Array | None:
-    """How far the motion is predicted ahead, in the first of the recordings that shows it."""
-    return next((one.ahead for one in recordings if one.ahead is not None), None)
 
 
 def validation_document(
@@ -77,16 +77,15 @@ def validation_document(
     consistent: tuple[TorqueResidual, ...] = (),
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from."""
-    each = [one.problem.signals for one in recordings]
-    names, title = [one.recording for one in each], "relative torque error of the consistent set, %"
-    told = [OnRecording(**on_recording(one.problem)) for one in recordings]
-    lines = [line for one in told for line in settings_lines(one, used="evaluated on")]
-    lines += [line for one in told for line in recording_lines(one)]
-    rows: list[Row] = [
-        (name, Number(one.errors[-1].relative_error_percent, ".4f"))
-        for name, one in zip(names, recordings, strict=True)
-    ]
-    table = Table(columns=columns("recording", numbers=("torque error",)), rows=tuple(rows))
+    names = [one.signals.recording for one in recordings]
+    told = [OnRecording(**with_settings(one.signals, one.problem.settings)) for one in recordings]
+    table = Table(
+        columns=columns("recording", numbers=("torque error",)),
+        rows=tuple(
+            (name, Number(one.errors[-1].relative_error_percent, ".4f"))
+            for name, one in zip(names, recordings, strict=True)
+        ),
+    )
     return Document(
         title=f"{fit} on {', '.join(names)}: {headline(errors)}",
         sections=(
@@ -100,8 +99,24 @@ def validation_document(
             *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             *_ahead_section(recordings),
             replace(errors_section(errors), short=None),
-            *([replace(errors_section(consistent), title=title, short=None)] if consistent else []),
-            Section(title="settings", lines=tuple(lines)),
+            *(
+                [
+                    replace(
+                        errors_section(consistent),
+                        title="relative torque error of the consistent set, %",
+                        short=None,
+                    )
+                ]
+                if consistent
+                else []
+            ),
+            Section(
+                title="settings",
+                lines=(
+                    *(line for one in told for line in settings_lines(one, used="evaluated on")),
+                    *(line for one in told for line in recording_lines(one)),
+                ),
+            ),
         ),
     )
 
@@ -110,12 +125,12 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
     """Errors of the positions that the direct model predicts, by joint, as of `first_ahead`."""
     if (found := first_ahead(recordings)) is None:
         return []
-    joints, (error, way) = recordings[0].problem.signals.robot.joints, found
+    joints, (error, way) = recordings[0].signals.robot.joints, found
     # a joint that stands has no way that its error could be compared with
     percents = 100 * error / np.where(way > 0.01 * way.max(axis=1, keepdims=True), way, np.nan)
     rows: list[Row] = [
-        (joint.name, *(Number(float(x), ".3g") for x in of_joint))
-        for joint, of_joint in zip(joints, percents.T, strict=True)
+        (joint.name, *(Number(x, ".3g") for x in of_joint))
+        for joint, of_joint in zip(joints, percents.T.tolist(), strict=True)
     ]
     return [
         Section(
@@ -133,34 +148,48 @@ def recordings_section(fit: FitFile) -> Section:
     """Errors of a fit on each of its recordings, held-out errors, and the
     test of own parameters.
     """
-    rows, lines, each = list[Row](), list[str](), fit.recordings or []
-    for one in each:
-        span = (x / one.sample_rate_hz for x in one.samples)
-        timing = (Number(one.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
-        both = (one.relative_error_percent, one.held_out_error_percent)
-        rows.append((one.recording, *timing, *(Number(x, ".4f") for x in both)))
-        if one.undetermined or one.relative_error_percent is None:
-            names = ", ".join(one.undetermined)
-            why = f"{names} undetermined" if names else "it has no torque"
-            lines.append(f"{one.recording} cannot be predicted by the others: {why}")
+    each = fit.recordings or []
+    rows: tuple[Row, ...] = tuple(
+        (
+            one.recording,
+            Number(one.sample_rate_hz, "g"),
+            *(Number(x / one.sample_rate_hz, ".3f") for x in one.samples),
+            Number(one.relative_error_percent, ".4f"),
+            Number(one.held_out_error_percent, ".4f"),
+        )
+        for one in each
+    )
+    lines = [
+        f"{one.recording} cannot be predicted by the others: "
+        + (
+            f"{', '.join(one.undetermined)} undetermined"
+            if one.undetermined
+            else "it has no torque"
+        )
+        for one in each
+        if one.undetermined or one.relative_error_percent is None
+    ]
     if own := fit.own_parameters:
         lines.append(
             f"own parameters {', '.join(own.names)} against shared ones: F test p = "
             f"{Number(own.p_value, '.2g').text} "
             f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
         )
-    short = Section(lines=tuple(lines))
     row_hz = (fit.sample_rate_hz or 0.0) / (fit.decimation or 1)
     cutoff = "no low-pass" if fit.cutoff_hz is None else f"low-pass {fit.cutoff_hz:g} Hz"
-    lines.append("held out: predicted by a fit of the other recordings, in the same rows")
-    lines.append(f"common to all: {cutoff}, {row_hz:g} rows a second")
-    lines += [line for one in each for line in recording_lines(one)]
-    numbers = ("Hz", "from, s", "to, s", "trained", "held out")
     return Section(
         title="recordings: relative torque error, %",
-        table=Table(columns=columns("recording", numbers=numbers), rows=tuple(rows)),
-        lines=tuple(lines),
-        short=short,
+        table=Table(
+            columns=columns("recording", numbers=("Hz", "from, s", "to, s", "trained", "held out")),
+            rows=rows,
+        ),
+        lines=(
+            *lines,
+            "held out: predicted by a fit of the other recordings, in the same rows",
+            f"common to all: {cutoff}, {row_hz:g} rows a second",
+            *(line for one in each for line in recording_lines(one)),
+        ),
+        short=Section(lines=tuple(lines)),
     )
 
 
@@ -182,7 +211,7 @@ def error_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> s
 
 def half_width_percents(parameters: Iterable[Parameter]) -> dict[str, float]:
     """The half-width in percent of each essential parameter."""
-    return {p.name: 100 * p.half / abs(p.value) for p in parameters if p.essential}
+    return {p.name: p.half_percent for p in parameters if p.essential}
 
 
 def main_figures(
@@ -194,36 +223,37 @@ def main_figures(
     """The figures to read first, by what they are: torque errors, and half-widths of essential
     parameters (`percents`).
     """
-    errors = {"torque error": error, "held out": held_out} | {**more}
+    errors = {"torque error": error, "held out": held_out, **more}
     shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
     if percents:
         worst = max(percents, key=percents.__getitem__)
-        shown[f"half of the {len(percents)} determined parameters"] = (
-            f"±{np.median([*percents.values()]):.2g} %"
-        )
-        shown[f"the worst, {worst}"] = f"±{percents[worst]:.2g} %"
+        shown |= {
+            f"half of the {len(percents)} determined parameters": (
+                f"±{np.median([*percents.values()]):.2g} %"
+            ),
+            f"the worst, {worst}": f"±{percents[worst]:.2g} %",
+        }
     return tuple(shown.items())
 
 
 def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
     """Relative torque errors by joint; all joints together last."""
-    heads = columns("joint", "unit", numbers=("torque error",))
-    each = [
-        f"{error.name} {Number(error.relative_error_percent, '.2g').text} %"
-        for error in errors[:-1]
-    ]
-    rows = list[Row]()
-    for e in errors:
-        counts = (
+    each = [f"{e.name} {Number(e.relative_error_percent, '.2g').text} %" for e in errors[:-1]]
+    numbers = ("torque error", "rows moving", "rows standing", "residual lag-1")
+    rows = tuple(
+        (
+            e.name,
+            e.unit or "",
+            Number(e.relative_error_percent, ".4f"),
             Number(e.moving_rows, "d"),
             Number(e.standing_rows, "d"),
             Number(e.autocorrelation, ".2f"),
         )
-        rows.append((e.name, e.unit or "", Number(e.relative_error_percent, ".4f"), *counts))
-    wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
+        for e in errors
+    )
     return Section(
         title="relative torque error, %",
-        table=Table(columns=wide, rows=tuple(rows), total=True),
+        table=Table(columns=columns("joint", "unit", numbers=numbers), rows=rows, total=True),
         # a line above has all joints
         short=Section(
             lines=(f"torque error by joint: {', '.join(each)}",) if len(each) > 1 else ()
@@ -241,28 +271,16 @@ def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
         )
     notes = " with MATLAB's edge rule" if of.edges == "matlab" else ""
     if of.off_grid_periods > ON_GRID:
-        notes += f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: "
-        notes += "interpolated"
-    name = of.provenance.recording if of.provenance else ""
+        notes += (
+            f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: interpolated"
+        )
     whole = f" of {of.recorded_samples / fs:.3f} s" if of.recorded_samples else ""
     return (
-        f"{name}: {fs:g} Hz, {cutoff}, decimated by {of.decimation}{notes}",
+        f"{of.provenance.recording if of.provenance else ''}: {fs:g} Hz, {cutoff}, decimated by "
+        f"{of.decimation}{notes}",
         f"{used}: {of.span}, {start / fs:.3f} s to {stop / fs:.3f} s{whole}",
         *of.inputs,
     )
-
-
-def gain_warnings(signals: Signals) -> tuple[str, ...]:
-    """A warning of the units if the drive gains are not given."""
-    robot = signals.robot
-    if robot.gain_known:
-        return ()
-    units = " and ".join(sorted(set(robot.effort_units)))
-    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    shared = (
-        "; joints share parameters, so the values are valid only if all drives have the same gain"
-    )
-    return (text + shared * (robot.n > 1),)
 
 
 def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
@@ -274,3 +292,101 @@ def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
 
 def _ends(x: Array) -> tuple[Number, Number]:
     return Number(float(x.min()), ".4g"), Number(float(x.max()), ".4g")
+
+
+def gain_sections(fit: FitFile) -> list[Section]:
+    """Identified drive gains beside those of the description, and how well they are told apart from
+    the arm: the smallest eigenvalue of the statistic of Cragg and Donald.
+    """
+    if not fit.gains:
+        return []
+    heads = columns("motor", numbers=("described", "identified", "±95%", "in %"))
+    rows = tuple(
+        (
+            one.motor,
+            Number(one.described, ".4g"),
+            Number(one.value, ".4g"),
+            Number(one.half_width, ".2g"),
+            Number(
+                100 * one.half_width / abs(one.value) if one.value else math.inf, ".2f", most=1000
+            ),
+            one.unit,
+            "" if one.determined else "not determined",
+        )
+        for one in fit.gains
+    )
+    values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in fit.gains]
+    return [
+        Section(
+            title="drive gains",
+            table=Table(columns=heads + columns("unit", ""), rows=rows),
+            lines=(
+                f"smallest Cragg-Donald eigenvalue {known(fit.cragg_donald) or 0.0:.3g}: how well "
+                "the payload separates gains and arm",
+            ),
+            short=Section(lines=(f"drive gains: {', '.join(values)}",)),
+        )
+    ]
+
+
+def payload_sections(fit: FitFile) -> list[Section]:
+    """The payloads as the nearest bodies of positive density."""
+    return [_payload_section(one, fit.joints[-1].name) for one in fit.payloads or ()]
+
+
+def _payload_section(one: PayloadOfFit, joint: str) -> Section:
+    (*inertias, x, y, z, mass), title = one.parameters, f"payload of {one.recording}"
+    m, width, weighed = mass.value, mass.half_width or 0.0, "mass" in one.given
+    centre = zip(("centre of mass x", "y", "z"), (x, y, z), strict=True)
+    rows = (
+        _row(
+            "mass",
+            m,
+            one.mass_half_width_kg or math.nan if weighed else width,
+            mass,
+            known=weighed,
+        ),
+        *(
+            _row(
+                name,
+                of.value / m,
+                # that of the mass is included
+                float(np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width)),
+                of,
+                "m",
+                known="center" in one.given,
+            )
+            for name, of in centre
+        ),
+        *(_row(of.name, of.value, of.half_width or 0.0, of) for of in inertias),
+    )
+    short = f"{title}: mass {m:.4g} kg"
+    if mass.from_prior and not weighed:
+        short = (
+            f"{title}: it has no scale, as nothing tells it from the arm: record without it too, "
+            "or state its mass"
+        )
+    return Section(
+        title=title,
+        table=Table(
+            columns=columns("", numbers=("value", "±95%")) + columns("unit", "mostly from"),
+            rows=rows,
+        ),
+        lines=(
+            f"stated: {one.described}; values in the frame of {joint}, inertia about its origin",
+        ),
+        short=Section(lines=(short,)),
+    )
+
+
+def _row(
+    name: str,
+    value: float,
+    half: float,
+    of: StandardParameter,
+    unit: str = "",
+    *,
+    known: bool = False,
+) -> Row:
+    source = "stated" if known else "prior" if of.from_prior else "recording"
+    return name, Number(value, ".4g"), Number(half, ".2g"), unit or of.unit, source

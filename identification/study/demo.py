@@ -27,7 +27,7 @@ from acquisition.simulated import (
 from ..arrays import Array
 from ..model import inertias
 from ..report import Document, Number, Row, Section, Table, columns, value_form
-from ..results import Fit
+from ..results import Evidence
 from ..simulation import RigidBodyPlant, drive_loops
 from .simulated_cell import periodic_reference, true_model
 
@@ -133,7 +133,7 @@ def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
     return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
 
 
-def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
+def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Document:
     """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values
     of a simulated recording.
     """
@@ -171,7 +171,7 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     )
 
 
-def gains_document(fit: Fit, true: Sequence[float]) -> Document:
+def gains_document(fit: Evidence, true: Sequence[float]) -> Document:
     """Identified drive gains beside those described and the true ones, each with
     its error in half-widths.
     """

@@ -27,7 +27,7 @@ from ..model import (
 from ..options import StudyOptions
 from ..regression import Overrides
 from ..report import PER_INTERVAL, Document, Number, Section, Table, columns
-from ..results import Fit, identify_iv, identify_ls
+from ..results import Evidence, identify_iv, identify_ls
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 
 FALSE_TRUST = 3.0  # half-widths: largest error of an essential parameter for `trust`
@@ -135,7 +135,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
     robot, run = robot_from_files(files, "study"), Run(number=number)
     base, true = study_truth(robot)
 
-    def result(fit: Fit) -> RunFit:
+    def result(fit: Evidence) -> RunFit:
         model = direct_model(InverseModel(robot), base.standard_parameters(fit.beta))
         return RunFit(
             beta=fit.beta,

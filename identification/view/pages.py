@@ -76,7 +76,7 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
     )
 
 
-def draw_friction(before: results.Fit, after: results.Fit, document: Document) -> Picture:
+def draw_friction(before: results.Evidence, after: results.Evidence, document: Document) -> Picture:
     """The fits with the usual and with the recommended friction terms."""
     recording = ", ".join(one.signals.recording for one in before.recordings)
     fits = {"usual": before, "recommended": after}

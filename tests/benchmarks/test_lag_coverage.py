@@ -31,7 +31,7 @@ from independent_simulator import (
 from identification.estimation import one_thread
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
-from identification.results import Fit
+from identification.results import Evidence
 
 RUNS = int(os.environ.get("LAG_RUNS", "100"))
 LAGS = (0.0, 1.0, 2.0, 2.5)  # samples
@@ -66,7 +66,7 @@ class Found:
     fixed: bool
 
 
-def ends(fit: Fit) -> np.ndarray:
+def ends(fit: Evidence) -> np.ndarray:
     """Low and high (2, b) of the intervals; nan where the fit has no fixed point."""
     fixed = fit.status in ("solved", "converged", "not_confirmed")
     return (

@@ -4,10 +4,10 @@ import numpy as np
 
 from acquisition.robot import Robot
 from identification.model import InverseModel, described_parameters
-from identification.results import Fit
+from identification.results import Evidence
 
 
-def truth_of(fit: Fit, robot: Robot | None = None) -> np.ndarray:
+def truth_of(fit: Evidence, robot: Robot | None = None) -> np.ndarray:
     """True values (p,) of the estimated parameters, of `robot` or of the one that is described in
     the recordings; a recording's own parameters have the value of all.
     """
@@ -16,6 +16,6 @@ def truth_of(fit: Fit, robot: Robot | None = None) -> np.ndarray:
     return np.array([by_name[name.partition("@")[0]] for name in fit.estimate.names])
 
 
-def off(fit: Fit, robot: Robot | None = None) -> np.ndarray:
+def off(fit: Evidence, robot: Robot | None = None) -> np.ndarray:
     """Distances (p,) of the estimates from the truth, in half-widths."""
     return np.abs(fit.estimate.beta - truth_of(fit, robot)) / fit.intervals.half

@@ -11,7 +11,7 @@ import numpy as np
 from identification.data import Signals, load_signals
 from identification.methods import Iteration
 from identification.regression import Overrides
-from identification.results import Fit, fit_file, identify_iv, identify_ls
+from identification.results import Evidence, fit_file, identify_iv, identify_ls
 from identification.view import draw_fit
 from identification.view.panels import Picture
 
@@ -22,14 +22,14 @@ def signals_of(path: Path) -> Signals:
 
 
 @cache
-def ls_of(path: Path) -> Fit:
+def ls_of(path: Path) -> Evidence:
     return identify_ls(signals_of(path), Overrides())
 
 
 @cache
-def iv_of(path: Path) -> Fit:
+def iv_of(path: Path) -> Evidence:
     return identify_iv(signals_of(path), Overrides(), Iteration())
 
 
-def picture_of(fit: Fit, **truth: np.ndarray) -> Picture:
+def picture_of(fit: Evidence, **truth: np.ndarray) -> Picture:
     return draw_fit(fit_file(fit), fit.recordings[0], **truth)

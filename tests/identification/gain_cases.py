@@ -12,7 +12,7 @@ from conftest import REPLAY
 from acquisition.robot import Robot, robot_from_files
 from identification.data import Recordings, Signals
 from identification.regression import Overrides
-from identification.results import Fit, identify
+from identification.results import Evidence, identify
 
 Array = np.ndarray
 
@@ -81,7 +81,7 @@ def toml_of(robot: str) -> Path:
     )
 
 
-def fit_with_gains(*signals: Signals) -> Fit:
+def fit_with_gains(*signals: Signals) -> Evidence:
     """By the method that the package takes where none is asked for, with
     the gains of all motors.
     """
@@ -120,11 +120,11 @@ def robot_of(text: str) -> Robot:
     return robot_from_files({"robot.toml": text.encode()}, "robot.toml")
 
 
-def gains_of(fit: Fit) -> tuple[Array, Array]:
+def gains_of(fit: Evidence) -> tuple[Array, Array]:
     """The identified gains (m,) and their half-widths (m,)."""
     return np.array([one.value for one in fit.gains]), np.array([x.half_width for x in fit.gains])
 
 
-def off_in_half_widths(fit: Fit, true: Array) -> Array:
+def off_in_half_widths(fit: Evidence, true: Array) -> Array:
     """Distances (m,) of the identified gains from the true ones, in their half-widths."""
     return np.abs(gains_of(fit)[0] - true) / gains_of(fit)[1]

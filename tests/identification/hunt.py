@@ -17,12 +17,12 @@ from identification.estimation import one_thread
 from identification.methods import Iteration
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
-from identification.results import Fit, identify_iv, identify_ls
+from identification.results import Evidence, identify_iv, identify_ls
 
 HALF_WIDTHS, PERCENT = 3.0, 2.0  # an essential parameter that is further off than both is harmed
 
 
-def fit_by_default(signals: Signals, overrides: Overrides | None = None) -> Fit:
+def fit_by_default(signals: Signals, overrides: Overrides | None = None) -> Evidence:
     """By the method that the package takes where none is asked for."""
     given = overrides or Overrides()
     return (
@@ -32,7 +32,7 @@ def fit_by_default(signals: Signals, overrides: Overrides | None = None) -> Fit:
     )
 
 
-def fit_by_least_squares(signals: Signals) -> Fit:
+def fit_by_least_squares(signals: Signals) -> Evidence:
     return identify_ls(signals, Overrides())
 
 
@@ -52,7 +52,7 @@ def true_values(name: str) -> dict[str, float]:
     return dict(zip(base.names, values.tolist(), strict=True))
 
 
-def is_harmed(fit: Fit, name: str) -> bool:
+def is_harmed(fit: Evidence, name: str) -> bool:
     """Whether an essential parameter is off by over 3 half-widths and 2 % of its value."""
     true, essential = true_values(name), set(fit.essential.names)
     found = zip(fit.estimate.names, fit.estimate.beta, fit.intervals.half, strict=True)

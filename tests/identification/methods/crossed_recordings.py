@@ -14,7 +14,7 @@ from gain_cases import with_gains as described_with
 from acquisition.robot import Payload, Robot
 from identification.data import RecordingFile, Recordings, Signals, Work
 from identification.regression import Overrides
-from identification.results import Fit, identify
+from identification.results import Evidence, identify
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
 RATE_HZ = 500.0
@@ -94,11 +94,11 @@ def written(
     return paths
 
 
-def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: float) -> Fit:
+def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: float) -> Evidence:
     overrides = Overrides(gains=("motor_2",) if "gains" in concerns else None, **settings)
     return identify(Recordings(sources=tuple(map(RecordingFile.at, paths)), work=work), overrides)
 
 
-def bits(fit: Fit) -> list[bytes]:
+def bits(fit: Evidence) -> list[bytes]:
     arrays = fit.estimate.beta, fit.intervals.covariance, fit.tau_predicted
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]

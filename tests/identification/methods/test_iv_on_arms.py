@@ -31,7 +31,7 @@ from acquisition.robot import Robot
 from identification.data import Signals
 from identification.methods import Iteration
 from identification.regression import Overrides
-from identification.results import Fit, identify_iv
+from identification.results import Evidence, identify_iv
 
 SETTLED = ("converged", "not_confirmed")
 POSITIONS = 20
@@ -55,7 +55,7 @@ def pi_loop(body: Plant, bandwidth_hz: float) -> Controller:
     )
 
 
-def half_widths_off(fit: Fit) -> float:
+def half_widths_off(fit: Evidence) -> float:
     """How far the worst essential parameter is from the truth of the described robot, in
     half-widths of its interval.
     """
@@ -63,7 +63,7 @@ def half_widths_off(fit: Fit) -> float:
     return float(apart[np.isin(fit.estimate.names, fit.essential.names)].max())
 
 
-def fits(runs: Runs, robot: Robot) -> Iterator[Fit]:
+def fits(runs: Runs, robot: Robot) -> Iterator[Evidence]:
     for run in range(len(runs.q)):
         yield identify_iv(runs.signals(without_parameters(robot), run), Overrides(), Iteration())
 

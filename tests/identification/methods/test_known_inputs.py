@@ -27,7 +27,7 @@ from identification.regression import (
     Overrides,
     make_problem,
 )
-from identification.results import Fit, fit_file, identify_ls, validate_all
+from identification.results import Evidence, fit_file, identify_ls, validate_all
 from identification.results import identify as identify_signals
 from identification.study import write_signals
 from identification.trust.candidates import Candidates, MissingTerm
@@ -67,7 +67,7 @@ def records() -> tuple[Signals, ...]:
 
 
 @cache
-def fitted(signals: Signals, method: str) -> Fit:
+def fitted(signals: Signals, method: str) -> Evidence:
     return identify_signals(signals, Overrides(), method=method)
 
 

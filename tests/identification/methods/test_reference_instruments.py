@@ -26,7 +26,7 @@ from independent_simulator import (
 
 from identification.data import Signals
 from identification.regression import FilteredMotion, Overrides, make_problem
-from identification.results import Fit, fit_document, fit_file, identify
+from identification.results import Evidence, fit_document, fit_file, identify
 from identification.simulation.instruments import predicted_motion
 
 HELD = Overrides(torque_lag_s=-0.0005)  # the command of a tick, held until the next
@@ -61,7 +61,7 @@ def axis_signals(*, law: bool = False) -> list[Signals]:
     return [axis_runs().signals(robot if law else without_control_law(robot), k) for k in range(2)]
 
 
-def stands_alone(fit: Fit) -> bool:
+def stands_alone(fit: Evidence) -> bool:
     return fit.passes[fit.solution.returned - 1].by_reference is not None
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from identification.data import Signals
 from identification.regression import Overrides
-from identification.results import Fit, identify
+from identification.results import Evidence, identify
 from identification.trust import FitData
 
 LIMITS = {
@@ -13,7 +13,9 @@ LIMITS = {
 }
 
 
-def looked_at(method: str, signals: Signals, by: str = "spans", **overrides) -> tuple[Fit, FitData]:
+def looked_at(
+    method: str, signals: Signals, by: str = "spans", **overrides
+) -> tuple[Evidence, FitData]:
     """`by`: as a long recording, by `spans` of time, or by `instants`."""
     with pytest.MonkeyPatch.context() as patch:
         for name, limit in LIMITS[by].items():

@@ -12,7 +12,7 @@ from hunt import HALF_WIDTHS, fit_by_default, is_harmed, true_values
 from hunt_kinds import KINDS, SetUp, ratio_of_one, sound, times_effort
 
 from acquisition.robot import Robot
-from identification.results import Fit
+from identification.results import Evidence
 
 
 def cell(name: str = "scara") -> SetUp:
@@ -118,7 +118,7 @@ CASES = {
 }
 
 
-def texts(fit: Fit) -> list[str]:
+def texts(fit: Evidence) -> list[str]:
     return [line.text for line in fit.trust.lines if line.level in ("do not use", "caution")]
 
 
@@ -134,7 +134,7 @@ def test_fit_after_advice_is_right(fault):
     assert fit.trust.verdict != "trust" or not harmed(fit)
 
 
-def harmed(fit: Fit) -> bool:
+def harmed(fit: Evidence) -> bool:
     """By what both descriptions have."""
     name = fit.problem.signals.robot.name.lower()
     true, half = true_values(name), dict(zip(fit.estimate.names, fit.intervals.half, strict=True))

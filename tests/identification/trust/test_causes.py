@@ -15,7 +15,7 @@ from independent_simulator import at_rate
 from identification.data import Signals
 from identification.errors import BadInputError, RobotIdimError
 from identification.regression import Lag, Overrides, combined_lag, make_problem
-from identification.results import Fit
+from identification.results import Evidence
 from identification.simulation import unstated_limits
 
 
@@ -27,7 +27,7 @@ def setup(name: str, seed: int = 1, duration_s: float = 5.0) -> SetUp:
     )
 
 
-def first(fit: Fit) -> tuple[str, str]:
+def first(fit: Evidence) -> tuple[str, str]:
     """Verdict and finding: what the user reads first."""
     return fit.trust.verdict, fit.trust.finding
 

@@ -23,7 +23,7 @@ from identification.methods.iteration import with_lags_found
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
 from identification.regression.lag import LAG_ORDERS, LagFilters
 from identification.report import TrustLine
-from identification.results import Fit, identify, identify_ls
+from identification.results import Evidence, identify, identify_ls
 from identification.trust import trust_in
 
 
@@ -43,7 +43,7 @@ def recorded(
 @cache
 def fitted(
     signals: Signals, *, method: str | None = None, torque_lag_s: float | str | None = None
-) -> Fit:
+) -> Evidence:
     return identify(signals, Overrides(torque_lag_s=torque_lag_s), method=method)
 
 

@@ -16,7 +16,7 @@ from independent_simulator import Imperfections, description, designed_pd, witho
 
 from identification.data import Recordings
 from identification.regression import Overrides
-from identification.results import Fit, identify_ls
+from identification.results import Evidence, identify_ls
 from identification.trust import columns
 from identification.trust.candidates import MissingTerm
 from identification.trust.columns import missing_terms
@@ -44,15 +44,15 @@ def arm() -> SetUp:
 
 
 @cache
-def clean(name: str) -> Fit:
+def clean(name: str) -> Evidence:
     return fit_by_default(white(name).recording(3))
 
 
-def assumed(fit: Fit) -> dict[str, str]:
+def assumed(fit: Evidence) -> dict[str, str]:
     return {one.what: one.value for one in fit.trust.assumed if one.what in ("zeros", "rotors")}
 
 
-def figures(fit: Fit, kind: str) -> list[tuple[str, float, float]]:
+def figures(fit: Evidence, kind: str) -> list[tuple[str, float, float]]:
     return [(x.where, x.value, x.t) for x in missing_terms(fit.data) if x.kind == kind]
 
 

@@ -20,14 +20,14 @@ from identification.methods import Iteration, iteration
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 from identification.report import write_json
-from identification.results import Fit, fit_file, identify, identify_iv, identify_ls
+from identification.results import Evidence, fit_file, identify, identify_iv, identify_ls
 from identification.study import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"
 TX40 = REPLAY / "tx40" / "session.mcap"
 
 
-def off_percent(fit: Fit, signals: Signals) -> float:
+def off_percent(fit: Evidence, signals: Signals) -> float:
     true = described_parameters(InverseModel(signals.robot), fit.base)
     return float(100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true))
 

@@ -41,7 +41,7 @@ from identification.regression import (
     weights_at,
 )
 from identification.report import TrustLine
-from identification.results import Fit, identify, identify_ls
+from identification.results import Evidence, identify, identify_ls
 from identification.trust import (
     LEVELS,
     WORDS,
@@ -112,7 +112,7 @@ def without_gains(signals: Signals, unit: str = "A") -> Signals:
 @cache
 def examined(
     method: str, name: str, cell: Imperfections = WHITE, fault: str = "", by: str = "spans"
-) -> tuple[Fit, FitData]:
+) -> tuple[Evidence, FitData]:
     return looked_at(method, recorded(name, cell, fault), by)
 
 
@@ -524,7 +524,7 @@ def test_noise_bias_shift_grows_with_variance():
 
 def test_no_noise_above_low_pass_no_shift(monkeypatch):
     """The lag is that of the described law, which the recording is also fitted with."""
-    noise = "identification.methods.position_noise._noise_like"
+    noise = "identification.methods.solution._noise_like"
     monkeypatch.setattr(noise, lambda problem: np.zeros((1, 1)))
     assert (
         identify_ls(signals_of(REPLAY / "emps" / "session.mcap"), Overrides())

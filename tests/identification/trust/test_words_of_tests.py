@@ -13,7 +13,7 @@ FILES = [
     *(ROOT / "identification" / "methods").glob("*.py"),
 ]
 NAMES = {"LAW": "control law", "HELD_OUT": "held-out blocks", "PRIOR": "prior"}
-NAMES |= {"PHYSICAL": "physical", "NAME": "position noise"}
+NAMES |= {"PHYSICAL": "physical", "NOISE": "position noise"}
 
 
 def needed(text, parts):

@@ -1,4 +1,6 @@
-"""Results of an identification: the estimate, its settings, and its tests."""
+"""What a fit was made from: the torque that it predicts on each recording, and of all together the
+estimate, its settings and its tests. A fit that was read from a file has the former alone.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +14,11 @@ from acquisition.robot import ripple_notes
 
 from ..arrays import Array, Bools
 from ..control import ControllerKind, FoundLaw
-from ..estimation import Estimate, Intervals
+from ..data import Signals
+from ..estimation import Estimate, Intervals, torque_errors
 from ..methods import Pass, Solution, direct_errors, largest
-from ..model import BaseParameters
-from ..regression import Problem, Settings, base_places
+from ..model import BaseParameters, direct_model
+from ..regression import Problem, Settings, base_places, equation_alone, torque_of_recording
 from ..report import (
     ConsistentFile,
     DirectModelResidual,
@@ -28,19 +31,68 @@ from ..report import (
     TorqueResidual,
     is_base,
 )
-from ..trust import FitData, Trust
-from .on_recording import FitOnRecording
+from ..simulation import Simulated, open_loop
+from ..trust import FitData, HeldOut, Trust
 
 Found = TypeVar("Found", Estimate, Intervals)
 
+HORIZONS_S = (0.1, 0.5, 1.0)
+MOST_STARTS = 20
+MAX_STEP_S = 0.001
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitOnRecording:
+    """A recording with the torque that a fit predicts, whether it was made from it or not.
+
+    Attributes:
+        problem: recording, settings and model; without samples if the recordings of a fit
+            are too long to be held.
+        names: (b,) of its base parameters in those of the fit; `carried`: (b,) the payload's share
+            of them; `beta`: (b,) their values, with that.
+        t_s: (rows,) instants of decimated rows, s, behind filters that depend on the motion only;
+            those of the fit are in `Evidence.data`.
+        tau, tau_predicted: (rows, n) torques there; `counts`: whether the joint moves, as in rows
+            of a fit.
+        held_out: its torque predicted by the fit of the other recordings; None if there are none.
+        simulated: the robot simulated in it with the estimate; None without instruments.
+        ahead: how far the motion is predicted, as of `errors_ahead`.
+    """
+
+    problem: Problem
+    names: tuple[str, ...]
+    carried: Array
+    beta: Array
+    t_s: Array
+    tau: Array
+    tau_predicted: Array
+    counts: Bools
+    held_out: HeldOut | None = None
+    simulated: Simulated | None = None
+    ahead: Array | None = None
+
+    def values(self, estimate: Estimate) -> Array:
+        """(b,) base parameters with the payload by an estimate, zero where it has none."""
+        return estimate.values_of(self.names) + self.carried
+
+    @property
+    def errors(self) -> tuple[TorqueResidual, ...]:
+        """Its torque errors, one entry per joint and, last, all joints together."""
+        return errors_on([self])
+
+    @property
+    def signals(self) -> Signals:
+        """The recording."""
+        return self.problem.signals
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Fit:
+class Evidence:
     """Base parameters of a robot from one recording or several, with their tests.
 
     Attributes:
         solution: what the method found, with its passes and their status.
-        data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
+        data: rows, estimate, instruments, and whatever else its tests looked at.
         recordings: in the order given.
         errors: of the rows that count, one entry per joint and, last, all joints together.
         own: the test of parameters of single recordings; None if all are shared.
@@ -95,8 +147,11 @@ class Fit:
         its base parameters.
         """
         found, names = self.solution.least_squares, self.solution.least_squares.estimate.names
-        estimate = self._of_base(found.estimate, names)
-        return replace(found, estimate=estimate, intervals=self._of_base(found.intervals, names))
+        return replace(
+            found,
+            estimate=self._of_base(found.estimate, names),
+            intervals=self._of_base(found.intervals, names),
+        )
 
     def _of_base(self, found: Found, names: Sequence[str]) -> Found:
         """The part of the base parameters, of those `names`."""
@@ -106,8 +161,7 @@ class Fit:
     def essential(self) -> FTest:
         """The essential base parameters by least squares, and the test of leaving out others."""
         found = self.solution.essential
-        names = tuple(name for name in found.names if is_base(name))
-        return msgspec.structs.replace(found, names=names)
+        return msgspec.structs.replace(found, names=tuple(filter(is_base, found.names)))
 
     @cached_property
     def direct(self) -> tuple[DirectModelResidual, ...]:
@@ -121,14 +175,15 @@ class Fit:
         """Of several recordings the last of these kinds that one of them has; None after least
         squares.
         """
-        kinds = [one.simulated.controller for one in self.recordings if one.simulated]
+        kinds = (one.simulated.controller for one in self.recordings if one.simulated)
         return max(kinds, key=get_args(ControllerKind).index, default=None)
 
     @property
     def saturated_percent(self) -> float | None:
         """Share of recorded samples at a drive's limit; None if no limit is stated."""
-        z = self.solution.simulated
-        return largest([max(one.saturated.values(), default=None) for one in z])
+        return largest(
+            [max(one.saturated.values(), default=None) for one in self.solution.simulated]
+        )
 
     @property
     def t_s(self) -> Array:
@@ -190,24 +245,15 @@ class Fit:
         """What is no fault: torque demands sampled at one phase of the control, an error of
         inertias that is no lag.
         """
-        each = [one.problem.signals for one in self.recordings]
+        each = [one.signals for one in self.recordings]
         robots = [s.robot for s in each if s.of_drives and s.motion_hz is None]
-        return tuple(
-            dict.fromkeys(
-                text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)
-            )
-        )
+        texts = [text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)]
+        return tuple(dict.fromkeys(texts))
 
     @property
     def reference(self) -> Literal["recorded", "surrogate"]:
         """`surrogate`: the measured position, with which instruments are not strictly exogenous."""
-        given = all(one.problem.signals.q_ref is not None for one in self.recordings)
-        return "recorded" if given else "surrogate"
-
-    @property
-    def rows_used_percent(self) -> float:
-        """Share of the rows that count."""
-        return float(100 * self.data.observed.counts.mean())
+        return "recorded" if self.solution.model.exogenous else "surrogate"
 
     @property
     def contrast(self) -> tuple[float, str]:
@@ -222,3 +268,63 @@ class Fit:
     def held_out_error_percent(self) -> float | None:
         """Torque error of blocks of time predicted by the others."""
         return self.trust.line("held-out blocks").value
+
+
+def validated(problem: Problem, beta: Array) -> FitOnRecording:
+    """The torque of base parameters (b,), with the payload, on a recording."""
+    tau, (predicted,), counts, _, t_s, _ = torque_of_recording(
+        *equation_alone(problem), [beta], judged=True
+    )
+    return FitOnRecording(
+        problem=problem.for_errors,
+        names=problem.base.names,
+        carried=0 * beta,
+        beta=beta,
+        t_s=t_s,
+        tau=tau,
+        tau_predicted=predicted,
+        counts=counts,
+    )
+
+
+def errors_on(recordings: Sequence[FitOnRecording]) -> tuple[TorqueResidual, ...]:
+    """Torque errors of recordings together: one per joint and, last, that of all joints."""
+    rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
+    tau, predicted, counts = map(np.concatenate, zip(*rows, strict=True))
+    robot = recordings[0].signals.robot
+    joints = zip((joint.name for joint in robot.joints), robot.effort_units, strict=True)
+    return torque_errors(tau, predicted, counts, list(joints))
+
+
+def first_ahead(recordings: Sequence[FitOnRecording]) -> Array | None:
+    """How far the motion is predicted ahead, in the first of the recordings that shows it."""
+    return next((one.ahead for one in recordings if one.ahead is not None), None)
+
+
+def errors_ahead(problem: Problem, beta: Array) -> Array | None:
+    """Predict the positions of a recording by base parameters (b,) and its recorded torque.
+
+    Returns (2, h, n) the rms over the starts of the error after each of `HORIZONS_S`, and of the
+    way moved until then, rad or m; None where the recording is too short, M is not positive, or the
+    motion grows beyond bounds.
+    """
+    s, fs = problem.settings, problem.signals.sample_rate_hz
+    ahead = [max(1, round(x * fs)) for x in HORIZONS_S]
+    span, measured = ahead[-1] + 1, problem.measured_samples()
+    starts = [
+        k for k in range(s.start, s.stop - span, max(1, span)) if measured[k : k + span].all()
+    ]
+    model = direct_model(problem.model, problem.base.standard_parameters(beta))
+    fastest, each = np.abs(problem.motion.between(s.start, s.stop, s.cutoff_hz).dq).max(axis=0), []
+    for k in starts[:: -(-len(starts) // MOST_STARTS)] if starts else ():
+        motion = problem.motion.between(k, k + span, s.cutoff_hz)
+        tau = problem.drives(k, k + span, s.torque_lag_s)
+        if problem.signals.known_torque is not None:
+            tau = tau + problem.signals.known_torque[k : k + span]
+        try:
+            q = open_loop(model, (motion.q[0], motion.dq[0]), tau, (fs, MAX_STEP_S), fastest)
+        except ArithmeticError:
+            return None
+        each.append((q[ahead] - motion.q[ahead], motion.q[ahead] - motion.q[0]))
+    found = np.sqrt(np.mean(np.square(each), axis=0)) if each else np.array(np.inf)
+    return found if np.isfinite(found).all() else None
