@@ -13,7 +13,7 @@ from ..errors import BadInputError, NoFitError
 from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
-from ..trust import judge
+from ..trust import FIXED_POINT
 from . import iteration as iv
 from .iteration import Iteration
 from .model import Model, ProgressCallback, read_model
@@ -159,7 +159,7 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
             "with these" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
-        made = {**evidence.made, "fixed point": judge("fixed point", ending, why=text)}
+        made = {**evidence.made, "fixed point": FIXED_POINT.judge(ending, why=text)}
     else:
         # Once, of the first recording: it looks at the beginning of a long one anyway.
         first = evidence.problem.with_samples()

@@ -17,11 +17,10 @@ from ..regression import (
     sample_weights,
 )
 from ..report import FTest, Method, TrustLine, base_name
-from ..trust import judge, part_of
+from ..trust import POSITION_NOISE
 from .passes import Pass
 from .start import solver_of
 
-NAME = "position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
 BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
 MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
@@ -43,7 +42,7 @@ def position_noise_line(
     """
     settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
     if reason is not None:
-        return judge(NAME, {"no noise": True}, reason=reason)
+        return POSITION_NOISE.judge({"no noise": True}, reason=reason)
     assert settings.cutoff_hz is not None
     problem = problem.first_minutes()
     noise = _noise_like(problem)
@@ -55,7 +54,7 @@ def position_noise_line(
         )
         both = [_least_squares(_with_noise(problem, way * noise), method, asked) for way in (1, -1)]
     except NoFitError as error:
-        return judge(NAME, {"no noise": True}, reason=error.args[0])
+        return POSITION_NOISE.judge({"no noise": True}, reason=error.args[0])
     names = tuple(x for x in essential.names if x in plain.names and x in asked.names)
     indices = np.array([asked.names.index(name) for name in names])
     beta, half = plain.values_of(names), ls.intervals.half[indices]
@@ -67,8 +66,7 @@ def position_noise_line(
         )
     matters = np.any([(widths > a) & (percents > b) for a, b in MAX_BIAS], axis=0)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
-    return judge(
-        NAME,
+    return POSITION_NOISE.judge(
         {"biased": matters.any(), "ok": True},
         value=float(widths[worst]),
         name=names[worst],
@@ -80,10 +78,10 @@ def _reason_against(problem: Problem) -> str | None:
     """Why the noise cannot be estimated; None if it can."""
     settings, signals = problem.settings, problem.signals
     if settings.cutoff_hz is None:
-        return part_of(NAME, "no low-pass")
+        return POSITION_NOISE.part("no low-pass")
     if settings.cutoff_hz > MAX_CUTOFF * signals.sample_rate_hz:
-        return part_of(NAME, "wide", cutoff_hz=settings.cutoff_hz)
-    return part_of(NAME, "interpolated") if signals.off_grid > ON_GRID else None
+        return POSITION_NOISE.part("wide", cutoff_hz=settings.cutoff_hz)
+    return POSITION_NOISE.part("interpolated") if signals.off_grid > ON_GRID else None
 
 
 def _noise_like(problem: Problem) -> Array:

@@ -21,7 +21,7 @@ from ..model import direct_model, why_not_positive
 from ..regression import Lag, Rows
 from ..report import DirectModelResidual, FTest, Method, Status, is_base
 from ..simulation import Simulated
-from ..trust import FitData, control_law_line, fixed_point_line, judge
+from ..trust import FIXED_POINT, FitData, control_law_line, fixed_point_line
 from .iteration import MIN_F, Loop
 from .model import Model
 from .passes import Pass, join_reasons
@@ -100,7 +100,7 @@ def evidence_of(
         lags=lags,
         essential=essential_names(essential, estimate, within),
         made={
-            "fixed point": judge("fixed point", {"least squares": True}),
+            "fixed point": FIXED_POINT.judge({"least squares": True}),
             "control law": control_law_line(problems, model.laws),
         },
     )

@@ -29,9 +29,9 @@ from ..estimation import Estimate, deviations_of_sums, orthonormal, release_memo
 from ..report import Assumed, TrustLine
 from . import kinds
 from .candidates import MIN_T, MissingTerm
-from .evidence import FitData, judge
+from .evidence import FitData
 from .kinds import KINDS
-from .words import assume
+from .words import Case, Words, assume
 
 FIGURES = "value", "t", "taken_percent", "together_percent", "moves", "noticed"
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
@@ -68,8 +68,7 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         for x in told
     ]
     each[0] = told[0].advice if told[0] is first else each[0]
-    return judge(
-        "added columns",
+    return ADDED_COLUMNS.judge(
         {"every term": not terms, "missing": found, "ok": True},
         value=first.t if terms else None,
         assumed=tuple(_assumed(every)),
@@ -85,6 +84,42 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         lone=robot.n == 1,
         units=robot.n > 1 and not robot.gain_known,
     )
+
+
+ADDED_COLUMNS = Words(
+    test="added columns",
+    place=160,
+    by=added_columns_test,
+    wrong="a term is missing or wrong: friction, offset, a rotor, a spring, tilt of "
+    "gravity, the zero or the ratio of a joint, a lag of one joint, clocks that run apart, "
+    "drifts, hysteresis, a limit of the effort, a brake that drags for a time",
+    advice="describe it (`friction`, `offset`, `gravity_m_s2`), record it "
+    "([`known_torque`](../acquisition/formats.md#maptoml)), remove its cause",
+    detects="A term that the model lacks: asymmetric friction, friction by the root of "
+    "speed or by load, offset, drift, a spring, one that is not linear, a limit of the "
+    "effort, Stribeck friction, a denied rotor, tilt of gravity, the zero of a joint, gain, "
+    "ratio or lag of one joint against the others, a lag that grows because positions and "
+    "efforts have two clocks, a torque constant or friction that drifts, hysteresis (Dahl), "
+    "friction of a sixth of the time. Lags and clocks are tested in fast rows only. What "
+    "explains as much at the same joint is named too: a wrong ratio looks like a rotor",
+    limit="`caution`: t is above 5, and the term takes over 2 % of the squared residual (a "
+    "spring 10 % where gravity acts on no link, friction of a part of the time 10 %; a lag "
+    "instead moves an essential parameter by over one half-width, clocks do one or the "
+    "other)",
+    cases={
+        "every term": Case("not made", "not made: the model has every term that is tried"),
+        "missing": Case("caution", "{strongest}{more}", "{each}", "{finding}"),
+        "ok": Case(
+            "ok", "no missing term found ({tried} tried; strongest: {strongest}){lone}{units}"
+        ),
+    },
+    parts={
+        "strongest": "{coefficient}, t = {t:.1f}, {taken:.1f} % of the residual",
+        "more": "; {others} more with t above {limit:g}",
+        "lone": "; one joint has no relative gain",
+        "units": "; relative gains not tried: the drive gains are not known",
+    },
+)
 
 
 def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:

@@ -14,11 +14,7 @@ from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
 from ..report import Assumed, Level, Method, TrustLine, Verdict, is_gain
 from .candidates import Candidates
-from .words import Words, written
-from .words_of_data import OF_DATA
-from .words_of_estimate import OF_ESTIMATE
 
-WORDS: Mapping[str, Words] = {**OF_DATA, **OF_ESTIMATE}
 BY_PRIOR = "held-out blocks by the prior"
 # worst first
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")
@@ -38,44 +34,6 @@ class HeldOut:
 
     error_percent: float | None
     undetermined: tuple[str, ...]
-
-
-def judge(
-    test: str,
-    cases: Mapping[str, object],
-    *,
-    value: float | None = None,
-    figures: tuple[Figure, ...] = (),
-    assumed: tuple[Assumed, ...] = (),
-    **said: object,
-) -> TrustLine | None:
-    """Return the line of a test by the first of its cases that holds; None where none does.
-
-    `cases`: by name whether they hold; `said`: the figures of their words, and which parts hold.
-    """
-    row, name = WORDS[test], next((name for name, holds in cases.items() if holds), None)
-    if name is None:
-        return None
-    case, said = row.cases[name], {"value": value, **said}
-    text, advice, finding = (
-        written(text, row.parts, said) for text in (case.text, case.advice, case.finding)
-    )
-    return TrustLine(
-        test=test,
-        level=case.level,
-        text=": ".join(filter(None, (text, advice))),
-        value=value,
-        finding=finding,
-        figures=figures,
-        unit=row.unit,
-        case=name,
-        assumed=assumed,
-    )
-
-
-def part_of(test: str, part: str, **said: object) -> str:
-    """Return a part of the words of a test."""
-    return written(f"{{{part}}}", WORDS[test].parts, said)
 
 
 def figures_of(

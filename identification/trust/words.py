@@ -1,16 +1,17 @@
 """What tests of a fit say: of each test a row with all its words, and of each assumption.
 
-A test is a function that finds which of its cases holds, and the figures. All words stand in the
-rows, as templates of these figures: the terminal, the report and the JSON print the case that
-holds, and the guides have tables of the rows. A row also has parts of texts. A part stands in a
-text, or in a later part, where its name stands in braces; where the test says that it does not
-hold, nothing stands there. `WORDS` in `evidence` has the rows of all tests.
+A test is a function that finds which of its cases holds, and the figures. All words stand in its
+row, below it, as templates of these figures: the terminal, the report and the JSON print the case
+that holds, and the guides have tables of the rows. A row also has parts of texts. A part stands in
+a text, or in a later part, where its name stands in braces; where the test says that it does not
+hold, nothing stands there. `WORDS` in `verdict` has the rows of all tests.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from ..report import Assumed, Level
+from ..report import Assumed, Level, TrustLine
+from .evidence import Figure, FitData
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,11 @@ class Words:
     """The row of a test.
 
     Attributes:
+        test: its name.
+        place: by which lines of the same level are sorted.
+        by: gives its line, None where it does not apply; without, the line is made with the
+            solution or with its predictions.
+        of_data: whether it tests the recording, not the estimate: the guides begin with these.
         wrong, advice: for the guide what is wrong where it fails, and what to do.
         detects, limit: the same in full, for the page of results.
         cases: what it says, by name.
@@ -37,6 +43,10 @@ class Words:
         unit: of its figures by joint, motor or block.
     """
 
+    test: str
+    place: int = 1000  # the last
+    by: Callable[[FitData], TrustLine | None] | None = None
+    of_data: bool = False
     wrong: str
     advice: str
     detects: str
@@ -44,6 +54,47 @@ class Words:
     cases: Mapping[str, Case]
     parts: Mapping[str, str] = field(default_factory=dict)
     unit: str = ""
+
+    def line(self, evidence: FitData) -> TrustLine | None:
+        """The line of a fit."""
+        return self.by(evidence) if self.by else evidence.made.get(self.test)
+
+    def judge(
+        self,
+        cases: Mapping[str, object],
+        *,
+        value: float | None = None,
+        figures: tuple[Figure, ...] = (),
+        assumed: tuple[Assumed, ...] = (),
+        **said: object,
+    ) -> TrustLine | None:
+        """Return the line by the first of the cases that holds; None where none does.
+
+        `cases`: by name whether they hold; `said`: the figures of their words, and which parts
+        hold.
+        """
+        name = next((name for name, holds in cases.items() if holds), None)
+        if name is None:
+            return None
+        case, said = self.cases[name], {"value": value, **said}
+        text, advice, finding = (
+            written(text, self.parts, said) for text in (case.text, case.advice, case.finding)
+        )
+        return TrustLine(
+            test=self.test,
+            level=case.level,
+            text=": ".join(filter(None, (text, advice))),
+            value=value,
+            finding=finding,
+            figures=figures,
+            unit=self.unit,
+            case=name,
+            assumed=assumed,
+        )
+
+    def part(self, part: str, **said: object) -> str:
+        """Return a part of the texts."""
+        return written(f"{{{part}}}", self.parts, said)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from independent_simulator import Imperfections, Reference, references, simulate
 from msgspec import structs
 
 from identification.report import TrustLine
-from identification.trust import verdict
-from identification.trust.verdict import TESTS, trust_in
+from identification.trust import WORDS, trust_in, verdict
 
 
 def white(name: str) -> SetUp:
@@ -31,13 +30,13 @@ def evidence():
 
 def told(monkeypatch, **changed):
     """The verdict with some lines changed, by test; nothing is tested again."""
-    lines = {of.test: of for test in TESTS if (of := test(evidence())) is not None}
+    lines = {of.test: of for row in WORDS.values() if (of := row.line(evidence())) is not None}
     for name, changes in changed.items():
         name = {"held": "held-out blocks", "fixed": "fixed point"}.get(name, name)
         plain = TrustLine(test=name, level="ok", text="")
         lines[name] = structs.replace(lines.get(name, plain), **changes)
-    tests = tuple((lambda _, of=of: of) for of in lines.values())
-    monkeypatch.setattr(verdict, "TESTS", tests)
+    rows = {name: replace(WORDS[name], by=lambda _, of=of: of) for name, of in lines.items()}
+    monkeypatch.setattr(verdict, "WORDS", rows)
     return trust_in(evidence())
 
 
