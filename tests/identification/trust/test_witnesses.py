@@ -49,7 +49,7 @@ NEGATIVE = {
 
 
 @pytest.mark.parametrize("doubt", [{"physical": LOW}, {"consistent": FAR}])
-def test_inconsistent_do_not_use_needs_second_test(monkeypatch, doubt):
+def test_far_from_a_robot_needs_a_witness(monkeypatch, doubt):
     alone = told(monkeypatch, **doubt)
     assert alone.verdict == "caution"
     for name, witness, named in (
@@ -63,7 +63,7 @@ def test_inconsistent_do_not_use_needs_second_test(monkeypatch, doubt):
     assert told(monkeypatch, **doubt, held={"value": 19.5}).verdict == "caution"
 
 
-def test_flipped_sign_fit_is_second_test(monkeypatch):
+def test_turned_sign_is_a_witness(monkeypatch):
     monkeypatch.setattr(
         verdict, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
     )
@@ -74,7 +74,7 @@ def test_flipped_sign_fit_is_second_test(monkeypatch):
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_two_wrong_signs_do_not_use_and_named(seed):
+def test_two_wrong_signs_are_not_used(seed):
     setup = white("scara")
     wrong = two_signs(setup, np.random.default_rng(seed))
     fit = fit_by_least_squares(wrong.recording(3))
@@ -82,7 +82,7 @@ def test_two_wrong_signs_do_not_use_and_named(seed):
     assert fit.trust.finding.endswith("has the wrong sign")
 
 
-def test_no_convergence_explained_by_findings(monkeypatch):
+def test_findings_explain_no_fixed_point(monkeypatch):
     none = {"level": "do not use", "text": "status diverged: it ran away: check signs, gains"}
     rows = {"level": "caution", "text": "", "finding": "1.9 % of the rows missing"}
     both = told(monkeypatch, fixed=none, rows=rows)
@@ -123,7 +123,7 @@ def with_torque(setup: SetUp, of):
     return setup.changed(lambda signals: replace(signals, effort=signals.effort + of(signals)))
 
 
-def test_nonlinear_spring_and_effort_limit_named():
+def test_stop_and_effort_limit_are_named():
     setup = without = white("scara")
 
     def stop(signals):
