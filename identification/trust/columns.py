@@ -29,11 +29,8 @@ from ..estimation import Estimate, deviations_of_sums, orthonormal, release_memo
 from ..report import Assumed, TrustLine
 from . import kinds
 from .candidates import MIN_T, MissingTerm
-from .evidence import FitData
-from .kinds import KINDS
-from .words import Case, Words, assume
+from .evidence import Case, FitData, Words, assume
 
-FIGURES = "value", "t", "taken_percent", "together_percent", "moves", "noticed"
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 # share of a column's norm outside the span of W, for a usable coefficient
@@ -59,8 +56,8 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
     first = max(found, key=_rank) if found else max(terms or every, key=lambda x: abs(x.t))
     # another kind at the same joint that explains as much
     rivals = (x for x in found if x.kind != first.kind and x.where == first.where)
-    share = MIN_RIVAL * first.together_percent
-    told = [first, *(x for x in rivals if x.together_percent > share)][:2]
+    least = MIN_RIVAL * first.together_percent
+    told = [first, *(x for x in rivals if x.together_percent > least)][:2]
     if len(told) > 1:  # a rotor that is allowed takes what another kind explains, and hides it
         told.sort(key=lambda x: x.kind == kinds.ROTOR)
     each = [
@@ -143,9 +140,8 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
     Asymmetric Coulomb friction contains an offset, so it wins a tie. A tilt of gravity follows the
     position, as springs do. A wrong ratio looks like a rotor, and can be checked.
     """
-    ahead = MAX_TIE_PERCENT if term.kind in AHEAD else 0.0
-    share = SHARES.get(term.kind, 1.0)
-    return share * term.together_percent + ahead, term.taken_percent
+    together = SHARES.get(term.kind, 1.0) * term.together_percent
+    return together + MAX_TIE_PERCENT * (term.kind in AHEAD), term.taken_percent
 
 
 def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
@@ -199,18 +195,17 @@ def _scored(
         some = some[:, :-1]
         noise, common = with_all[:, None], orthonormal(some - fit.Q @ (fit.Q.T @ some))
     sigma = deviations_of_sums(evidence.observed.system, z, noise, fit.Q, common) / np.abs(size)
-    figures = (
-        g,
-        np.divide(g, sigma, out=np.zeros_like(g), where=sigma > 0),
-        _taken_percent(rho, with_term),
-        np.full_like(g, _taken_percent(rho, with_all)),
-        _moves(evidence, by_column * g),
-        np.where(independent, _noticed(rho, apart, sigma), np.inf),
-    )
+    figures = {
+        "value": g,
+        "t": np.divide(g, sigma, out=np.zeros_like(g), where=sigma > 0),
+        "taken_percent": _taken_percent(rho, with_term),
+        "together_percent": np.full_like(g, _taken_percent(rho, with_all)),
+        "moves": _moves(evidence, by_column * g),
+        "noticed": np.where(independent, _noticed(rho, apart, sigma), np.inf),
+    }
     return [
-        replace(term, **dict(zip(FIGURES, of_term, strict=True)))
-        for term, stay, of_term in zip(terms, stays, np.transpose(figures).tolist(), strict=True)
-        if stay
+        replace(terms[k], **{name: of[k].item() for name, of in figures.items()})
+        for k in np.flatnonzero(stays).tolist()
     ]
 
 
@@ -242,8 +237,8 @@ def _usable(evidence: FitData, kind: str, C: Array, z: Array) -> tuple[Bools, Bo
 
 def _moves(evidence: FitData, shifts: Array) -> Array:
     """(k,) the largest shifts of essential parameters, in half-widths, of those (b, k) of beta."""
-    found_well = np.isin(evidence.estimate.names, evidence.essential)
-    within = np.where(found_well, evidence.intervals.half, np.inf)[:, None]
+    counts = np.isin(evidence.estimate.names, evidence.essential)[:, None]
+    within = np.where(counts, evidence.intervals.half[:, None], np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.nan_to_num(np.abs(shifts[: len(within)]) / within).max(axis=0))
 
@@ -258,18 +253,17 @@ def _noticed(rho: Array, apart: Array, sigma: Array) -> Array:
 
 def _columns(evidence: FitData, terms: Sequence[MissingTerm]) -> Array:
     """Columns (r, k) of terms of a kind: of C, or torques of the model by span of time."""
-    system, columns = evidence.observed.system, [term.column for term in terms]
-    if columns[0] >= 0:
-        return evidence.observed.C[:, columns]
-    kind, middle = KINDS[terms[0].place[0]], np.cumsum(evidence.lengths) - 0.5 * evidence.lengths
-    k = np.searchsorted(evidence.ends, middle) - 1
-    u = (middle - evidence.ends[k]) / np.diff(evidence.ends)[k] - 0.5
+    if terms[0].column >= 0:
+        return evidence.observed.C[:, [term.column for term in terms]]
+    kind, ends, middle = kinds.KINDS[terms[0].place[0]], evidence.ends, evidence.middles
+    k = np.searchsorted(ends, middle) - 1
+    u = (middle - ends[k]) / np.diff(ends)[k] - 0.5
     beta = np.where(
         [name.startswith(kind.of) for name in evidence.estimate.names], evidence.estimate.beta, 0.0
     )
-    torque = evidence.Z[:, evidence.places] @ beta
-    each = [kind.in_time(u, term.place[1]) for term in terms]
-    return torque[:, None] * np.stack(each, axis=1)[system.span]
+    of_spans = np.stack([kind.in_time(u, term.place[1]) for term in terms], axis=1)
+    of_rows = of_spans[evidence.observed.system.span]
+    return (evidence.Z[:, evidence.places] @ beta)[:, None] * of_rows
 
 
 def _taken_percent(rho: Array, left: Array) -> Array:

@@ -16,8 +16,7 @@ from ..control import MAX_LAW_PERCENT, FoundLaw
 from ..estimation import intervals_of
 from ..regression import LAG_ORDERS, Lag, Problem
 from ..report import TrustLine
-from .evidence import LEVELS, FitData, figures_of, worst_of
-from .words import Case, Words, assume
+from .evidence import LEVELS, Case, FitData, Words, assume, figures_of, worst_of
 
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval

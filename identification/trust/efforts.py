@@ -20,8 +20,7 @@ from ..regression import Problem, sample_weights
 from ..report import TrustLine
 from ..simulation import unstated_limits
 from .drives import LAW
-from .evidence import LEVELS, FitData
-from .words import Case, Words
+from .evidence import LEVELS, Case, FitData, Words
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
@@ -100,8 +99,7 @@ def sign_may_be_wrong(evidence: FitData, joint: str) -> bool:
     """
     j = [one.name for one in evidence.robot.joints].index(joint)
     motors = np.flatnonzero(evidence.robot.R[:, j])
-    brakes = _power(evidence)[1][motors].any()
-    return bool(brakes or turned_sign(evidence, motors)[0] <= MAX_RISE)
+    return bool(_power(evidence)[1][motors].any() or turned_sign(evidence, motors)[0] <= MAX_RISE)
 
 
 def turned_sign(evidence: FitData, motors: Collection[int] | Ints) -> tuple[float, str]:
@@ -232,8 +230,8 @@ SATURATION = Words(
 
 def positions_test(evidence: FitData) -> TrustLine | None:
     """Whether positions look like radians that were declared as degrees."""
-    found = any(RADIANS_AS_DEGREES in problem.settings.warnings for problem in evidence.problems)
-    return POSITIONS.judge({"radians": found}, text=RADIANS_AS_DEGREES)
+    radians = any(RADIANS_AS_DEGREES in one.settings.warnings for one in evidence.problems)
+    return POSITIONS.judge({"radians": radians}, text=RADIANS_AS_DEGREES)
 
 
 POSITIONS = Words(

@@ -7,8 +7,7 @@ import numpy as np
 from ..arrays import Array
 from ..estimation import by_rows_alone, differs, intervals_of
 from ..report import Assumed, TrustLine, gain_name
-from .evidence import FitData, figures_of, worst_of
-from .words import Case, Words, assume
+from .evidence import Case, FitData, Words, assume, figures_of, worst_of
 
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
@@ -28,9 +27,9 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     motors = [m for m, motor in enumerate(robot.motors) if gain_name(motor.name) in evidence.gains]
     names = [robot.motors[m].name for m in motors]
     at = [of.index(gain_name(name)) for name in names]
-    factor, gains = evidence.estimate.beta[at], [robot.motors[m].gain for m in motors]
+    factor = evidence.estimate.beta[at]
     half = 100 * evidence.intervals.half[at] / np.abs(factor)
-    described = np.array([np.nan if gain is None else gain for gain in gains])
+    described = np.array([robot.motors[m].gain for m in motors], dtype=float)  # nan for None
     K = factor * np.nan_to_num(described, nan=1.0)
     usable, expected = half <= MAX_USABLE_PERCENT, np.where(np.isnan(described), K, described)
     unsure = ", ".join(

@@ -27,8 +27,7 @@ from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
 from ..report import TrustLine, is_own
 from .efforts import sign_may_be_wrong
-from .evidence import LEVELS, FitData
-from .words import Case, Words
+from .evidence import LEVELS, Case, FitData, Words
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 CHANCE_HALF_WIDTHS = 1.4  # the same, that one of twenty parameters exceeds in 5 % of clean fits
@@ -51,10 +50,10 @@ def physical_test(evidence: FitData) -> TrustLine | None:
     if evidence.method == "ols" and all(line.level != LEVELS[0] for line in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
-        again, _ = _findings(replace(evidence, estimate=weighted, intervals=within), check)
+        again = replace(evidence, estimate=weighted, intervals=within)
         found += [
             structs.replace(line, text=PHYSICAL.part("weighted", text=line.text))
-            for line in again
+            for line in _findings(again, check)[0]
             if line.level == LEVELS[0]
         ]
     if not found:
@@ -130,9 +129,9 @@ def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
     """
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
-    of_friction = [*_driving_findings(evidence, own, check)]
-    of_inertia, lowest = _inertia_findings(evidence, np.any(own, axis=0), check)
-    found = *of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)
+    of_inertia, lowest = _finding_of_inertia(evidence, np.any(own, axis=0), check)
+    of_friction = _driving_findings(evidence, own, check)
+    found = of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)
     return [*filter(None, found)], lowest
 
 
@@ -235,9 +234,9 @@ def _driving_findings(
             yield _finding(far, text, joint.name, check, terms=True)
 
 
-def _inertia_findings(
+def _finding_of_inertia(
     evidence: FitData, own: Bools, check: Check
-) -> tuple[list[TrustLine | None], float]:
+) -> tuple[TrustLine | None, float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
@@ -249,10 +248,10 @@ def _inertia_findings(
     G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, e)
     far, value, half, v, _, least = _worst(G, evidence)
     if least > 0:
-        return [], least
+        return None, least
     joint = idm.robot.joints[int(np.abs(v).argmax())].name
     text = PHYSICAL.part("inertia", least=least, lowest=value, half=half, joint=joint)
-    return [_finding(far, text, joint, check, noise=True)], least
+    return _finding(far, text, joint, check, noise=True), least
 
 
 def _finding_of_gravity(evidence: FitData) -> TrustLine | None:
@@ -269,8 +268,8 @@ def _finding_of_gravity(evidence: FitData) -> TrustLine | None:
     A *= evidence.estimate.weights[rows.system.joint_of_row][:, None]
     G, W, Y = np.split(estimation.r_factor(A), [len(weighs), -1], axis=1)
     left = [100 * estimation.relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
-    lighter = left[1] < MIN_RESIDUAL_RATIO * left[0]
-    return PHYSICAL.judge({"no weight": lighter}, without=left[1], residual=left[0])
+    lacks = {"no weight": left[1] < MIN_RESIDUAL_RATIO * left[0]}
+    return PHYSICAL.judge(lacks, without=left[1], residual=left[0])
 
 
 def consistent_test(evidence: FitData) -> TrustLine | None:

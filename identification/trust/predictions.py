@@ -8,7 +8,7 @@ fitted to the others.
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,9 +23,8 @@ from ..estimation import (
     undetermined_parameters,
 )
 from ..report import TrustLine
-from .evidence import BY_PRIOR, FitData, HeldOut, Part, figures_of
+from .evidence import BY_PRIOR, Case, FitData, Part, Words, figures_of
 from .prior import known_and_free
-from .words import Case, Words
 
 BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
@@ -35,6 +34,20 @@ MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 # equal span of each recording, which rows count, by recording their instants, and the row of the
 # fit at or after each
 Predict = Callable[..., tuple[Array, Array, Bools, list[Array], list[Ints]]]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A recording predicted by the fit of the others, in the rows that count.
+
+    Attributes:
+        error_percent: its torque error, in percent of its torque; None where the others do not
+            determine the parameters, or it has no torque.
+        undetermined: names of the parameters that the others do not determine.
+    """
+
+    error_percent: float | None
+    undetermined: tuple[str, ...]
 
 
 def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str]]]:

@@ -34,8 +34,7 @@ from ..estimation import MIN_COLUMN_NORM, instrumental_variables, intervals_of
 from ..model import direct_model
 from ..regression import row_states
 from ..report import TrustLine, base_name
-from .evidence import FitData, figures_of
-from .words import Case, Words
+from .evidence import Case, FitData, Words, figures_of
 
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors

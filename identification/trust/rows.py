@@ -9,8 +9,7 @@ from ..arrays import Array
 from ..data import position_steps
 from ..regression import Problem, standing_joints
 from ..report import TrustLine
-from .evidence import FitData
-from .words import Case, Words
+from .evidence import Case, FitData, Words
 
 MAX_MISSING_PERCENT = 0.1  # of the moving rows
 MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows

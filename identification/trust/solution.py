@@ -11,8 +11,7 @@ from .. import estimation
 from ..errors import NoFitError
 from ..model import JointTerm
 from ..report import TrustLine
-from .evidence import FitData, Part
-from .words import Case, Words
+from .evidence import Case, FitData, Part, Words
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined

@@ -1,20 +1,15 @@
 """The whole trust block: every test, what was assumed, and witnesses of a sign that is wrong."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from msgspec import structs
 
-from ..report import Assumed, TrustLine, is_own
+from ..report import Assumed, TrustLine, Verdict, is_own
 from . import columns, drives, efforts, gains, physical, predictions, prior, rows, solution
-from .drives import LAW
-from .efforts import turned_sign
-from .evidence import LEVELS, FitData, Trust
-from .gains import payload_assumptions
-from .physical import PHYSICAL
-from .predictions import HELD_OUT
-from .solution import FIXED_POINT
-from .words import Words, assume
+from .evidence import LEVELS, FitData, Words, assume
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
 CAUSES = "saturation", "rows", "added columns"  # of no fixed point, by what they find
@@ -22,11 +17,38 @@ MAX_WITNESS_PERCENT = 20.0  # held-out error: more is that of another robot
 MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 
 
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """All tests of a fit, worst first, and the assumptions that no test covers.
+
+    A test that was not made does not count.
+    """
+
+    lines: tuple[TrustLine, ...]
+    assumed: tuple[Assumed, ...] = ()
+
+    def line(self, test: str) -> TrustLine:
+        """The line of a test."""
+        return next(line for line in self.lines if line.test == test)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The worst level."""
+        worst = self.lines[0].level
+        return worst if worst == "do not use" or worst == "caution" else "trust"
+
+    @property
+    def finding(self) -> str:
+        """The worst finding in a few words; empty where there is none."""
+        worst = self.lines[0]
+        return "" if self.verdict == "trust" else worst.finding or worst.test
+
+
 def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
     """Assumptions that no test covers, by the lines of tests."""
     signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
     fs, iv = signals.sample_rate_hz, evidence.method == "iv"
-    law, lag = lines[LAW.test], lines.get("lag")
+    law, lag = lines["control law"], lines.get("lag")
     stated = [
         f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None
     ]
@@ -59,7 +81,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
         "unseen": False,
         "duration_s": duration_s,
     }
-    yield from payload_assumptions(evidence)
+    yield from gains.payload_assumptions(evidence)
     yield from (assume(what, **said) for what, it in holds.items() if it)
 
 
@@ -82,21 +104,21 @@ def trust_in(evidence: FitData) -> Trust:
     """
     in_order = sorted(WORDS.values(), key=lambda row: row.place)
     lines = {row.test: line for row in in_order if (line := row.line(evidence)) is not None}
-    held, of_robot = lines[HELD_OUT.test], lines[PHYSICAL.test]
+    held, of_robot = lines["held-out blocks"], lines["physical"]
     if held.case == "far off" and (of_robot.value or 0.0) <= 0:
-        text = HELD_OUT.part("not positive", text=held.text)
-        lines[HELD_OUT.test] = structs.replace(held, level=LEVELS[0], text=text)
+        text = WORDS["held-out blocks"].part("not positive", text=held.text)
+        lines["held-out blocks"] = structs.replace(held, level=LEVELS[0], text=text)
     if of_robot.level != LEVELS[0] and (found := _witness(evidence, lines)):
-        text = PHYSICAL.part("far", text=of_robot.text, witness=found)
-        lines[PHYSICAL.test] = structs.replace(
+        text = WORDS["physical"].part("far", text=of_robot.text, witness=found)
+        lines["physical"] = structs.replace(
             of_robot, level=LEVELS[0], text=text, finding=of_robot.finding or found
         )
-    fixed, causes = lines.get(FIXED_POINT.test), (lines.get(test) for test in CAUSES)
+    fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
     known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)
     if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
         why = fixed.text.partition(": check")[0]
-        text = FIXED_POINT.part("caused", text=why, cause=cause)
-        lines[FIXED_POINT.test] = structs.replace(fixed, text=text, finding=cause)
+        text = WORDS["fixed point"].part("caused", text=why, cause=cause)
+        lines["fixed point"] = structs.replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
     assumed = *list_assumptions(evidence, lines), *of_lines
     each = [structs.replace(line, assumed=()) for line in lines.values()]
@@ -109,13 +131,13 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     nothing.
     """
     consistent, of_prior = lines.get("consistent"), lines.get("prior")
-    if (lines[PHYSICAL.test].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
+    if (lines["physical"].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
         return ""
-    held = lines[HELD_OUT.test].value or 0.0
+    held = lines["held-out blocks"].value or 0.0
     figures = () if of_prior is None else of_prior.figures
     if of_prior and any((x or 0.0) + (half or 0.0) < 0 for _, x, half, _ in figures):
         return of_prior.finding
-    ratio, mistake = turned_sign(evidence, range(evidence.robot.n))
+    ratio, mistake = efforts.turned_sign(evidence, range(evidence.robot.n))
     if ratio < MAX_WITNESS_RATIO:
         return mistake
     # a wrong sign of a lone axis changes no error

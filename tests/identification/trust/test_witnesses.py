@@ -12,7 +12,7 @@ from independent_simulator import Imperfections, Reference, references, simulate
 from msgspec import structs
 
 from identification.report import TrustLine
-from identification.trust import WORDS, trust_in, verdict
+from identification.trust import WORDS, efforts, trust_in, verdict
 
 
 def white(name: str) -> SetUp:
@@ -65,11 +65,11 @@ def test_far_from_a_robot_needs_a_witness(monkeypatch, doubt):
 
 def test_turned_sign_is_a_witness(monkeypatch):
     monkeypatch.setattr(
-        verdict, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
+        efforts, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
     )
     assert told(monkeypatch).verdict == "trust"
     assert told(monkeypatch, physical=LOW).finding == "the effort of motor_2 has the wrong sign"
-    monkeypatch.setattr(verdict, "turned_sign", lambda *_: (0.97, "another"))
+    monkeypatch.setattr(efforts, "turned_sign", lambda *_: (0.97, "another"))
     assert told(monkeypatch, physical=LOW).verdict == "caution"
 
 

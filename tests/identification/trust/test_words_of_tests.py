@@ -8,14 +8,15 @@ import pytest
 from conftest import ROOT
 
 from identification.trust import WORDS
+from identification.trust.evidence import Words
 from identification.trust.verdict import FILES
-from identification.trust.words import Words
 
 PATHS = [
     *(ROOT / "identification" / "trust").glob("*.py"),
     *(ROOT / "identification" / "methods").glob("*.py"),
 ]
 ROWS = {key: row for file in FILES for key, row in vars(file).items() if isinstance(row, Words)}
+NAMED = {**ROWS, **{f"WORDS[{test!r}]": row for test, row in WORDS.items()}}
 
 
 def needed(text, parts):
@@ -36,8 +37,10 @@ def told():
             if isinstance(target, ast.Name)
         }
         for call in (x for x in ast.walk(tree) if isinstance(x, ast.Call) and x.args):
-            row = ROWS.get(getattr(getattr(call.func, "value", None), "id", ""))
-            if row is None or call.func.attr not in ("judge", "part"):
+            if getattr(call.func, "attr", "") not in ("judge", "part"):
+                continue
+            row = NAMED.get(ast.unparse(call.func.value))
+            if row is None:  # such as `estimate.part`
                 continue
             what = call.args[0]
             what = dicts.get(what.id) if isinstance(what, ast.Name) else what
