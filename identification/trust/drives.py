@@ -221,7 +221,6 @@ def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
     if found.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():
         return LAW.judge({"another": True}, reason=found.reason, left=error[j])
     names = [f"{letter} {motor}" for letter in np.array(LETTERS)[used] for motor in motors]
-    figures = figures_of(names, factor.flat, within.flat, np.ones(factor.size))
     return LAW.judge(
         {
             "sign": mirrored.any(),
@@ -231,7 +230,11 @@ def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
             "ok": True,
         },
         value=float(factor[int(np.argmax(off[:, j])), j]),
-        figures=tuple(one for one in figures if np.isfinite(one[1])),
+        figures=tuple(
+            one
+            for one in figures_of(names, factor.flat, within.flat, np.ones(factor.size))
+            if np.isfinite(one[1])
+        ),
         motor=motors[j],
         gains=_gains(found, j),
         left=error[j],

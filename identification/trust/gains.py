@@ -192,13 +192,12 @@ CENTRE_OF_MASS = Words(
 def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
     """Mass and frame of the payloads, which no test covers."""
     found = dict.fromkeys(arm.payload for arm in evidence.arms)
-    joint = evidence.robot.joints[-1].name
     for one in filter(None, found):
         weighed, always = one.payload.mass_kg is not None, None not in found
         if weighed or always:
             yield assume(
                 "payload",
-                payload=one.payload.describe(joint),
+                payload=one.payload.describe(evidence.robot.joints[-1].name),
                 scales=weighed and evidence.gains,
                 taken_off=weighed and not evidence.gains,
                 both=weighed and always,

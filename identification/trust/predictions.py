@@ -67,9 +67,10 @@ def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str
     elif sum(n := [evidence.count(part) for part in parts]) - max(n) <= len(estimate.beta):
         return []
     found = predictions_by_others([*map(evidence.factor, parts)], estimate.names, own)
-    each = zip(names, parts, found, strict=True)
-    # blocks are predicted anyway
-    return [(name, part, beta, lost * several) for name, part, (beta, lost) in each]
+    return [
+        (name, part, beta, lost * several)  # blocks are predicted anyway
+        for name, part, (beta, lost) in zip(names, parts, found, strict=True)
+    ]
 
 
 def _held_out(
@@ -87,28 +88,36 @@ def _held_out(
     several, (tau, trained, by_others, counts) = evidence.by_recording, torques
     if not parts:
         return HELD_OUT.judge({"few rows": True}, count=len(evidence.estimate.beta)), ()
-    errors, each = (tau, tau - by_others, tau - trained), list[HeldOut]()
-    made, norms, without = list[str](), list[list[float]](), list[str]()
-    for name, part, beta, its in parts:
-        rows = counts & part[at][:, None]
-        torque, *both = (float(np.linalg.norm(x[rows])) for x in errors)
-        if told := torque > 0 and not its:
-            made.append(name)
-            weighted = (evidence.error(part, x) for x in (beta, evidence.estimate.beta))
-            norms.append([torque, *both, *weighted])
-        elif several:
-            without.append(
-                HELD_OUT.part(
-                    "no prediction",
-                    name=name,
-                    lost=bool(its),
-                    names=", ".join(its[:8]),
-                    resting=not its,
-                )
-            )
-        if several:
-            each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
-    return _line_of(evidence, made, np.array(norms), "; ".join(without)), tuple(each)
+    errors = tau, tau - by_others, tau - trained
+    norms = np.array(
+        [
+            [
+                *(np.linalg.norm(x[counts & part[at][:, None]]) for x in errors),
+                *(evidence.error(part, x) for x in (beta, evidence.estimate.beta)),
+            ]
+            for _, part, beta, _ in parts
+        ]
+    )
+    told = (norms[:, 0] > 0) & [not lost for *_, lost in parts]
+    names = [name for (name, *_), it in zip(parts, told, strict=True) if it]
+    if not several:
+        return _line_of(evidence, names, norms[told], ""), ()
+    without = "; ".join(
+        HELD_OUT.part(
+            "no prediction",
+            name=name,
+            lost=bool(lost),
+            names=", ".join(lost[:8]),
+            resting=not lost,
+        )
+        for (name, _, _, lost), it in zip(parts, told, strict=True)
+        if not it
+    )
+    found = (
+        HeldOut(100 * error / torque if it else None, tuple(lost))
+        for (torque, error, *_), it, (*_, lost) in zip(norms.tolist(), told, parts, strict=True)
+    )
+    return _line_of(evidence, names, norms[told], without), tuple(found)
 
 
 def _line_of(evidence: FitData, names: list[str], norms: Array, without: str) -> TrustLine | None:
@@ -252,6 +261,7 @@ def _by_links(evidence: FitData) -> FitData | None:
     rest = rest.with_columns(free)
     with suppress(NoFitError):
         others = instrumental_variables(rest, Z, evidence.estimate.weights).without_rows()
-        held = replace(evidence.observed, system=rest, Z=Z)
-        return replace(evidence, observed=held, estimate=others)
+        return replace(
+            evidence, observed=replace(evidence.observed, system=rest, Z=Z), estimate=others
+        )
     return None

@@ -102,8 +102,11 @@ def trust_in(evidence: FitData) -> Trust:
     and the held-out blocks fail, or if the parameters are far from those of a robot and a witness
     says why.
     """
-    in_order = sorted(WORDS.values(), key=lambda row: row.place)
-    lines = {row.test: line for row in in_order if (line := row.line(evidence)) is not None}
+    lines = {
+        row.test: line
+        for row in sorted(WORDS.values(), key=lambda row: row.place)
+        if (line := row.line(evidence)) is not None
+    }
     held, of_robot = lines["held-out blocks"], lines["physical"]
     if held.case == "far off" and (of_robot.value or 0.0) <= 0:
         text = WORDS["held-out blocks"].part("not positive", text=held.text)
@@ -116,13 +119,16 @@ def trust_in(evidence: FitData) -> Trust:
     fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
     known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)
     if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
-        why = fixed.text.partition(": check")[0]
-        text = WORDS["fixed point"].part("caused", text=why, cause=cause)
+        text = WORDS["fixed point"].part(
+            "caused", text=fixed.text.partition(": check")[0], cause=cause
+        )
         lines["fixed point"] = structs.replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
     assumed = *list_assumptions(evidence, lines), *of_lines
-    each = [structs.replace(line, assumed=()) for line in lines.values()]
-    return Trust(lines=worst_first(each), assumed=assumed)
+    return Trust(
+        lines=worst_first(structs.replace(line, assumed=()) for line in lines.values()),
+        assumed=assumed,
+    )
 
 
 def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
@@ -134,8 +140,9 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     if (lines["physical"].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
         return ""
     held = lines["held-out blocks"].value or 0.0
-    figures = () if of_prior is None else of_prior.figures
-    if of_prior and any((x or 0.0) + (half or 0.0) < 0 for _, x, half, _ in figures):
+    if of_prior is not None and any(
+        (x or 0.0) + (half or 0.0) < 0 for _, x, half, _ in of_prior.figures
+    ):
         return of_prior.finding
     ratio, mistake = efforts.turned_sign(evidence, range(evidence.robot.n))
     if ratio < MAX_WITNESS_RATIO:
