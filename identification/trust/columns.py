@@ -20,7 +20,7 @@ a rotor there still biases beta; it is kept, to be listed among the assumptions.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import groupby
+from itertools import compress, groupby
 
 import numpy as np
 
@@ -203,9 +203,10 @@ def _scored(
         "moves": _moves(evidence, by_column * g),
         "noticed": np.where(independent, _noticed(rho, apart, sigma), np.inf),
     }
+    each = zip(terms, np.transpose([*figures.values()]).tolist(), strict=True)
     return [
-        replace(terms[k], **{name: of[k].item() for name, of in figures.items()})
-        for k in np.flatnonzero(stays).tolist()
+        replace(term, **dict(zip(figures, of_term, strict=True)))
+        for term, of_term in compress(each, stays)
     ]
 
 
