@@ -13,7 +13,7 @@ from ..errors import BadInputError, NoFitError
 from ..estimation import intervals_of, one_thread
 from ..regression import Overrides
 from ..report import Method
-from ..trust import judge
+from ..trust import FIXED_POINT
 from .iteration import Iteration, Loop, by_reference, conclude, next_values, tests_of
 from .model import Model, ProgressCallback, read_model
 from .passes import Pass
@@ -154,7 +154,7 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
             "with these" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
-        line = {"fixed point": judge("fixed point", ending, why=text)}
+        line = {"fixed point": FIXED_POINT.judge(ending, why=text)}
     else:
         alone = model.unknowns.plain and not len(model.load)
         # Once, of the first recording: it looks at the beginning of a long one anyway.

@@ -41,7 +41,7 @@ from ..report import (
     is_base,
 )
 from ..simulation import Simulated
-from ..trust import FitData, control_law_line, fixed_point_line, judge, part_of
+from ..trust import FIXED_POINT, POSITION_NOISE, FitData, control_law_line, fixed_point_line
 from .iteration import MIN_F, Loop
 from .model import Model
 from .passes import Pass, join_reasons
@@ -49,7 +49,6 @@ from .start import solver_of
 
 # a larger error of the simulated position does not confirm the estimate
 MAX_TRACKING_PERCENT = 20.0
-NOISE = "position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
 BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
 MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
@@ -125,7 +124,7 @@ def inputs_of(
         lags=lags,
         essential=essential_names(essential, estimate, within),
         made={
-            "fixed point": judge("fixed point", {"least squares": True}),
+            "fixed point": FIXED_POINT.judge({"least squares": True}),
             "control law": control_law_line(problems, model.laws),
         },
     )
@@ -292,7 +291,7 @@ def position_noise_line(
     """
     settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
     if reason is not None:
-        return judge(NOISE, {"no noise": True}, reason=reason)
+        return POSITION_NOISE.judge({"no noise": True}, reason=reason)
     problem = problem.first_minutes()
     noise = _noise_like(problem)
     try:
@@ -303,7 +302,7 @@ def position_noise_line(
         )
         both = [_least_squares(_with_noise(problem, way * noise), method, asked) for way in (1, -1)]
     except NoFitError as error:
-        return judge(NOISE, {"no noise": True}, reason=error.args[0])
+        return POSITION_NOISE.judge({"no noise": True}, reason=error.args[0])
     names = tuple(x for x in essential.names if x in plain.names and x in asked.names)
     half = ls.intervals.half[[asked.names.index(name) for name in names]]
     beta = plain.values_of(names)
@@ -315,8 +314,7 @@ def position_noise_line(
         )
     matters = np.any([(widths > a) & (percents > b) for a, b in MAX_BIAS], axis=0)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
-    return judge(
-        NOISE,
+    return POSITION_NOISE.judge(
         {"biased": matters.any(), "ok": True},
         value=float(widths[worst]),
         name=names[worst],
@@ -328,10 +326,10 @@ def _reason_against(problem: Problem) -> str | None:
     """Why the noise cannot be estimated; None if it can."""
     settings, signals = problem.settings, problem.signals
     if settings.cutoff_hz is None:
-        return part_of(NOISE, "no low-pass")
+        return POSITION_NOISE.part("no low-pass")
     if settings.cutoff_hz > MAX_CUTOFF * signals.sample_rate_hz:
-        return part_of(NOISE, "wide", cutoff_hz=settings.cutoff_hz)
-    return part_of(NOISE, "interpolated") if signals.off_grid > ON_GRID else None
+        return POSITION_NOISE.part("wide", cutoff_hz=settings.cutoff_hz)
+    return POSITION_NOISE.part("interpolated") if signals.off_grid > ON_GRID else None
 
 
 def _noise_like(problem: Problem) -> Array:

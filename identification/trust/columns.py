@@ -20,7 +20,7 @@ a rotor there still biases beta; it is kept, to be listed among the assumptions.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import groupby
+from itertools import compress, groupby
 
 import numpy as np
 
@@ -29,11 +29,8 @@ from ..estimation import Estimate, deviations_of_sums, orthonormal, release_memo
 from ..report import Assumed, TrustLine
 from . import kinds
 from .candidates import MIN_T, MissingTerm
-from .evidence import FitData, judge
-from .kinds import KINDS
-from .words import assume
+from .evidence import Case, FitData, Words, assume
 
-FIGURES = "value", "t", "taken_percent", "together_percent", "moves", "noticed"
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 # share of a column's norm outside the span of W, for a usable coefficient
@@ -59,8 +56,8 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
     first = max(found, key=_rank) if found else max(terms or every, key=lambda x: abs(x.t))
     # another kind at the same joint that explains as much
     rivals = (x for x in found if x.kind != first.kind and x.where == first.where)
-    share = MIN_RIVAL * first.together_percent
-    told = [first, *(x for x in rivals if x.together_percent > share)][:2]
+    least = MIN_RIVAL * first.together_percent
+    told = [first, *(x for x in rivals if x.together_percent > least)][:2]
     if len(told) > 1:  # a rotor that is allowed takes what another kind explains, and hides it
         told.sort(key=lambda x: x.kind == kinds.ROTOR)
     each = [
@@ -68,8 +65,7 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         for x in told
     ]
     each[0] = told[0].advice if told[0] is first else each[0]
-    return judge(
-        "added columns",
+    return ADDED_COLUMNS.judge(
         {"every term": not terms, "missing": found, "ok": True},
         value=first.t if terms else None,
         assumed=tuple(_assumed(every)),
@@ -85,6 +81,42 @@ def added_columns_test(evidence: FitData) -> TrustLine | None:
         lone=robot.n == 1,
         units=robot.n > 1 and not robot.gain_known,
     )
+
+
+ADDED_COLUMNS = Words(
+    test="added columns",
+    place=160,
+    by=added_columns_test,
+    wrong="a term is missing or wrong: friction, offset, a rotor, a spring, tilt of "
+    "gravity, the zero or the ratio of a joint, a lag of one joint, clocks that run apart, "
+    "drifts, hysteresis, a limit of the effort, a brake that drags for a time",
+    advice="describe it (`friction`, `offset`, `gravity_m_s2`), record it "
+    "([`known_torque`](../acquisition/formats.md#maptoml)), remove its cause",
+    detects="A term that the model lacks: asymmetric friction, friction by the root of "
+    "speed or by load, offset, drift, a spring, one that is not linear, a limit of the "
+    "effort, Stribeck friction, a denied rotor, tilt of gravity, the zero of a joint, gain, "
+    "ratio or lag of one joint against the others, a lag that grows because positions and "
+    "efforts have two clocks, a torque constant or friction that drifts, hysteresis (Dahl), "
+    "friction of a sixth of the time. Lags and clocks are tested in fast rows only. What "
+    "explains as much at the same joint is named too: a wrong ratio looks like a rotor",
+    limit="`caution`: t is above 5, and the term takes over 2 % of the squared residual (a "
+    "spring 10 % where gravity acts on no link, friction of a part of the time 10 %; a lag "
+    "instead moves an essential parameter by over one half-width, clocks do one or the "
+    "other)",
+    cases={
+        "every term": Case("not made", "not made: the model has every term that is tried"),
+        "missing": Case("caution", "{strongest}{more}", "{each}", "{finding}"),
+        "ok": Case(
+            "ok", "no missing term found ({tried} tried; strongest: {strongest}){lone}{units}"
+        ),
+    },
+    parts={
+        "strongest": "{coefficient}, t = {t:.1f}, {taken:.1f} % of the residual",
+        "more": "; {others} more with t above {limit:g}",
+        "lone": "; one joint has no relative gain",
+        "units": "; relative gains not tried: the drive gains are not known",
+    },
+)
 
 
 def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
@@ -108,9 +140,8 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
     Asymmetric Coulomb friction contains an offset, so it wins a tie. A tilt of gravity follows the
     position, as springs do. A wrong ratio looks like a rotor, and can be checked.
     """
-    ahead = MAX_TIE_PERCENT if term.kind in AHEAD else 0.0
-    share = SHARES.get(term.kind, 1.0)
-    return share * term.together_percent + ahead, term.taken_percent
+    together = SHARES.get(term.kind, 1.0) * term.together_percent
+    return together + MAX_TIE_PERCENT * (term.kind in AHEAD), term.taken_percent
 
 
 def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
@@ -164,18 +195,18 @@ def _scored(
         some = some[:, :-1]
         noise, common = with_all[:, None], orthonormal(some - fit.Q @ (fit.Q.T @ some))
     sigma = deviations_of_sums(evidence.observed.system, z, noise, fit.Q, common) / np.abs(size)
-    figures = (
-        g,
-        np.divide(g, sigma, out=np.zeros_like(g), where=sigma > 0),
-        _taken_percent(rho, with_term),
-        np.full_like(g, _taken_percent(rho, with_all)),
-        _moves(evidence, by_column * g),
-        np.where(independent, _noticed(rho, apart, sigma), np.inf),
-    )
+    figures = {
+        "value": g,
+        "t": np.divide(g, sigma, out=np.zeros_like(g), where=sigma > 0),
+        "taken_percent": _taken_percent(rho, with_term),
+        "together_percent": np.full_like(g, _taken_percent(rho, with_all)),
+        "moves": _moves(evidence, by_column * g),
+        "noticed": np.where(independent, _noticed(rho, apart, sigma), np.inf),
+    }
+    each = zip(terms, np.transpose([*figures.values()]).tolist(), strict=True)
     return [
-        replace(term, **dict(zip(FIGURES, of_term, strict=True)))
-        for term, stay, of_term in zip(terms, stays, np.transpose(figures).tolist(), strict=True)
-        if stay
+        replace(term, **dict(zip(figures, of_term, strict=True)))
+        for term, of_term in compress(each, stays)
     ]
 
 
@@ -207,8 +238,8 @@ def _usable(evidence: FitData, kind: str, C: Array, z: Array) -> tuple[Bools, Bo
 
 def _moves(evidence: FitData, shifts: Array) -> Array:
     """(k,) the largest shifts of essential parameters, in half-widths, of those (b, k) of beta."""
-    found_well = np.isin(evidence.estimate.names, evidence.essential)
-    within = np.where(found_well, evidence.intervals.half, np.inf)[:, None]
+    counts = np.isin(evidence.estimate.names, evidence.essential)[:, None]
+    within = np.where(counts, evidence.intervals.half[:, None], np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.nan_to_num(np.abs(shifts[: len(within)]) / within).max(axis=0))
 
@@ -223,18 +254,17 @@ def _noticed(rho: Array, apart: Array, sigma: Array) -> Array:
 
 def _columns(evidence: FitData, terms: Sequence[MissingTerm]) -> Array:
     """Columns (r, k) of terms of a kind: of C, or torques of the model by span of time."""
-    system, columns = evidence.observed.system, [term.column for term in terms]
-    if columns[0] >= 0:
-        return evidence.observed.C[:, columns]
-    kind, middle = KINDS[terms[0].place[0]], np.cumsum(evidence.lengths) - 0.5 * evidence.lengths
-    k = np.searchsorted(evidence.ends, middle) - 1
-    u = (middle - evidence.ends[k]) / np.diff(evidence.ends)[k] - 0.5
+    if terms[0].column >= 0:
+        return evidence.observed.C[:, [term.column for term in terms]]
+    kind, ends, middle = kinds.KINDS[terms[0].place[0]], evidence.ends, evidence.middles
+    k = np.searchsorted(ends, middle) - 1
+    u = (middle - ends[k]) / np.diff(ends)[k] - 0.5
     beta = np.where(
         [name.startswith(kind.of) for name in evidence.estimate.names], evidence.estimate.beta, 0.0
     )
-    torque = evidence.Z[:, evidence.places] @ beta
-    each = [kind.in_time(u, term.place[1]) for term in terms]
-    return torque[:, None] * np.stack(each, axis=1)[system.span]
+    of_spans = np.stack([kind.in_time(u, term.place[1]) for term in terms], axis=1)
+    of_rows = of_spans[evidence.observed.system.span]
+    return (evidence.Z[:, evidence.places] @ beta)[:, None] * of_rows
 
 
 def _taken_percent(rho: Array, left: Array) -> Array:

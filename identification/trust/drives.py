@@ -1,4 +1,4 @@
-"""Tests of the drives: the lag of their torque, their control law, their gains and what they carry.
+"""Tests of the drives: the lag of their torque, and their control law.
 
 The control law that is found in the recording does not depend on the robot's model, so its test
 detects what a fit cannot: an effort of the wrong scale or sign, which scales every parameter and
@@ -7,32 +7,23 @@ A delay of the reference belongs to the recording, not to the law: the simulated
 nothing is judged by it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import structs
 
-from ..arrays import Array
 from ..control import MAX_LAW_PERCENT, FoundLaw
-from ..estimation import by_rows_alone, differs, intervals_of
+from ..estimation import intervals_of
 from ..regression import LAG_ORDERS, Lag, Problem
-from ..report import Assumed, TrustLine, gain_name
-from .evidence import LEVELS, FitData, figures_of, judge, part_of, worst_of
-from .words import assume
+from ..report import TrustLine
+from .evidence import LEVELS, Case, FitData, Words, assume, figures_of, worst_of
 
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
-LAW = "control law"
 MAX_GAIN_ERROR = 0.01  # beyond: caution
 MAX_MIRRORED_PERCENT = 2.0  # residual of negative gains; below, the effort has the wrong sign
 COMMON = 0.02  # spread of the gains' factors, for one scale of the effort
 LETTERS = ("Kp", "Kd", "Ki")
-MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
-MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
-MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
-# no smaller one is reported; larger where 3 deviations of the median show it
-LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6
-MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 
 
 def lag_test(evidence: FitData) -> TrustLine | None:
@@ -53,11 +44,10 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
     unseen = assume(
         "lag",
         lag=f"{value_ms:.2g} ± {sd_ms:.2g} ms",
-        cost=part_of("lag", "cost", moved=moved, name=name),
+        cost=LAG.part("cost", moved=moved, name=name),
         stated=False,
     )
-    return judge(
-        "lag",
+    return LAG.judge(
         {
             "contradicted": lag.stated
             and abs(found - lag.value_s) > MAX_DEVIATIONS_FROM_STATED * found_sd,
@@ -94,6 +84,65 @@ def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
         order=lag.order,
         usual=LAG_ORDERS[0],
     )
+
+
+LAG = Words(
+    test="lag",
+    place=150,
+    by=lag_test,
+    of_data=True,
+    wrong="the delay of the torque cannot be estimated, or contradicts what is stated; "
+    "without a reference it is assumed",
+    advice="state `effort_timing`, take `--method iv`, or record longer moves",
+    detects="How late the recorded torque is against the motion; [found, corrected and "
+    "counted](#the-lag-of-the-torque)",
+    limit="`caution`: the recorded reference does not show it, and its uncertainty moves an "
+    "essential parameter by over one half-width; a torque is before its command; or the "
+    "data contradict a `torque_lag_s` at t > 4. `cannot tell`: without a reference it is "
+    "assumed, and the intervals include it",
+    cases={
+        "contradicted": Case(
+            "caution",
+            "{stated}; the data give {found:.4g} ± {found_half:.2g} s",
+            "leave torque_lag_s out",
+        ),
+        "stated": Case("ok", "{stated}"),
+        "harmless": Case("ok", "{known}"),
+        "not shown": Case(
+            "caution",
+            "{known}",
+            "state effort_timing, or record longer moves: joints reverse too often for "
+            "their rows to show it",
+        ),
+        "not measured": Case(
+            "caution", "{known}", "state effort_timing, or take --method iv, which measures it"
+        ),
+        "assumed": Case(
+            "cannot tell",
+            "{known}: no reference is recorded that would show it; state effort_timing",
+        ),
+        "impossible": Case(
+            "caution",
+            "{late}, which is impossible",
+            "check sample_rate_hz of [controller], time stamps, and whether the effort is "
+            "recorded behind a filter",
+        ),
+        "ok": Case("ok", "{late}"),
+    },
+    parts={
+        "stated": "{value_s:.4g} s, as torque_lag_s states",
+        "cost": "±{moved:.2g} half-widths at {name}, included in the intervals",
+        "unknown": "not known, {value_ms:g} ± {sd_ms:g} ms",
+        "by_source": "{value_ms:.2g} ± {sd_ms:.2g} ms by {source}",
+        "known": "{unknown}{by_source}: {cost}",
+        "rejected": "; {source} gives {prior:.2f}, which contradicts it and is not used",
+        "delayed": "; it acts {delay:.2f} ± {delay_half:.2f} samples after the command",
+        "whitened": "; whitened over {order} rows, not {usual}, as joints reverse often",
+        "late": "torque {size:.2f} ± {half:.2f} samples {way}: corrected, included in the "
+        "intervals{rejected}{delayed}{whitened}",
+    },
+    unit="samples",
+)
 
 
 def _largest_move(evidence: FitData, lag: Lag) -> tuple[float, str]:
@@ -141,11 +190,11 @@ def law_line(problem: Problem, law: FoundLaw | None) -> TrustLine | None:
         "none found": law and law.described is None and law.reason is not None,
     }
     if law is None or any(unknown.values()):
-        return judge(LAW, unknown, reason=law and law.reason)
+        return LAW.judge(unknown, reason=law and law.reason)
     line = _line_of_law(law, [motor.name for motor in signals.robot.motors])
     if line is None or not controller.gravity_feedforward:
         return line
-    return structs.replace(line, text=part_of(LAW, "fed", text=line.text))
+    return structs.replace(line, text=LAW.part("fed", text=line.text))
 
 
 def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
@@ -153,8 +202,7 @@ def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
     delay_ms, structure = 1e3 * float(np.median(found.delay_s)), found.law.structure
     if found.described is None:
         alone = ", ".join(np.array(motors)[~found.clear])
-        return judge(
-            LAW,
+        return LAW.judge(
             {"found": True},
             gains=_gains(found, 0),
             motor=motors[0],
@@ -171,11 +219,9 @@ def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
     beyond = np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_LAW_PERCENT)
     j = int(np.argmax(np.maximum(beyond, 1e9 * mirrored)))
     if found.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():
-        return judge(LAW, {"another": True}, reason=found.reason, left=error[j])
+        return LAW.judge({"another": True}, reason=found.reason, left=error[j])
     names = [f"{letter} {motor}" for letter in np.array(LETTERS)[used] for motor in motors]
-    figures = figures_of(names, factor.flat, within.flat, np.ones(factor.size))
-    return judge(
-        LAW,
+    return LAW.judge(
         {
             "sign": mirrored.any(),
             "rival": found.rival,
@@ -184,7 +230,11 @@ def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
             "ok": True,
         },
         value=float(factor[int(np.argmax(off[:, j])), j]),
-        figures=tuple(one for one in figures if np.isfinite(one[1])),
+        figures=tuple(
+            one
+            for one in figures_of(names, factor.flat, within.flat, np.ones(factor.size))
+            if np.isfinite(one[1])
+        ),
         motor=motors[j],
         gains=_gains(found, j),
         left=error[j],
@@ -194,6 +244,69 @@ def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
     )
 
 
+LAW = Words(
+    test="control law",
+    place=120,
+    of_data=True,
+    wrong="the law found from reference, position and effort is not the described one",
+    advice="check rated value, ratio, sample rate, `[controller]`; a structure that fits "
+    "better is named",
+    detects="Kp, Kd, Ki found by least squares from reference, position and effort, with "
+    "their intervals, against those described. The delay of the reference is estimated "
+    "beside them and not judged; the drive gain is on both sides and is not tested. Without "
+    "a described law one is reported where at most 2 % of the effort is left at every "
+    "motor, Kp and Kd are positive, and every structure that does not contain it leaves 1.5 "
+    "times as much at some motor; the simulated robot then has it",
+    limit="`do not use`: all are negative with 2 % of the effort left. `caution`: a gain is "
+    "off by 1 % beyond its interval, another structure fits better, or 5 % of the effort is "
+    "left",
+    cases={
+        "no reference": Case("not made", "not made: the recording has no reference"),
+        "computed torque": Case(
+            "not made", "not made: computed torque depends on the robot's own model"
+        ),
+        "short": Case("not made", "not made: the recording is too short"),
+        "none found": Case(
+            "not made",
+            "not made: [controller] describes no law, and none is found in the recording: {reason}",
+        ),
+        "found": Case(
+            "ok",
+            "{structure} found, {gains} of motor {motor}, {left:.2g} % left; {late}{unclear}",
+        ),
+        "another": Case(
+            "caution",
+            "{reason}, {left:.2g} % left: a feed-forward that is not recorded, or another law?",
+        ),
+        "sign": Case("do not use", "{law}", "check the sign of its effort"),
+        "rival": Case(
+            "caution",
+            "{law}: {rival} fits better than {structure}",
+            "check structure and gains of [controller]",
+            "{rival} for {structure}",
+        ),
+        "scale": Case(
+            "caution",
+            "{law}: the effort is {value:.3g} x the law's",
+            "check rated value, ratio and drive_gain",
+        ),
+        "off": Case(
+            "caution",
+            "{law}",
+            "check structure, gains and sample rate of [controller], and whether the effort "
+            "is recorded behind a filter",
+        ),
+        "ok": Case("ok", "{law}"),
+    },
+    parts={
+        "late": "reference {delay_ms:.3g} ms late",
+        "unclear": "; {alone} alone do not show it",
+        "law": "motor {motor}: {gains}; {left:.2g} % left; {late}",
+        "fed": "{text}; gravity that is fed forward is fitted and subtracted",
+    },
+)
+
+
 def _gains(found: FoundLaw, j: int) -> str:
     """The gains of a motor with their half-widths, and those described."""
     return ", ".join(
@@ -201,113 +314,3 @@ def _gains(found: FoundLaw, j: int) -> str:
         + ("" if found.described is None else f" of {found.described[i, j]:.5g}")
         for i in np.flatnonzero(found.used)
     )
-
-
-def gains_test(evidence: FitData) -> TrustLine | None:
-    """Whether identified gains are positive, determined, and not all off by one factor beyond the
-    catalogue's own scatter.
-    """
-    if not evidence.gains:
-        return None
-    robot, of = evidence.problem.signals.robot, evidence.estimate.names
-    motors = [m for m, motor in enumerate(robot.motors) if gain_name(motor.name) in evidence.gains]
-    names = [robot.motors[m].name for m in motors]
-    at = [of.index(gain_name(name)) for name in names]
-    factor, gains = evidence.estimate.beta[at], [robot.motors[m].gain for m in motors]
-    half = 100 * evidence.intervals.half[at] / np.abs(factor)
-    described = np.array([np.nan if gain is None else gain for gain in gains])
-    K = factor * np.nan_to_num(described, nan=1.0)
-    usable, expected = half <= MAX_USABLE_PERCENT, np.where(np.isnan(described), K, described)
-    unsure = ", ".join(
-        f"{n} ±{h:.2g} %" for n, h in zip(names, half, strict=True) if h >= MAX_HALF_PERCENT
-    )
-    factor_of_all, scatter, is_common = _common_factor((K / described)[half < MAX_HALF_PERCENT])
-    torques = any(
-        (np.abs(np.abs(K * by) - 1) < 0.01 * MAX_OFF_ONE_PERCENT).all()
-        for by in (np.ones(len(K)), np.abs(np.diag(robot.R))[motors])
-    )
-    return judge(
-        "gains",
-        {
-            "all negative": (K < 0).all() and usable.any(),
-            "negative": usable[K <= 0].all() and (K < 0).any(),
-            "none usable": (K <= 0).any() or not usable.any(),
-            "none determined": (half >= MAX_HALF_PERCENT).all(),
-            "one factor": is_common,
-            "ok": True,
-        },
-        value=float(half.max()),
-        figures=figures_of(names, K, np.abs(K) * half / 100, expected),
-        negative=" and ".join(np.array(names)[(K < 0) & usable]),
-        unsure=unsure or "one is negative",
-        some_unsure=bool(unsure),
-        limit=MAX_HALF_PERCENT,
-        factor=factor_of_all,
-        scatter=100 * scatter,
-        least=half.min(),
-        torques=torques,
-    )
-
-
-def _common_factor(factors: Array) -> tuple[float, float, bool]:
-    """Of factors (m,), nan where unknown, the median, the robust deviation of their logarithms, and
-    whether the median is off beyond that.
-    """
-    of = np.log(np.maximum(np.abs(factors[np.isfinite(factors)]), 1e-300))
-    if len(of) < 2:
-        return 1.0, 0.0, False
-    scatter, off = 1.4826 * np.median(np.abs(of - np.median(of))), np.median(of)
-    limit = np.clip(MAX_SCATTERS * scatter, np.log(LEAST_FACTOR), np.log(SURE_FACTOR))
-    of_median = scatter * np.sqrt(0.5 * np.pi / len(of))  # its deviation
-    is_common = bool(abs(off) > max(limit, MAX_SCATTERS * of_median))
-    return float(np.exp(off)), float(scatter), is_common
-
-
-def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
-    """How far the centre of mass by the recordings alone is from the stated one; the
-    line of the worst payload.
-    """
-    names, lines = evidence.estimate.names, list[TrustLine | None]()
-    for one in filter(None, dict.fromkeys(arm.payload for arm in evidence.arms)):
-        stated = {name: of for name, of in one.stated.items() if name in names}
-        if not stated or not one.payload.mass_kg:
-            continue
-        alone = by_rows_alone(evidence.estimate, evidence.W, evidence.Y)
-        found, at = intervals_of(evidence.observed.system, alone), list(map(names.index, stated))
-        value, half = np.array(list(stated.values())).T
-        off, C = alone.beta[at] - value, found.covariance[np.ix_(at, at)]
-        size, mm = float(np.linalg.norm(off)), 1e3 / one.payload.mass_kg
-        far, along = mm * size, off / max(size, 1e-300)
-        width = mm * found.reach * float(np.sqrt(along @ C @ along))
-        lines.append(
-            judge(
-                "centre of mass",
-                {
-                    "differs": differs(off, C + np.diag((half / found.reach) ** 2), found.freedom),
-                    "ok": True,
-                },
-                value=far,
-                figures=figures_of(["distance"], [far], [width], [0.0]),
-                half=width,
-                stated=1e3 * one.payload.center_half_width_m,
-            )
-        )
-    return worst_of(lines)
-
-
-def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
-    """Mass and frame of the payloads, which no test covers."""
-    found = dict.fromkeys(arm.payload for arm in evidence.arms)
-    joint = evidence.robot.joints[-1].name
-    for one in filter(None, found):
-        weighed, always = one.payload.mass_kg is not None, None not in found
-        if weighed or always:
-            yield assume(
-                "payload",
-                payload=one.payload.describe(joint),
-                scales=weighed and evidence.gains,
-                taken_off=weighed and not evidence.gains,
-                both=weighed and always,
-                exact=not one.payload.mass_half_width_kg,
-                always=always,
-            )

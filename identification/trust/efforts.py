@@ -20,7 +20,7 @@ from ..regression import Problem, sample_weights
 from ..report import TrustLine
 from ..simulation import unstated_limits
 from .drives import LAW
-from .evidence import LEVELS, FitData, judge, part_of
+from .evidence import LEVELS, Case, FitData, Words
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
@@ -46,13 +46,43 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
         if (A * power).sum() > 0
     ]
     least, error, finding = min(found, default=(np.inf, 0.0, ""), key=lambda one: one[0])
-    return judge(
-        "signs and order",
+    return SIGNS.judge(
         {"mistake": least < with_it},
         mistake=finding,
         undone=100 * error,
         error=100 * with_it,
     )
+
+
+SIGNS = Words(
+    test="signs and order",
+    place=10,
+    by=signs_and_order_test,
+    of_data=True,
+    wrong="two efforts are exchanged, or an effort or a position has the wrong sign; with "
+    "the torque error once that is undone",
+    advice="correct columns and signs in `map.toml`, import again",
+    detects="Only printed if efforts of two motors or joints are exchanged, or an effort or "
+    "a position of a motor has the wrong sign. Where a joint's torque error is over 5 %, or "
+    "a motor takes power from the robot over the recording, each such mistake is undone and "
+    "least squares solved again",
+    limit="`do not use`: a mistake undone leaves half of the torque error at most; of a "
+    "sign of a motor that takes power, 95 %",
+    cases={
+        "mistake": Case(
+            "do not use",
+            "{mistake}: undone, the torque errors of joints are {undone:.2g} % (rms) in "
+            "place of {error:.2g} %",
+            "check columns and signs of the recording",
+            "{mistake}",
+        )
+    },
+    parts={
+        "exchanged": "the efforts of {one} and {other} are exchanged",
+        "effort": "the effort of {one} has the wrong sign",
+        "position": "the position of {one} has the wrong sign",
+    },
+)
 
 
 def _power(evidence: FitData) -> tuple[Array, Bools]:
@@ -69,8 +99,7 @@ def sign_may_be_wrong(evidence: FitData, joint: str) -> bool:
     """
     j = [one.name for one in evidence.robot.joints].index(joint)
     motors = np.flatnonzero(evidence.robot.R[:, j])
-    brakes = _power(evidence)[1][motors].any()
-    return bool(brakes or turned_sign(evidence, motors)[0] <= MAX_RISE)
+    return bool(_power(evidence)[1][motors].any() or turned_sign(evidence, motors)[0] <= MAX_RISE)
 
 
 def turned_sign(evidence: FitData, motors: Collection[int] | Ints) -> tuple[float, str]:
@@ -111,12 +140,10 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
         S = one[[j if k == i else i if k == j else k for k in range(robot.n)]]
         for names, A in ((robot.motors, by_motors @ S @ to_motors), (robot.joints, S)):
             pair = {"one": names[i].name, "other": names[j].name}
-            yield part_of("signs and order", "exchanged", **pair), None, A, None
+            yield SIGNS.part("exchanged", **pair), None, A, None
     for m, motor in enumerate(robot.motors):
         S = one - 2 * np.diag(one[m])
-        effort, position = (
-            part_of("signs and order", part, one=motor.name) for part in ("effort", "position")
-        )
+        effort, position = (SIGNS.part(part, one=motor.name) for part in ("effort", "position"))
         yield effort, m, by_motors @ S @ to_motors, None
         yield position, m, one, np.linalg.solve(robot.R, S @ robot.R)
 
@@ -169,26 +196,82 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
     """Whether drives saturate at a limit that is not stated, where controller or simulated
     robot are not confirmed.
     """
-    lines = filter(None, map(evidence.made.get, ("fixed point", LAW)))
+    lines = filter(None, map(evidence.made.get, ("fixed point", LAW.test)))
     if all(line.level not in LEVELS[:2] for line in lines):
         return None
     limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
     text = "; ".join(dict.fromkeys(limits))
-    return judge(
-        "saturation",
+    return SATURATION.judge(
         {"no fixed point": text and evidence.ending == "none", "not confirmed": text},
         limits=text,
         first=text.split(" in ")[0],
     )
 
 
+SATURATION = Words(
+    test="saturation",
+    place=20,
+    by=saturation_test,
+    of_data=True,
+    wrong="a drive saturates at a limit that is not described, so the simulated robot does not",
+    advice="state `saturation` of the motor",
+    detects="Only printed if the law or the simulated robot is not confirmed and drives "
+    "saturate at a limit that is not stated: over 1 % of their efforts are within 2 to 8 % "
+    "of their largest, and three times as many as in each of the next two ranges as wide",
+    limit="`do not use`: there is no fixed point. `caution`: there is one",
+    cases={
+        "no fixed point": Case(
+            "do not use", "{limits}", "state saturation of the motor", "{first}"
+        ),
+        "not confirmed": Case("caution", "{limits}", "state saturation of the motor", "{first}"),
+    },
+)
+
+
 def positions_test(evidence: FitData) -> TrustLine | None:
     """Whether positions look like radians that were declared as degrees."""
-    found = any(RADIANS_AS_DEGREES in problem.settings.warnings for problem in evidence.problems)
-    return judge("positions", {"radians": found}, text=RADIANS_AS_DEGREES)
+    radians = any(RADIANS_AS_DEGREES in one.settings.warnings for one in evidence.problems)
+    return POSITIONS.judge({"radians": radians}, text=RADIANS_AS_DEGREES)
+
+
+POSITIONS = Words(
+    test="positions",
+    place=30,
+    by=positions_test,
+    of_data=True,
+    wrong="joints move within a 57th of their limits",
+    advice="check whether positions are radians, declared as degrees",
+    detects="Only printed if positions look like radians that were declared as degrees",
+    limit="`caution`: revolute joints move within a 57th of their limits, one of them over "
+    "a tenth of its range if its radians were degrees",
+    cases={"radians": Case("caution", "{text}", finding="radians declared as degrees?")},
+)
 
 
 def effort_test(evidence: FitData) -> TrustLine | None:
     """Recorded efforts beyond a limit of the description, which no drive gives."""
     found = dict.fromkeys(x for problem in evidence.problems for x in problem.settings.overloads)
-    return judge("effort", {"beyond": found}, overloads="; ".join(found))
+    return EFFORT.judge({"beyond": found}, overloads="; ".join(found))
+
+
+EFFORT = Words(
+    test="effort",
+    place=230,
+    by=effort_test,
+    of_data=True,
+    wrong="a recorded effort is a fifth or more beyond `effort_nm`, `effort_n`, the URDF's "
+    "`effort` or `saturation`",
+    advice="check drive gain, ratio and unit; correct the limit",
+    detects="Only printed if a recorded effort is beyond its limit (`effort_nm`, "
+    "`effort_n`, the URDF's `effort`, `saturation`). Rated values, which drives exceed for "
+    "seconds, and the range of the recorded object are no limits. Not made with `--gains`",
+    limit="`caution`: 20 % or more beyond it",
+    cases={
+        "beyond": Case(
+            "caution",
+            "{overloads}",
+            "check drive_gain, ratio and unit of the effort, or correct the limit",
+            "effort beyond its limit",
+        )
+    },
+)

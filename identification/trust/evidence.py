@@ -1,7 +1,14 @@
-"""What the tests of a fit are given, and the lines that they give."""
+"""What a test of a fit is given, and what it says: its row with all its words.
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+A test is a function that finds which of its cases holds, and the figures. All words stand in its
+row, below it, as templates of these figures: the terminal, the report and the JSON print the case
+that holds, and the guides have tables of the rows. A row also has parts of texts. A part stands in
+a text, or in a later part, where its name stands in braces; where the test says that it does not
+hold, nothing stands there. `WORDS` in `verdict` has the rows of all tests.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -12,70 +19,14 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools, Ints
 from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
-from ..report import Assumed, Level, Method, TrustLine, Verdict, is_gain
+from ..report import Assumed, Level, Method, TrustLine, is_gain
 from .candidates import Candidates
-from .words import Words, written
-from .words_of_data import OF_DATA
-from .words_of_estimate import OF_ESTIMATE
 
-WORDS: Mapping[str, Words] = {**OF_DATA, **OF_ESTIMATE}
 BY_PRIOR = "held-out blocks by the prior"
 # worst first
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")
 # name, value, half-width of the 95 % interval, expected value
 Figure = tuple[str, float, float, float]
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """A recording predicted by the fit of the others, in the rows that count.
-
-    Attributes:
-        error_percent: its torque error, in percent of its torque; None where the others do not
-            determine the parameters, or it has no torque.
-        undetermined: names of the parameters that the others do not determine.
-    """
-
-    error_percent: float | None
-    undetermined: tuple[str, ...]
-
-
-def judge(
-    test: str,
-    cases: Mapping[str, object],
-    *,
-    value: float | None = None,
-    figures: tuple[Figure, ...] = (),
-    assumed: tuple[Assumed, ...] = (),
-    **said: object,
-) -> TrustLine | None:
-    """Return the line of a test by the first of its cases that holds; None where none does.
-
-    `cases`: by name whether they hold; `said`: the figures of their words, and which parts hold.
-    """
-    row, name = WORDS[test], next((name for name, holds in cases.items() if holds), None)
-    if name is None:
-        return None
-    case, said = row.cases[name], {"value": value, **said}
-    text, advice, finding = (
-        written(text, row.parts, said) for text in (case.text, case.advice, case.finding)
-    )
-    return TrustLine(
-        test=test,
-        level=case.level,
-        text=": ".join(filter(None, (text, advice))),
-        value=value,
-        finding=finding,
-        figures=figures,
-        unit=row.unit,
-        case=name,
-        assumed=assumed,
-    )
-
-
-def part_of(test: str, part: str, **said: object) -> str:
-    """Return a part of the words of a test."""
-    return written(f"{{{part}}}", WORDS[test].parts, said)
 
 
 def figures_of(
@@ -92,33 +43,6 @@ def worst_of(lines: Iterable[TrustLine | None]) -> TrustLine | None:
     """The first of the cautions, or of all, with the largest figure; None for no line."""
     made = filter(None, lines)
     return max(made, key=lambda x: (x.level == "caution", abs(x.value or 0.0)), default=None)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trust:
-    """All tests of a fit, worst first, and the assumptions that no test covers.
-
-    A test that was not made does not count.
-    """
-
-    lines: tuple[TrustLine, ...]
-    assumed: tuple[Assumed, ...] = ()
-
-    def line(self, test: str) -> TrustLine:
-        """The line of a test."""
-        return next(line for line in self.lines if line.test == test)
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """The worst level."""
-        worst = self.lines[0].level
-        return worst if worst == "do not use" or worst == "caution" else "trust"
-
-    @property
-    def finding(self) -> str:
-        """The worst finding in a few words; empty where there is none."""
-        worst = self.lines[0]
-        return "" if self.verdict == "trust" else worst.finding or worst.test
 
 
 Part = Bools  # of the time: which spans, counted through all recordings
@@ -210,6 +134,11 @@ class FitData:
         """(S,) numbers of instants of the spans of time."""
         return np.concatenate([np.diff(own) for own in self.observed.system.spans])
 
+    @cached_property
+    def middles(self) -> Array:
+        """(S,) instants in the middle of the spans of time."""
+        return np.cumsum(self.lengths) - 0.5 * self.lengths
+
     @property
     def ends(self) -> Ints:
         """The first instant of the recordings, and the end of each."""
@@ -228,16 +157,11 @@ class FitData:
 
     def between(self, start: int, stop: int) -> Part:
         """The spans of time from an instant to before another, rounded to the nearest borders."""
-        middle = np.cumsum(self.lengths) - 0.5 * self.lengths
-        return (start <= middle) & (middle < stop)
-
-    def instants(self, part: Part) -> Bools:
-        """(T,) the instants of some spans of time."""
-        return np.repeat(part, self.lengths)
+        return (start <= self.middles) & (self.middles < stop)
 
     def count(self, part: Part) -> float:
         """Number of rows of some spans of time: the sum of the squares of their weights."""
-        return float(np.sum(self.observed.share[self.instants(part)] ** 2))
+        return float(np.sum(self.observed.share[np.repeat(part, self.lengths)] ** 2))
 
     @property
     def Z(self) -> Array:
@@ -274,3 +198,171 @@ class FitData:
         """|Y - W beta| of some spans of time, in the unit of the torque."""
         system, rows = self.observed.system, part[self.observed.system.span]
         return float(np.linalg.norm(system.Y[rows] - system.W[np.ix_(rows, self.places)] @ beta))
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a test says: one sentence with its figures, what to do, and the finding in a few words
+    for the first line of a report.
+    """
+
+    level: Level
+    text: str
+    advice: str = ""
+    finding: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """The row of a test.
+
+    Attributes:
+        test: its name.
+        place: by which lines of the same level are sorted.
+        by: gives its line, None where it does not apply; without, the line is made with the
+            solution or with its predictions.
+        of_data: whether it tests the recording, not the estimate: the guides begin with these.
+        wrong, advice: for the guide what is wrong where it fails, and what to do.
+        detects, limit: the same in full, for the page of results.
+        cases: what it says, by name.
+        parts: of the texts of its cases.
+        unit: of its figures by joint, motor or block.
+    """
+
+    test: str
+    place: int = 1000  # the last
+    by: Callable[[FitData], TrustLine | None] | None = None
+    of_data: bool = False
+    wrong: str
+    advice: str
+    detects: str
+    limit: str
+    cases: Mapping[str, Case]
+    parts: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+
+    def line(self, evidence: FitData) -> TrustLine | None:
+        """The line of a fit."""
+        return self.by(evidence) if self.by else evidence.made.get(self.test)
+
+    def judge(
+        self,
+        cases: Mapping[str, object],
+        *,
+        value: float | None = None,
+        figures: tuple[Figure, ...] = (),
+        assumed: tuple[Assumed, ...] = (),
+        **said: object,
+    ) -> TrustLine | None:
+        """Return the line by the first of the cases that holds; None where none does.
+
+        `cases`: by name whether they hold; `said`: the figures of their words, and which parts
+        hold.
+        """
+        name = next((name for name, holds in cases.items() if holds), None)
+        if name is None:
+            return None
+        case, said = self.cases[name], {"value": value, **said}
+        text, advice, finding = (
+            written(text, self.parts, said) for text in (case.text, case.advice, case.finding)
+        )
+        return TrustLine(
+            test=self.test,
+            level=case.level,
+            text=": ".join(filter(None, (text, advice))),
+            value=value,
+            finding=finding,
+            figures=figures,
+            unit=self.unit,
+            case=name,
+            assumed=assumed,
+        )
+
+    def part(self, part: str, **said: object) -> str:
+        """Return a part of the texts."""
+        return written(f"{{{part}}}", self.parts, said)
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """The row of an assumption: its value, why no test covers it, and parts of these texts."""
+
+    value: str
+    why: str
+    parts: Mapping[str, str] = field(default_factory=dict)
+
+
+def written(text: str, parts: Mapping[str, str], said: Mapping[str, object]) -> str:
+    """Fill a template in, with its parts that hold."""
+    for name, part in reversed([*parts.items()]):
+        text = text.replace(f"{{{name}}}", part if said.get(name, True) else "")
+    return text.format(**said)
+
+
+def assume(what: str, **said: object) -> Assumed:
+    """Return an assumption with its figures filled in."""
+    row = ASSUMPTIONS[what]
+    value, why = (written(text, row.parts, said) for text in (row.value, row.why))
+    return Assumed(what, value, why)
+
+
+ASSUMPTIONS: Mapping[str, Assumption] = {
+    "payload": Assumption(
+        "{payload}",
+        "{scales}{taken_off}{both}{always}",
+        {
+            "scales": "drive gains and all parameters scale with its mass",
+            "exact": ", as if it were exact: no half-width of its mass is stated",
+            "taken_off": "it is taken off the arm{exact}",
+            "both": "; ",
+            "always": "no recording is without payload: the parameters include what is not stated "
+            "of the lightest",
+        },
+    ),
+    "drive gains": Assumption(
+        "{gains}{recorded}",
+        "a wrong gain scales all parameters, and fits equally well{common}",
+        {
+            "recorded": "torques recorded in {units}",
+            "common": " if it is common to all joints",
+        },
+    ),
+    "efforts": Assumption(
+        "the whole torque of each motor",
+        "what a drive adds behind the recorded effort, such as friction or gravity, cannot be seen",
+    ),
+    "own parameters": Assumption(
+        "their mean elsewhere",
+        "other recordings are validated with the mean of those of these",
+    ),
+    "ratios": Assumption("{ratios}", "joint positions and torques are computed with them"),
+    "lengths": Assumption("{lengths}", "link parameters absorb an error of a length"),
+    "sample rate": Assumption("{fs:g} Hz", "speeds and accelerations scale with it"),
+    "control law": Assumption(
+        "{law}{default}", "{reason}", {"default": "a {bandwidth_hz:g} Hz PD"}
+    ),
+    "lag": Assumption(
+        "{lag}",
+        "{stated}{unseen}",
+        {
+            "stated": "stated by torque_lag_s",
+            "unseen": "no reference is recorded that would show it: {cost}",
+        },
+    ),
+    "filters": Assumption(
+        "{duration_s:.0f} s of motion",
+        "intervals include noise only; filters distort a parameter by about 0.1 %, which is as "
+        "much here",
+    ),
+    "encoder noise": Assumption(
+        "the same spectrum below and above the low-pass",
+        "position noise biases least squares; only the noise above the low-pass is tested",
+    ),
+    "zeros": Assumption(
+        "right at {joints}", "a wrong zero turns the links' parameters; not noticed: {each}"
+    ),
+    "rotors": Assumption(
+        "none at {joints} (rotor_inertia = false)",
+        "the links' parameters take a rotor; not noticed: {each}",
+    ),
+}

@@ -27,9 +27,8 @@ from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
 from ..report import TrustLine, is_own
 from .efforts import sign_may_be_wrong
-from .evidence import LEVELS, FitData, judge, part_of
+from .evidence import LEVELS, Case, FitData, Words
 
-PHYSICAL = "physical"
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 CHANCE_HALF_WIDTHS = 1.4  # the same, that one of twenty parameters exceeds in 5 % of clean fits
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
@@ -51,16 +50,77 @@ def physical_test(evidence: FitData) -> TrustLine | None:
     if evidence.method == "ols" and all(line.level != LEVELS[0] for line in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
         within = estimation.intervals_of(system, weighted)
-        again, _ = _findings(replace(evidence, estimate=weighted, intervals=within), check)
+        again = replace(evidence, estimate=weighted, intervals=within)
         found += [
-            structs.replace(line, text=part_of(PHYSICAL, "weighted", text=line.text))
-            for line in again
+            structs.replace(line, text=PHYSICAL.part("weighted", text=line.text))
+            for line in _findings(again, check)[0]
             if line.level == LEVELS[0]
         ]
     if not found:
-        return judge(PHYSICAL, {"ok": True}, value=lowest)
+        return PHYSICAL.judge({"ok": True}, value=lowest)
     found.sort(key=lambda line: LEVELS.index(line.level))
     return structs.replace(found[0], text="; ".join(line.text for line in found), value=lowest)
+
+
+_SIGN = "check the sign of effort and position of joint {joint}{or_terms}"
+_TERMS = (
+    "check friction, rotor and zero of joint {joint}; its signs fit better than turned{or_terms}"
+)
+_WRONG = "{joint}: effort or position has the wrong sign"
+
+
+PHYSICAL = Words(
+    test="physical",
+    place=70,
+    by=physical_test,
+    wrong="the inertia matrix is not positive, friction feeds energy, a rotor inertia is "
+    "negative, or torques lack the robot's weight",
+    advice="check what the line names: a sign only where it may be wrong; what the driver "
+    "publishes as effort, `gravity_m_s2`",
+    detects="Whether M is positive on the trajectory, friction takes energy, and no rotor "
+    "inertia is below zero. Joints that share motors are tested together: the viscous "
+    "matrix, and Coulomb power at its corners (Fc5 + Fcm6, Fc6 + Fcm6, Fc5 + Fc6 of the "
+    "TX40). With further friction terms: the power of each joint alone, and of joints that "
+    "share motors, at some 300 recorded speeds. Also whether a model without gravity fits "
+    "better: the torques then lack the robot's weight",
+    limit="`do not use`: a value is below zero by over two half-widths of the 95 % "
+    "interval, or two of a joint by over one each; or the parameters are far from those of "
+    "a robot (M not positive, or chi² of `consistent` above three times its limit), and a "
+    "witness says why: a negative factor of `prior`, a sign that leaves 95 % of the error "
+    "when turned, or more than 20 % held out. `caution`: M is below zero by less, or "
+    "friction by over 1.4 half-widths; or a model without gravity leaves less than 90 % of "
+    "the residual",
+    cases={
+        "wrong sign": Case("do not use", "{what}", _SIGN, _WRONG),
+        "impossible": Case("do not use", "{what}", _TERMS),
+        "noise": Case(
+            "caution", "{what}, which may be noise; before simulating run fit --consistent"
+        ),
+        "perhaps wrong sign": Case("caution", "{what}", _SIGN),
+        "doubtful": Case("caution", "{what}", _TERMS),
+        "no weight": Case(
+            "caution",
+            "the torques fit a model without gravity better: residual {without:.3g} % "
+            "against {residual:.3g} %: the efforts lack the robot's weight, are no torques, "
+            "or gravity_m_s2 is wrong",
+        ),
+        "ok": Case(
+            "ok",
+            "M is positive on the trajectory (lowest eigenvalue {value:.3g}), no friction "
+            "or rotor inertia is below zero",
+        ),
+    },
+    parts={
+        "drives": "friction would drive joint {joint} at {speed:.3g} {length}/s: "
+        "{lowest:.3g} ± {half:.2g} {effort} against its motion",
+        "inertia": "the inertia matrix is not positive on the trajectory (lowest eigenvalue "
+        "{least:.3g}; {lowest:.3g} ± {half:.2g} about joint {joint})",
+        "below": "below zero: {each}",
+        "or_terms": ", or leave terms out",
+        "weighted": "by weighted least squares {text}",
+        "far": "{text}; far from a physical robot, and {witness}",
+    },
+)
 
 
 def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
@@ -69,9 +129,9 @@ def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
     """
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
-    of_friction = [*_driving_findings(evidence, own, check)]
-    of_inertia, lowest = _inertia_findings(evidence, np.any(own, axis=0), check)
-    found = *of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)
+    of_inertia, lowest = _finding_of_inertia(evidence, np.any(own, axis=0), check)
+    of_friction = _driving_findings(evidence, own, check)
+    found = of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)
     return [*filter(None, found)], lowest
 
 
@@ -99,7 +159,7 @@ def _findings_below_zero(
         kinds = [one for (j, _), one in beyond.items() if j == joint]
         # One of many parameters exceeds its interval now and then; two of one joint hardly ever do.
         far = np.inf if len(kinds) > 1 else kinds[0][0]
-        text = part_of(PHYSICAL, "below", each=", ".join(text for _, text in kinds))
+        text = PHYSICAL.part("below", each=", ".join(text for _, text in kinds))
         if far > CHANCE_HALF_WIDTHS:
             yield _finding(far, text, idm.robot.joints[joint].name, check)
 
@@ -118,7 +178,7 @@ def _finding(
         "perhaps wrong sign": sign,
         "doubtful": True,
     }
-    return judge(PHYSICAL, cases, what=what, joint=joint, or_terms=terms)
+    return PHYSICAL.judge(cases, what=what, joint=joint, or_terms=terms)
 
 
 def _worst(
@@ -162,8 +222,7 @@ def _driving_findings(
         own, joint = power[power[:, 0] == j], idm.robot.joints[j]
         far, value, half, _, at, _ = _worst(own[:, None, None, 2:], evidence)
         if far > 1:
-            text = part_of(
-                PHYSICAL,
+            text = PHYSICAL.part(
                 "drives",
                 joint=joint.name,
                 speed=own[at[0], 1],
@@ -175,9 +234,9 @@ def _driving_findings(
             yield _finding(far, text, joint.name, check, terms=True)
 
 
-def _inertia_findings(
+def _finding_of_inertia(
     evidence: FitData, own: Bools, check: Check
-) -> tuple[list[TrustLine | None], float]:
+) -> tuple[TrustLine | None, float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
@@ -189,10 +248,10 @@ def _inertia_findings(
     G = np.stack(alone, axis=2) - rest[:, :, None]  # (P, n, n, e)
     far, value, half, v, _, least = _worst(G, evidence)
     if least > 0:
-        return [], least
+        return None, least
     joint = idm.robot.joints[int(np.abs(v).argmax())].name
-    text = part_of(PHYSICAL, "inertia", least=least, lowest=value, half=half, joint=joint)
-    return [_finding(far, text, joint, check, noise=True)], least
+    text = PHYSICAL.part("inertia", least=least, lowest=value, half=half, joint=joint)
+    return _finding(far, text, joint, check, noise=True), least
 
 
 def _finding_of_gravity(evidence: FitData) -> TrustLine | None:
@@ -209,8 +268,8 @@ def _finding_of_gravity(evidence: FitData) -> TrustLine | None:
     A *= evidence.estimate.weights[rows.system.joint_of_row][:, None]
     G, W, Y = np.split(estimation.r_factor(A), [len(weighs), -1], axis=1)
     left = [100 * estimation.relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
-    lighter = left[1] < MIN_RESIDUAL_RATIO * left[0]
-    return judge(PHYSICAL, {"no weight": lighter}, without=left[1], residual=left[0])
+    lacks = {"no weight": left[1] < MIN_RESIDUAL_RATIO * left[0]}
+    return PHYSICAL.judge(lacks, without=left[1], residual=left[0])
 
 
 def consistent_test(evidence: FitData) -> TrustLine | None:
@@ -219,7 +278,7 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
     """
     problem, estimate, names = evidence.problem, evidence.estimate, evidence.arms[0].names
     if not problem.signals.robot.gain_known:
-        return judge("consistent", {"unknown gains": True})
+        return CONSISTENT.judge({"unknown gains": True})
     # of own parameters those of one recording
     beta, of_fit = estimate.values_of(names), (estimate, evidence.intervals)
     covariance = estimation.covariance_of_all(names, *of_fit, evidence.least_squares)
@@ -228,12 +287,11 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
         power = recorded_power([one for one, arm in pairs if arm.names == names], beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance, power)
     except NoFitError as error:
-        return judge("consistent", {"none near": True}, error=error.args[0])
+        return CONSISTENT.judge({"none near": True}, error=error.args[0])
     moves = np.abs(nearest.deviations) / evidence.intervals.reach
     bound = estimation.chi_squared_quantile(CONSISTENT_LEVEL, len(names))
     distance = nearest.chi_squared
-    return judge(
-        "consistent",
+    return CONSISTENT.judge(
         {"far": distance > FAR * bound, "apart": distance > bound, "ok": True},
         value=distance,
         bound=bound,
@@ -241,3 +299,38 @@ def consistent_test(evidence: FitData) -> TrustLine | None:
         name=names[int(moves.argmax())],
         moved=moves.max(),
     )
+
+
+_APART = Case(
+    "caution",
+    "{distance}, above {bound:.3g}, the limit of chance",
+    "check signs and units of efforts and positions, and frames",
+)
+
+
+CONSISTENT = Words(
+    test="consistent",
+    place=180,
+    by=consistent_test,
+    wrong="the nearest physical robot is further away than noise explains",
+    advice="check signs, units, frames",
+    detects="How far the nearest parameters of a physical robot are: chi² over all "
+    "parameters, and the largest move in half-widths of the 95 % interval; as by "
+    "`--consistent` with its default prior",
+    limit="`caution`: further than noise explains (0.1 % level)",
+    cases={
+        "unknown gains": Case(
+            "not made",
+            "links cannot be compared: the drive gains are not known",
+            "state drive_gain",
+        ),
+        "none near": Case("cannot tell", "{error}"),
+        "far": _APART,
+        "apart": _APART,
+        "ok": Case("ok", "{distance}"),
+    },
+    parts={
+        "distance": "the nearest physical robot is at chi² = {value:.3g} ({count} "
+        "parameters), {name} moved by {moved:.2g} half-widths of its interval"
+    },
+)

@@ -1,18 +1,14 @@
-"""Predictions of the recording by what was not fitted to it: cross-validation, and a-priori links.
+"""Predictions of the recording by what was not fitted to it: cross-validation.
 
 Each block of time of one recording, or each of several recordings, is predicted by a fit of the
 others, which may leave parameters undetermined. The rows of a part are those of its spans of time,
-R factors of which have the same products.
-
-The a-priori links, of a URDF or `[parameters]`, are a witness of the recording: by joint, held out,
-and by exchanged joints. The recorded torque of joint j is f_j times that of the prior's links,
-beside all that the prior does not know (rotors, friction), with instruments and weights of the fit.
-Only rows of joint j determine f_j: a wrong gain of a joint moves no other.
+R factors of which have the same products. The prior's links are predicted with as well, all else
+fitted to the others.
 """
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,19 +16,16 @@ import numpy as np
 from ..arrays import Array, Bools, Ints
 from ..errors import NoFitError
 from ..estimation import (
-    MIN_COLUMN_NORM,
     Estimate,
     instrumental_variables,
-    intervals_of,
     release_memory,
     spans_at,
     undetermined_parameters,
 )
-from ..report import TrustLine, base_name
-from .causes import MIN_LEFT, cause_by_prior
-from .evidence import BY_PRIOR, FitData, HeldOut, Part, figures_of, judge, part_of
+from ..report import TrustLine
+from .evidence import BY_PRIOR, Case, FitData, Part, Words, figures_of
+from .prior import known_and_free
 
-HELD_OUT, PRIOR = "held-out blocks", "prior"
 BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
@@ -41,11 +34,20 @@ MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 # equal span of each recording, which rows count, by recording their instants, and the row of the
 # fit at or after each
 Predict = Callable[..., tuple[Array, Array, Bools, list[Array], list[Ints]]]
-MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
-MAX_SPREAD = 1.5  # of equal factors
-# of a joint's square, without what is not of links, for its factor to be one of the prior's
-MIN_EXPLAINED = 0.25
-MIN_ALIKE = 0.9  # the same; below, other causes than a factor are looked for
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A recording predicted by the fit of the others, in the rows that count.
+
+    Attributes:
+        error_percent: its torque error, in percent of its torque; None where the others do not
+            determine the parameters, or it has no torque.
+        undetermined: names of the parameters that the others do not determine.
+    """
+
+    error_percent: float | None
+    undetermined: tuple[str, ...]
 
 
 def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str]]]:
@@ -65,9 +67,10 @@ def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str
     elif sum(n := [evidence.count(part) for part in parts]) - max(n) <= len(estimate.beta):
         return []
     found = predictions_by_others([*map(evidence.factor, parts)], estimate.names, own)
-    each = zip(names, parts, found, strict=True)
-    # blocks are predicted anyway
-    return [(name, part, beta, lost * several) for name, part, (beta, lost) in each]
+    return [
+        (name, part, beta, lost * several)  # blocks are predicted anyway
+        for name, part, (beta, lost) in zip(names, parts, found, strict=True)
+    ]
 
 
 def _held_out(
@@ -84,30 +87,37 @@ def _held_out(
     """
     several, (tau, trained, by_others, counts) = evidence.by_recording, torques
     if not parts:
-        return judge(HELD_OUT, {"few rows": True}, count=len(evidence.estimate.beta)), ()
-    errors, each = (tau, tau - by_others, tau - trained), list[HeldOut]()
-    made, norms, without = list[str](), list[list[float]](), list[str]()
-    for name, part, beta, its in parts:
-        rows = counts & part[at][:, None]
-        torque, *both = (float(np.linalg.norm(x[rows])) for x in errors)
-        if told := torque > 0 and not its:
-            made.append(name)
-            weighted = (evidence.error(part, x) for x in (beta, evidence.estimate.beta))
-            norms.append([torque, *both, *weighted])
-        elif several:
-            without.append(
-                part_of(
-                    HELD_OUT,
-                    "no prediction",
-                    name=name,
-                    lost=bool(its),
-                    names=", ".join(its[:8]),
-                    resting=not its,
-                )
-            )
-        if several:
-            each.append(HeldOut(100 * both[0] / torque if told else None, tuple(its)))
-    return _line_of(evidence, made, np.array(norms), "; ".join(without)), tuple(each)
+        return HELD_OUT.judge({"few rows": True}, count=len(evidence.estimate.beta)), ()
+    errors = tau, tau - by_others, tau - trained
+    norms = np.array(
+        [
+            [
+                *(np.linalg.norm(x[counts & part[at][:, None]]) for x in errors),
+                *(evidence.error(part, x) for x in (beta, evidence.estimate.beta)),
+            ]
+            for _, part, beta, _ in parts
+        ]
+    )
+    told = (norms[:, 0] > 0) & [not lost for *_, lost in parts]
+    names = [name for (name, *_), it in zip(parts, told, strict=True) if it]
+    if not several:
+        return _line_of(evidence, names, norms[told], ""), ()
+    without = "; ".join(
+        HELD_OUT.part(
+            "no prediction",
+            name=name,
+            lost=bool(lost),
+            names=", ".join(lost[:8]),
+            resting=not lost,
+        )
+        for (name, _, _, lost), it in zip(parts, told, strict=True)
+        if not it
+    )
+    found = (
+        HeldOut(100 * error / torque if it else None, tuple(lost))
+        for (torque, error, *_), it, (*_, lost) in zip(norms.tolist(), told, parts, strict=True)
+    )
+    return _line_of(evidence, names, norms[told], without), tuple(found)
 
 
 def _line_of(evidence: FitData, names: list[str], norms: Array, without: str) -> TrustLine | None:
@@ -116,11 +126,10 @@ def _line_of(evidence: FitData, names: list[str], norms: Array, without: str) ->
     """
     several = evidence.by_recording
     if not names:
-        return judge(HELD_OUT, {"not predicted": several, "no torque": True}, without=without)
+        return HELD_OUT.judge({"not predicted": several, "no torque": True}, without=without)
     torque, error, training, held, trained = np.linalg.norm(norms, axis=0)
     percents, ratio = 100 * norms[:, 1:3] / norms[:, :1], held / max(trained, 1e-300)
-    return judge(
-        HELD_OUT,
+    return HELD_OUT.judge(
         {
             "far off": trained > 0 and ratio > MAX_HELD_OUT_RATIO_NOT_POSITIVE,
             "off": trained > 0 and ratio > MAX_HELD_OUT_RATIO,
@@ -136,6 +145,49 @@ def _line_of(evidence: FitData, names: list[str], norms: Array, without: str) ->
         more="more" if several else "longer",
         consistent=evidence.robot.gain_known,
     )
+
+
+_OFF = Case(
+    "caution",
+    "{error}: the fit does not generalise ({ratio:.2g} times in weighted rows)",
+    "record {more}, with more varied motion, or fit with --essential{consistent}",
+    "does not generalise",
+)
+
+
+HELD_OUT = Words(
+    test="held-out blocks",
+    place=170,
+    wrong="parts of the recording are not predicted by the rest",
+    advice="record longer, with more varied motion; `--essential`",
+    detects="Five blocks of time, or each of several recordings, predicted by the fit of "
+    "the others",
+    limit="`caution`: their error is over 1.5 times that of the fit. `do not use`: over 3 "
+    "times, and M is not positive",
+    cases={
+        "few rows": Case(
+            "not made",
+            "not made: too few rows outside a block for {count} parameters; record longer",
+        ),
+        "no torque": Case("not made", "not made: no torque"),
+        "not predicted": Case("cannot tell", "{without}"),
+        "far off": _OFF,
+        "off": _OFF,
+        "ok": Case("ok", "{error}"),
+    },
+    parts={
+        "lost": "{names} undetermined",
+        "resting": "it has no torque",
+        "no prediction": "{name} cannot be predicted by the others: {lost}{resting}",
+        "of_recordings": " of recordings",
+        "and_without": "; {without}",
+        "error": "error {value:.3g} %{of_recordings} held out, {training:.3g} % "
+        "trained{and_without}",
+        "consistent": ", or take the parameters of --consistent, which generalise better",
+        "not positive": "{text}; and the inertia matrix is not positive: fit with --consistent",
+    },
+    unit="%",
+)
 
 
 def predictions_by_others(
@@ -182,7 +234,7 @@ def with_predictions(
     sets = [[estimate], _betas(evidence, parts)]
     if parts and (links := _by_links(evidence)) is not None:
         cases.append((links, parts := _predicted_parts(links)))
-        known, _ = _known_and_free(evidence)
+        known, _ = known_and_free(evidence)
         some = (known + one.values_of(system.names) for one in _betas(links, parts))
         sets.append([replace(estimate, names=system.names, beta=beta) for beta in some])
     tau, (trained, *predicted), counts, t_s, instants = predict(
@@ -193,7 +245,7 @@ def with_predictions(
         _held_out(of, parts, at, (tau, trained, one, counts))
         for (of, parts), one in zip(cases, predicted, strict=True)
     ]
-    made = dict(zip((HELD_OUT, BY_PRIOR), (line for line, _ in found), strict=False))
+    made = dict(zip((HELD_OUT.test, BY_PRIOR), (line for line, _ in found), strict=False))
     evidence = replace(evidence, made={**evidence.made, **made})
     return evidence, found[0][1], (tau, trained, counts, t_s)
 
@@ -204,83 +256,12 @@ def _by_links(evidence: FitData) -> FitData | None:
     """
     if not evidence.prior or evidence.gains:
         return None
-    system, (known, free) = evidence.observed.system, _known_and_free(evidence)
+    system, (known, free) = evidence.observed.system, known_and_free(evidence)
     rest, Z = replace(system, Y=system.Y - system.W @ known), evidence.Z[:, free]
     rest = rest.with_columns(free)
     with suppress(NoFitError):
         others = instrumental_variables(rest, Z, evidence.estimate.weights).without_rows()
-        held = replace(evidence.observed, system=rest, Z=Z)
-        return replace(evidence, observed=held, estimate=others)
+        return replace(
+            evidence, observed=replace(evidence.observed, system=rest, Z=Z), estimate=others
+        )
     return None
-
-
-def prior_test(evidence: FitData) -> TrustLine | None:
-    """By joint its torque over that of the prior's links; joints that seem exchanged or in other
-    units. Never `do not use`.
-    """
-    if not evidence.prior or evidence.gains:
-        return None
-    names = np.array([joint.name for joint in evidence.robot.joints])
-    factor, half, explained, needed = _factors(evidence)
-    lost = (needed > MIN_LEFT) & (half > 0) & (half < 0.5 * MIN_FACTOR)
-    lost &= np.abs(factor) + half < MIN_FACTOR
-    told = np.flatnonzero((explained > MIN_EXPLAINED) | lost)
-    low, high = factor[told] - half[told], factor[told] + half[told]
-    outside = told[(high < MIN_FACTOR) | (low > MAX_FACTOR)]
-    unlike = ((needed > MIN_LEFT) & (explained < MIN_ALIKE)).any()
-    cause = cause_by_prior(evidence) if len(outside) or unlike else ""
-    values = np.sort(factor[outside if len(outside) else told])
-    everywhere, negative = len(outside) == len(told) > 1, names[told[high < 0]]
-    return judge(
-        PRIOR,
-        {
-            "cause": cause,
-            "unlike": not len(told),
-            "ok": not len(outside),
-            "links lost": lost[told].all(),
-            "negative": len(negative),
-            "everywhere": everywhere and values[-1] > max(MAX_SPREAD * values[0], 0.0),
-            "off": True,
-        },
-        figures=figures_of(names[told], factor[told], half[told], np.ones(len(told))),
-        cause=cause,
-        source=evidence.prior_source,
-        factors=" to ".join(dict.fromkeys(f"{x:.2g}" for x in [*values[:1], *values[-1:]])),
-        each=", ".join(part_of(PRIOR, "torque", joint=names[j], factor=factor[j]) for j in outside),
-        everywhere=everywhere,
-        some=not everywhere,
-        negative=", ".join(negative),
-    )
-
-
-def _known_and_free(evidence: FitData) -> tuple[Array, Ints]:
-    """(p,) values of the system's parameters by the prior, zero where it has none; places of those
-    that are fitted instead.
-    """
-    names, estimated = evidence.observed.system.names, evidence.estimate.names
-    values = np.array([evidence.prior.get(base_name(name), np.nan) for name in names])
-    return np.nan_to_num(values), np.flatnonzero(np.isnan(values) & np.isin(names, estimated))
-
-
-def _factors(evidence: FitData) -> Array:
-    """By joint (4, n) its factor and half the 95 % interval of that, and shares of the square of
-    its torque, both without what is not of links: what the prior's links explain with the factor,
-    and their own. Zeros where it is undetermined.
-    """
-    system, (known, free) = evidence.observed.system, _known_and_free(evidence)
-    size, found = np.linalg.norm(system.W, axis=0), np.zeros((4, evidence.robot.n))
-    for j in range(evidence.robot.n):
-        own = system.joint_of_row == j
-        one = system.part(own)
-        acts = np.linalg.norm(one.W, axis=0) > MIN_COLUMN_NORM * size
-        columns = np.c_[known, np.eye(len(known))[:, free[acts[free]]]]
-        J, both = one.W @ columns, np.c_[one.Y, one.W @ known]
-        apart = both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]
-        whole, needed = (apart**2).sum(axis=0) + 1e-300
-        names = tuple(map(str, range(J.shape[1])))
-        one = replace(one, W=J, joint_of_row=0 * one.joint_of_row, names=names, rows=one.rows[[j]])
-        with suppress(NoFitError):
-            fit = instrumental_variables(one, evidence.Z[own] @ columns, np.ones(1))
-            half = intervals_of(one, fit).half[0]
-            found[:, j] = fit.beta[0], half, 1 - fit.residual_norm**2 / whole, needed / whole
-    return found

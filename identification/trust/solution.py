@@ -1,41 +1,29 @@
-"""Tests of the solution: fixed point, instruments, parts of the rows.
+"""Tests of the solution: fixed point, instruments, how well the rows determine it.
 
 Nothing is simulated again.
 """
 
 from contextlib import suppress
-from itertools import pairwise
 
 import numpy as np
 
 from .. import estimation
-from ..arrays import Array
-from ..data import position_steps
 from ..errors import NoFitError
 from ..model import JointTerm
-from ..regression import Problem, standing_joints
 from ..report import TrustLine
-from .evidence import FitData, Part, judge, part_of
+from .evidence import Case, FitData, Part, Words
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
-MAX_ROBUST_DEVIATIONS = 6.0  # above: an outlier
-MAX_END_DEVIATIONS = 30.0  # of a row at an end; above: caution
-MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsewhere
-END_ROWS = 5  # rows at each end that a bad edge affects
 # below, weak; above, the instruments are W itself
 MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = 10.0, 1e10
 MAX_CONDITION = 50.0  # of scaled columns; 7 to 11 of motions of five sines
-MAX_MISSING_PERCENT = 0.1  # of the moving rows
-MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
-MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
 
 
 def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustLine | None:
     """Whether the passes ended in a fixed point that the simulated robot confirms."""
     converged = status == "converged"
-    return judge(
-        "fixed point",
+    return FIXED_POINT.judge(
         {
             "none": not converged and status != "not_confirmed",
             "no simulation": not converged and gains,
@@ -47,16 +35,95 @@ def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustLi
     )
 
 
+FIXED_POINT = Words(
+    test="fixed point",
+    place=60,
+    wrong="iv does not converge, or the simulated robot does not confirm it",
+    advice="check signs, gains, `bandwidth_hz`; record faster motion",
+    detects="Whether the passes of iv converge to a fixed point that the simulated robot "
+    "confirms. With `instruments: reference` nothing is simulated, and there is one "
+    "solution, as by least squares",
+    limit="`do not use`: there is no fixed point. `caution`: the simulated robot does not "
+    "confirm it",
+    cases={
+        "none": Case(
+            "do not use", "{why}", "check signs, gains, bandwidth_hz; record faster motion"
+        ),
+        "no simulation": Case("caution", "{why}", "record the reference, check [controller]"),
+        "not confirmed": Case("caution", "{why}", "check [controller]; compare with least squares"),
+        "least squares": Case("ok", "least squares has one solution"),
+        "by reference": Case("ok", "{why}: one solution, less efficient where joints stick"),
+        "confirmed": Case("ok", "converged, and the simulated robot confirms it"),
+    },
+    parts={"caused": "{text}: {cause}?"},
+)
+
+
+POSITION_NOISE = Words(
+    test="position noise",
+    place=220,
+    of_data=True,
+    wrong="noise of the position biases least squares",
+    advice="take `--method iv`, which needs the reference",
+    detects="Least squares only: how far position noise has moved the estimate, in "
+    "half-widths. Noise of the spectrum seen above the low-pass (white, or falling with "
+    "frequency as AR(1)) is added to the position with both signs; the mean of the two "
+    "moves is the bias. It underestimates a large bias. At most three minutes of a "
+    "recording are used",
+    limit="`caution`: over one half-width and 1 % of an essential parameter, or half of one "
+    "and 5 %",
+    cases={
+        "no noise": Case("cannot tell", "{reason}", "use --method iv (needs a recorded reference)"),
+        "ok": Case("ok", "{moves}"),
+        "biased": Case(
+            "caution",
+            "{moves} or more",
+            "use --method iv (needs a recorded reference)",
+            "least squares biased by position noise",
+        ),
+    },
+    parts={
+        "moves": "moves {name} by {value:.2g} half-widths ({percent:.2g} %)",
+        "no low-pass": "without a low-pass noise and motion cannot be separated",
+        "wide": "too little of the noise is above the cut-off of {cutoff_hz:g} Hz",
+        "interpolated": "interpolated samples have less noise",
+    },
+)
+
+
 def instruments_test(evidence: FitData) -> TrustLine | None:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
     if (F := evidence.first_stage_F) is None:
         return None
-    return judge(
-        "instruments",
+    return INSTRUMENTS.judge(
         {"weak": F < MIN_FIRST_STAGE_F, "regressor": F > MAX_FIRST_STAGE_F, "ok": True},
         value=F,
         limit=MIN_FIRST_STAGE_F,
     )
+
+
+INSTRUMENTS = Words(
+    test="instruments",
+    place=210,
+    by=instruments_test,
+    wrong="weak: first-stage F below 10",
+    advice="record faster motion; describe the controller",
+    detects="The instruments hardly explain the regressor, or are the regressor itself",
+    limit="`caution`: weak, first-stage F below 10. `cannot tell`: they are W itself",
+    cases={
+        "weak": Case(
+            "caution",
+            "weak: first-stage F = {value:.2g}, below {limit:g}",
+            "record faster motion, check [controller]",
+        ),
+        "regressor": Case(
+            "cannot tell",
+            "the instruments are W itself: this is least squares, with the same bias by "
+            "position noise",
+        ),
+        "ok": Case("ok", "strong: first-stage F = {value:.3g}"),
+    },
+)
 
 
 def units_test(evidence: FitData) -> TrustLine | None:
@@ -69,11 +136,32 @@ def units_test(evidence: FitData) -> TrustLine | None:
     )
     acts = size > estimation.MIN_COLUMN_NORM * np.linalg.norm(size, axis=0)
     shared = [rows.names[i] for i in np.flatnonzero(acts.sum(axis=0) > 1)]
-    return judge(
-        "units",
+    return UNITS.judge(
         {"known": robot.gain_known or robot.n == 1, "shared": shared, "apart": True},
         shared=", ".join(shared[:5]),
     )
+
+
+UNITS = Words(
+    test="units",
+    place=80,
+    by=units_test,
+    wrong="joints share a parameter, and their drive gains are not known",
+    advice="state `drive_gain`",
+    detects="Whether joints share a parameter although their drive gains, and so the units "
+    "of their torques, are not known",
+    limit="`do not use`: they do",
+    cases={
+        "known": Case("ok", "torques of all joints are in known units"),
+        "shared": Case(
+            "do not use",
+            "{shared} act at several joints, and the drive gains are not known",
+            "state drive_gain, or record with and without a weighed payload and fit with --gains",
+            "drive gains not known",
+        ),
+        "apart": Case("ok", "drive gains are not known, but no joints share a parameter"),
+    },
+)
 
 
 def essential_test(evidence: FitData) -> TrustLine | None:
@@ -86,12 +174,31 @@ def essential_test(evidence: FitData) -> TrustLine | None:
     rows = np.isin(names, evidence.essential).any(axis=0)
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
     inertia = any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources)
-    return judge(
-        "essential",
+    return ESSENTIAL.judge(
         {"ok": inertia, "no inertia": True},
         essential=len(evidence.essential),
         count=len(np.unique(names)),
     )
+
+
+ESSENTIAL = Words(
+    test="essential",
+    place=200,
+    by=essential_test,
+    wrong="no inertia has an interval narrower than itself",
+    advice="record faster, longer motion",
+    detects="No inertia is determined",
+    limit="`caution`: no inertia has an interval narrower than itself",
+    cases={
+        "ok": Case("ok", "{essential} of {count}"),
+        "no inertia": Case(
+            "caution",
+            "no inertia has an interval narrower than its value",
+            "record faster, longer motion",
+            "no inertia is determined",
+        ),
+    },
+)
 
 
 def excitation_test(evidence: FitData) -> TrustLine | None:
@@ -106,8 +213,7 @@ def excitation_test(evidence: FitData) -> TrustLine | None:
     _, values, directions = np.linalg.svd(W / np.maximum(np.linalg.norm(W, axis=0), 1e-300))
     condition = float(values[0] / max(values[-1], 1e-300))
     worst = names[essential][np.argsort(-np.abs(directions[-1]))[:3]]
-    return judge(
-        "excitation",
+    return EXCITATION.judge(
         {"hardly": condition > MAX_CONDITION, "ok": True},
         value=condition,
         limit=MAX_CONDITION,
@@ -115,33 +221,28 @@ def excitation_test(evidence: FitData) -> TrustLine | None:
     )
 
 
-def ends_test(evidence: FitData) -> TrustLine | None:
-    """Outliers of moving rows, beyond 6 robust deviations of their joint,
-    especially at the ends.
-    """
-    rho = np.abs(evidence.observed.tau - evidence.predicted)
-    used = (evidence.observed.share > 0) & estimation.are_moving(evidence.observed.speed)
-    each = zip(rho.T, used.T, strict=True)
-    scale = np.array([1.4826 * np.median(x[at]) if at.any() else np.inf for x, at in each])
-    size = np.where(used, rho / np.where(scale > 0, scale, np.inf), 0.0)
-    at_end = np.zeros(len(size), dtype=bool)
-    for start, stop in pairwise(evidence.ends):
-        at_end[start : start + END_ROWS] = at_end[stop - END_ROWS : stop] = True
-    ends, middle = size[at_end].max(axis=0), size[~at_end].max(axis=0)
-    worst = int((ends / np.maximum(middle, MAX_ROBUST_DEVIATIONS)).argmax())
-    at_ends, elsewhere = float(ends[worst]), float(middle[worst])
-    return judge(
-        "ends",
-        {"edge": at_ends > max(MAX_END_DEVIATIONS, MAX_END_RATIO * elsewhere), "ok": True},
-        value=at_ends,
-        count=(size > MAX_ROBUST_DEVIATIONS).sum(),
-        rows=used.sum(),
-        middle=middle.max(),
-        limit=MAX_ROBUST_DEVIATIONS,
-        ends=ends.max(),
-        joint=evidence.robot.joints[worst].name,
-        elsewhere=elsewhere,
-    )
+EXCITATION = Words(
+    test="excitation",
+    place=140,
+    by=excitation_test,
+    wrong="the motion hardly excites a combination of parameters, as joints on a single sine do",
+    advice="record a more varied motion: `excite` designs one",
+    detects="The motion hardly excites a combination of the essential parameters: condition "
+    "number of their columns, scaled, with the parameters of the worst direction",
+    limit="`caution`: above 50 (a motion of five sines has 7 to 11, a single sine 80 to 100)",
+    cases={
+        "hardly": Case(
+            "caution",
+            "a combination of parameters, mostly {names}, is hardly excited: condition "
+            "number {value:.3g}, limit {limit:g}",
+            "record a more varied motion, as `robot-identify excite` designs one",
+            "hardly excited",
+        ),
+        "ok": Case(
+            "ok", "condition number {value:.3g} of the essential parameters (limit {limit:g})"
+        ),
+    },
+)
 
 
 def halves_test(evidence: FitData) -> TrustLine | None:
@@ -154,17 +255,16 @@ def halves_test(evidence: FitData) -> TrustLine | None:
     half = evidence.spans(2)[0] if evidence.gains else evidence.between(0, cut)
     first, second = (_solve_part(evidence, part) for part in (half, ~half))
     if first is None or second is None:
-        return judge("halves", {"undetermined": True})
+        return HALVES.judge({"undetermined": True})
     C = first.covariance + second.covariance
     sigma, b = np.sqrt(np.diag(C)), len(C)
     if not (sigma > 0).all():
-        return judge("halves", {"exact": True})
+        return HALVES.judge({"exact": True})
     u = 0.5 * (second.low + second.high - first.low - first.high) / sigma
     values, vectors = np.linalg.eigh(C / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
     p = estimation.f_tail(wald / b, b, first.freedom + second.freedom)
-    return judge(
-        "halves",
+    return HALVES.judge(
         {"differ": p < HALVES_LEVEL, "ok": True},
         value=wald,
         count=b,
@@ -172,6 +272,34 @@ def halves_test(evidence: FitData) -> TrustLine | None:
         name=evidence.estimate.names[np.abs(u).argmax()],
         most=np.abs(u).max(),
     )
+
+
+HALVES = Words(
+    test="halves",
+    place=130,
+    by=halves_test,
+    wrong="both halves differ",
+    advice="warm the robot up; look for what changes in time",
+    detects="Both halves, fitted separately, differ: the torque changes with time",
+    limit="`caution`: a Wald test at 0.1 %",
+    cases={
+        "undetermined": Case(
+            "not made",
+            "not made: a half alone does not determine the parameters; record longer",
+        ),
+        "exact": Case("not made", "not made: the fit is exact"),
+        "differ": Case(
+            "caution",
+            "{wald}: the torque changes with time",
+            "warm the robot up, check for drift, fit each half alone",
+        ),
+        "ok": Case("ok", "{wald}"),
+    },
+    parts={
+        "wald": "Wald {value:.3g} for {count} parameters, p = {p:.2g}; {name} differs most, "
+        "by {most:.2g} sigma"
+    },
+)
 
 
 def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
@@ -187,58 +315,3 @@ def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
         own = estimation.instrumental_variables(system, Z, evidence.estimate.weights)
         return estimation.intervals_of(system, own, part)
     return None
-
-
-def motion_test(evidence: FitData) -> TrustLine | None:
-    """Joints that stand in all recordings; friction of creeping differs from that of motion."""
-    speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot
-    names = ", ".join(standing_joints(speed, robot.joints))
-    return judge("motion", {"standing": names}, names=names)
-
-
-def rows_test(e: FitData) -> TrustLine | None:
-    """The recording with most missing or repeated rows; else those with rows that nobody measured,
-    or one whose encoders are slower than the log.
-    """
-    each = (
-        position_steps(of.with_samples().signals.q[of.settings.start : of.settings.stop])
-        for of in e.problems
-    )
-    counted, coarse = zip(*each, strict=True)
-    places = [f"{name}: " if len(e.names) > 1 else "" for name in e.names]
-    shares = np.array([100 * of[:3] / max(of[3], 1) for of in counted])
-    least = np.maximum(MAX_MISSING_PERCENT, MAX_HELD_RATIO * shares[:, 2:])
-    surplus = shares[:, :2] * (shares[:, :2] > least)
-    k = int(surplus.sum(axis=1).argmax())
-    finding = " and ".join(
-        part_of("rows", "share", percent=x, what=what)
-        for x, what in zip(surplus[k], ("missing", "repeated"), strict=True)
-        if x
-    )
-    notes = (
-        place + note
-        for place, one, steps, held in zip(places, e.problems, coarse, shares[:, 2], strict=True)
-        if (note := one.signals.unmeasured or _slow_encoder(one, steps, float(held)))
-    )
-    return judge(
-        "rows",
-        {"lost": finding, "note": (note := next(notes, ""))},
-        value=float(surplus[k].sum()) if finding else None,
-        where=places[k],
-        found=finding,
-        note=note,
-    )
-
-
-def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
-    """The note on positions that stand for one row and jump in the next,
-    which are not missing rows.
-    """
-    percent = 100 * coarse[:, 1:] / np.maximum(coarse[:, :1], 1)
-    both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
-    slow = zip(problem.signals.robot.joints, both, strict=True)
-    if names := ", ".join(joint.name for joint, it in slow if it):
-        names, held = f" of joint {names}", float(percent.sum(axis=1).max())
-    elif held <= MAX_MISSING_PERCENT:
-        return ""
-    return part_of("rows", "slow", joints=names, percent=held)

@@ -1,17 +1,15 @@
 """The whole trust block: every test, what was assumed, and witnesses of a sign that is wrong."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from msgspec import structs
 
-from ..report import Assumed, TrustLine, is_own
-from . import columns, drives, efforts, physical, predictions, solution
-from .drives import LAW, payload_assumptions
-from .efforts import turned_sign
-from .evidence import LEVELS, FitData, Trust, part_of
-from .predictions import HELD_OUT
-from .words import assume
+from ..report import Assumed, TrustLine, Verdict, is_own
+from . import columns, drives, efforts, gains, physical, predictions, prior, rows, solution
+from .evidence import LEVELS, FitData, Words, assume
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
 CAUSES = "saturation", "rows", "added columns"  # of no fixed point, by what they find
@@ -19,11 +17,39 @@ MAX_WITNESS_PERCENT = 20.0  # held-out error: more is that of another robot
 MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 
 
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """All tests of a fit, worst first, and the assumptions that no test covers.
+
+    A test that was not made does not count.
+    """
+
+    lines: tuple[TrustLine, ...]
+    assumed: tuple[Assumed, ...] = ()
+
+    def line(self, test: str) -> TrustLine:
+        """The line of a test."""
+        return next(line for line in self.lines if line.test == test)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The worst level."""
+        worst = self.lines[0].level
+        return worst if worst == "do not use" or worst == "caution" else "trust"
+
+    @property
+    def finding(self) -> str:
+        """The worst finding in a few words; empty where there is none."""
+        worst = self.lines[0]
+        return "" if self.verdict == "trust" else worst.finding or worst.test
+
+
 def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
     """Assumptions that no test covers, by the lines of tests."""
     signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
-    fs, iv, law, lag = signals.sample_rate_hz, evidence.method == "iv", lines[LAW], lines.get("lag")
-    gains = [
+    fs, iv = signals.sample_rate_hz, evidence.method == "iv"
+    law, lag = lines["control law"], lines.get("lag")
+    stated = [
         f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None
     ]
     duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / fs
@@ -40,8 +66,8 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
         "encoder noise": not iv,
     }
     said = {
-        "gains": ", ".join(gains),
-        "recorded": not gains,
+        "gains": ", ".join(stated),
+        "recorded": not stated,
         "units": " and ".join(sorted({m.recorded_unit for m in robot.motors})),
         "common": several,
         "ratios": ", ".join(f"{x:g}" for x in np.diag(robot.R)),
@@ -55,42 +81,20 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
         "unseen": False,
         "duration_s": duration_s,
     }
-    yield from payload_assumptions(evidence)
+    yield from gains.payload_assumptions(evidence)
     yield from (assume(what, **said) for what, it in holds.items() if it)
 
 
-def made_before(test: str) -> Callable[[FitData], TrustLine | None]:
-    """A test whose line was made with the solution or with its predictions."""
-    return lambda evidence: evidence.made.get(test)
-
-
-# A test is a function of the fit's data, None where it does not apply. A new one is a line here,
-# and a row of words.
-TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    efforts.signs_and_order_test,
-    efforts.saturation_test,
-    efforts.positions_test,
-    drives.gains_test,
-    drives.centre_of_mass_test,
-    made_before("fixed point"),
-    physical.physical_test,
-    solution.units_test,
-    predictions.prior_test,
-    solution.motion_test,
-    solution.rows_test,
-    made_before(LAW),
-    solution.halves_test,
-    solution.excitation_test,
-    drives.lag_test,
-    columns.added_columns_test,
-    made_before(HELD_OUT),
-    physical.consistent_test,
-    solution.ends_test,
-    solution.essential_test,
-    solution.instruments_test,
-    made_before("position noise"),
-    efforts.effort_test,
-)
+# with tests: functions of the fit's data, each with its row below it
+FILES = efforts, gains, rows, drives, solution, physical, prior, columns, predictions
+# the rows of all tests, those of the data first
+WORDS: Mapping[str, Words] = {
+    row.test: row
+    for row in sorted(
+        (row for file in FILES for row in vars(file).values() if isinstance(row, Words)),
+        key=lambda row: (not row.of_data, row.place),
+    )
+}
 
 
 def trust_in(evidence: FitData) -> Trust:
@@ -98,26 +102,33 @@ def trust_in(evidence: FitData) -> Trust:
     and the held-out blocks fail, or if the parameters are far from those of a robot and a witness
     says why.
     """
-    lines = {line.test: line for test in TESTS if (line := test(evidence)) is not None}
-    held, of_robot = lines[HELD_OUT], lines["physical"]
+    lines = {
+        row.test: line
+        for row in sorted(WORDS.values(), key=lambda row: row.place)
+        if (line := row.line(evidence)) is not None
+    }
+    held, of_robot = lines["held-out blocks"], lines["physical"]
     if held.case == "far off" and (of_robot.value or 0.0) <= 0:
-        text = part_of(HELD_OUT, "not positive", text=held.text)
-        lines[HELD_OUT] = structs.replace(held, level=LEVELS[0], text=text)
+        text = WORDS["held-out blocks"].part("not positive", text=held.text)
+        lines["held-out blocks"] = structs.replace(held, level=LEVELS[0], text=text)
     if of_robot.level != LEVELS[0] and (found := _witness(evidence, lines)):
-        text = part_of("physical", "far", text=of_robot.text, witness=found)
+        text = WORDS["physical"].part("far", text=of_robot.text, witness=found)
         lines["physical"] = structs.replace(
             of_robot, level=LEVELS[0], text=text, finding=of_robot.finding or found
         )
     fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
     known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)
     if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
-        why = fixed.text.partition(": check")[0]
-        text = part_of("fixed point", "caused", text=why, cause=cause)
+        text = WORDS["fixed point"].part(
+            "caused", text=fixed.text.partition(": check")[0], cause=cause
+        )
         lines["fixed point"] = structs.replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
     assumed = *list_assumptions(evidence, lines), *of_lines
-    each = [structs.replace(line, assumed=()) for line in lines.values()]
-    return Trust(lines=worst_first(each), assumed=assumed)
+    return Trust(
+        lines=worst_first(structs.replace(line, assumed=()) for line in lines.values()),
+        assumed=assumed,
+    )
 
 
 def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
@@ -125,13 +136,15 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     negative factor of the prior, a sign that fits better turned, or a large held-out error; "" for
     nothing.
     """
-    consistent, prior = lines.get("consistent"), lines.get("prior")
+    consistent, of_prior = lines.get("consistent"), lines.get("prior")
     if (lines["physical"].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
         return ""
-    held = lines[HELD_OUT].value or 0.0
-    if prior is not None and any((x or 0.0) + (half or 0.0) < 0 for _, x, half, _ in prior.figures):
-        return prior.finding
-    ratio, mistake = turned_sign(evidence, range(evidence.robot.n))
+    held = lines["held-out blocks"].value or 0.0
+    if of_prior is not None and any(
+        (x or 0.0) + (half or 0.0) < 0 for _, x, half, _ in of_prior.figures
+    ):
+        return of_prior.finding
+    ratio, mistake = efforts.turned_sign(evidence, range(evidence.robot.n))
     if ratio < MAX_WITNESS_RATIO:
         return mistake
     # a wrong sign of a lone axis changes no error

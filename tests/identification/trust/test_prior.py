@@ -21,7 +21,7 @@ from identification.model import InverseModel, base_parameters, base_prior
 from identification.report import to_markdown
 from identification.results import fit_document, fit_file
 from identification.study import write_signals
-from identification.trust import predictions
+from identification.trust import prior
 
 NAMES = [name for name, *_ in SIX]
 # wrist_3 turns its own axis: its links need next to no torque, no prior can tell its gain
@@ -93,8 +93,8 @@ def test_forty_percent_link_error_is_no_fault(monkeypatch):
     assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
     assert {name for name, *_ in line.figures} == set(TOLD)
     assert all(0.6 < value < 1.5 for _, value, *_ in line.figures)
-    monkeypatch.setattr(predictions, "cause_by_prior", lambda _: "a cause")
-    assert predictions.prior_test(fit.data) == line
+    monkeypatch.setattr(prior, "cause_by_prior", lambda _: "a cause")
+    assert prior.prior_test(fit.data) == line
     assert fit.data.prior_error_percent > 3 * fit.trust.line("held-out blocks").value
 
 

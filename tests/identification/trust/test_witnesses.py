@@ -12,8 +12,7 @@ from independent_simulator import Imperfections, Reference, references, simulate
 from msgspec import structs
 
 from identification.report import TrustLine
-from identification.trust import verdict
-from identification.trust.verdict import TESTS, trust_in
+from identification.trust import WORDS, efforts, trust_in, verdict
 
 
 def white(name: str) -> SetUp:
@@ -31,13 +30,13 @@ def evidence():
 
 def told(monkeypatch, **changed):
     """The verdict with some lines changed, by test; nothing is tested again."""
-    lines = {of.test: of for test in TESTS if (of := test(evidence())) is not None}
+    lines = {of.test: of for row in WORDS.values() if (of := row.line(evidence())) is not None}
     for name, changes in changed.items():
         name = {"held": "held-out blocks", "fixed": "fixed point"}.get(name, name)
         plain = TrustLine(test=name, level="ok", text="")
         lines[name] = structs.replace(lines.get(name, plain), **changes)
-    tests = tuple((lambda _, of=of: of) for of in lines.values())
-    monkeypatch.setattr(verdict, "TESTS", tests)
+    rows = {name: replace(WORDS[name], by=lambda _, of=of: of) for name, of in lines.items()}
+    monkeypatch.setattr(verdict, "WORDS", rows)
     return trust_in(evidence())
 
 
@@ -50,7 +49,7 @@ NEGATIVE = {
 
 
 @pytest.mark.parametrize("doubt", [{"physical": LOW}, {"consistent": FAR}])
-def test_inconsistent_do_not_use_needs_second_test(monkeypatch, doubt):
+def test_far_from_a_robot_needs_a_witness(monkeypatch, doubt):
     alone = told(monkeypatch, **doubt)
     assert alone.verdict == "caution"
     for name, witness, named in (
@@ -64,18 +63,18 @@ def test_inconsistent_do_not_use_needs_second_test(monkeypatch, doubt):
     assert told(monkeypatch, **doubt, held={"value": 19.5}).verdict == "caution"
 
 
-def test_flipped_sign_fit_is_second_test(monkeypatch):
+def test_turned_sign_is_a_witness(monkeypatch):
     monkeypatch.setattr(
-        verdict, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
+        efforts, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
     )
     assert told(monkeypatch).verdict == "trust"
     assert told(monkeypatch, physical=LOW).finding == "the effort of motor_2 has the wrong sign"
-    monkeypatch.setattr(verdict, "turned_sign", lambda *_: (0.97, "another"))
+    monkeypatch.setattr(efforts, "turned_sign", lambda *_: (0.97, "another"))
     assert told(monkeypatch, physical=LOW).verdict == "caution"
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_two_wrong_signs_do_not_use_and_named(seed):
+def test_two_wrong_signs_are_not_used(seed):
     setup = white("scara")
     wrong = two_signs(setup, np.random.default_rng(seed))
     fit = fit_by_least_squares(wrong.recording(3))
@@ -83,7 +82,7 @@ def test_two_wrong_signs_do_not_use_and_named(seed):
     assert fit.trust.finding.endswith("has the wrong sign")
 
 
-def test_no_convergence_explained_by_findings(monkeypatch):
+def test_findings_explain_no_fixed_point(monkeypatch):
     none = {"level": "do not use", "text": "status diverged: it ran away: check signs, gains"}
     rows = {"level": "caution", "text": "", "finding": "1.9 % of the rows missing"}
     both = told(monkeypatch, fixed=none, rows=rows)
@@ -124,7 +123,7 @@ def with_torque(setup: SetUp, of):
     return setup.changed(lambda signals: replace(signals, effort=signals.effort + of(signals)))
 
 
-def test_nonlinear_spring_and_effort_limit_named():
+def test_stop_and_effort_limit_are_named():
     setup = without = white("scara")
 
     def stop(signals):

@@ -1,19 +1,22 @@
 """The words of tests: each figure that a case needs is given where the case is judged."""
 
 import ast
+from importlib import import_module
 from string import Formatter
 
 import pytest
 from conftest import ROOT
 
 from identification.trust import WORDS
+from identification.trust.evidence import Words
+from identification.trust.verdict import FILES
 
-FILES = [
+PATHS = [
     *(ROOT / "identification" / "trust").glob("*.py"),
     *(ROOT / "identification" / "methods").glob("*.py"),
 ]
-NAMES = {"LAW": "control law", "HELD_OUT": "held-out blocks", "PRIOR": "prior"}
-NAMES |= {"PHYSICAL": "physical", "NOISE": "position noise"}
+ROWS = {key: row for file in FILES for key, row in vars(file).items() if isinstance(row, Words)}
+NAMED = {**ROWS, **{f"WORDS[{test!r}]": row for test, row in WORDS.items()}}
 
 
 def needed(text, parts):
@@ -23,8 +26,8 @@ def needed(text, parts):
 
 
 def told():
-    """By call of `judge` or `part_of`: test, cases or part, and the figures that are given."""
-    for path in FILES:
+    """By call of `judge` or `part` of a row: test, cases or part, and the figures given."""
+    for path in PATHS:
         tree = ast.parse(path.read_text())
         dicts = {
             target.id: node.value
@@ -33,19 +36,22 @@ def told():
             for target in node.targets
             if isinstance(target, ast.Name)
         }
-        for call in (x for x in ast.walk(tree) if isinstance(x, ast.Call) and len(x.args) > 1):
-            if getattr(call.func, "id", "") not in ("judge", "part_of"):
+        for call in (x for x in ast.walk(tree) if isinstance(x, ast.Call) and x.args):
+            if getattr(call.func, "attr", "") not in ("judge", "part"):
                 continue
-            test, what = call.args[:2]
+            row = NAMED.get(ast.unparse(call.func.value))
+            if row is None:  # such as `estimate.part`
+                continue
+            what = call.args[0]
             what = dicts.get(what.id) if isinstance(what, ast.Name) else what
             if what is not None and all(keyword.arg for keyword in call.keywords):
                 given = {keyword.arg for keyword in call.keywords} | {"value"}
                 names = [x.value for x in getattr(what, "keys", [what])]
-                yield getattr(test, "value", NAMES.get(getattr(test, "id", ""))), names, given
+                yield row.test, names, given
 
 
 @pytest.mark.parametrize(("test", "names", "given"), [*told()])
-def test_a_case_is_given_all_its_figures(test, names, given):
+def test_case_is_given_its_figures(test, names, given):
     row = WORDS[test]
     for name in names:
         case = row.cases.get(name)
@@ -53,6 +59,17 @@ def test_a_case_is_given_all_its_figures(test, names, given):
         assert set().union(*(needed(text, row.parts) for text in texts)) <= given, name
 
 
-def test_every_case_of_the_words_is_judged():
+def test_every_case_is_judged():
     used = {(test, name) for test, names, _ in told() for name in names}
     assert {(test, name) for test, row in WORDS.items() for name in row.cases} <= used
+
+
+def test_table_has_rows_of_all_files():
+    """Each by a name of its own."""
+    files = [
+        import_module(f"identification.trust.{path.stem}")
+        for path in PATHS
+        if "= Words(" in path.read_text()
+    ]
+    assert {file.__name__ for file in files} == {file.__name__ for file in FILES}
+    assert [*WORDS.values()] == sorted(ROWS.values(), key=lambda row: (not row.of_data, row.place))

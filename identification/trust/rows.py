@@ -1,0 +1,175 @@
+"""Tests of the rows: whether joints move in them, which are lost or slow, and outliers."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from .. import estimation
+from ..arrays import Array
+from ..data import position_steps
+from ..regression import Problem, standing_joints
+from ..report import TrustLine
+from .evidence import Case, FitData, Words
+
+MAX_MISSING_PERCENT = 0.1  # of the moving rows
+MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
+MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
+MAX_ROBUST_DEVIATIONS = 6.0  # above: an outlier
+MAX_END_DEVIATIONS = 30.0  # of a row at an end; above: caution
+MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsewhere
+END_ROWS = 5  # rows at each end that a bad edge affects
+
+
+def motion_test(evidence: FitData) -> TrustLine | None:
+    """Joints that stand in all recordings; friction of creeping differs from that of motion."""
+    speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot
+    names = ", ".join(standing_joints(speed, robot.joints))
+    return MOTION.judge({"standing": names}, names=names)
+
+
+MOTION = Words(
+    test="motion",
+    place=100,
+    by=motion_test,
+    of_data=True,
+    wrong="a joint stands still in all recordings",
+    advice="move it",
+    detects="A joint stands still in all recordings",
+    limit="`caution`: one does, so its friction values are not valid for motion",
+    cases={
+        "standing": Case(
+            "caution",
+            "joint {names} does not move: its friction values do not hold for motion",
+            "move it, or do not use them",
+            "{names} does not move",
+        )
+    },
+)
+
+
+def rows_test(e: FitData) -> TrustLine | None:
+    """The recording with most missing or repeated rows; else those with rows that nobody measured,
+    or one whose encoders are slower than the log.
+    """
+    each = (
+        position_steps(of.with_samples().signals.q[of.settings.start : of.settings.stop])
+        for of in e.problems
+    )
+    counted, coarse = zip(*each, strict=True)
+    places = [f"{name}: " if len(e.names) > 1 else "" for name in e.names]
+    shares = np.array([100 * of[:3] / max(of[3], 1) for of in counted])
+    least = np.maximum(MAX_MISSING_PERCENT, MAX_HELD_RATIO * shares[:, 2:])
+    surplus = shares[:, :2] * (shares[:, :2] > least)
+    k = int(surplus.sum(axis=1).argmax())
+    finding = " and ".join(
+        ROWS.part("share", percent=x, what=what)
+        for x, what in zip(surplus[k], ("missing", "repeated"), strict=True)
+        if x
+    )
+    notes = (
+        place + note
+        for place, one, steps, held in zip(places, e.problems, coarse, shares[:, 2], strict=True)
+        if (note := one.signals.unmeasured or _slow_encoder(one, steps, float(held)))
+    )
+    return ROWS.judge(
+        {"lost": finding, "note": (note := next(notes, ""))},
+        value=float(surplus[k].sum()) if finding else None,
+        where=places[k],
+        found=finding,
+        note=note,
+    )
+
+
+ROWS = Words(
+    test="rows",
+    place=110,
+    by=rows_test,
+    of_data=True,
+    wrong="rows of the log are missing or repeated",
+    advice="record stamps or a counter with the rows; record again",
+    detects="Only printed if rows are doubtful, by position steps that are twice the median "
+    "of their four neighbours, or none, where these are over 10 robust deviations",
+    limit="`caution`: over 0.1 % of the moving rows are missing or repeated. `ok`: rows "
+    "that [nobody measured](#which-rows-are-fitted), which weigh nothing; or double steps "
+    "next to zero steps: the encoder is slower than the log, or its counts are coarse",
+    cases={
+        "lost": Case(
+            "caution",
+            "{where}{found} (position steps that are double or zero)",
+            "record time stamps or a row counter ([time] in map.toml), or record again",
+            "{found}",
+        ),
+        "note": Case("ok", "{note}"),
+    },
+    parts={
+        "share": "{percent:.2g} % of the rows {what}",
+        "slow": "the log is faster than the encoder{joints}: {percent:.2g} % of the steps "
+        "are double or zero",
+    },
+)
+
+
+def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
+    """The note on positions that stand for one row and jump in the next,
+    which are not missing rows.
+    """
+    percent = 100 * coarse[:, 1:] / np.maximum(coarse[:, :1], 1)
+    both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
+    slow = zip(problem.signals.robot.joints, both, strict=True)
+    if names := ", ".join(joint.name for joint, it in slow if it):
+        names, held = f" of joint {names}", float(percent.sum(axis=1).max())
+    elif held <= MAX_MISSING_PERCENT:
+        return ""
+    return ROWS.part("slow", joints=names, percent=held)
+
+
+def ends_test(evidence: FitData) -> TrustLine | None:
+    """Outliers of moving rows, beyond 6 robust deviations of their joint,
+    especially at the ends.
+    """
+    rho = np.abs(evidence.observed.tau - evidence.predicted)
+    used = (evidence.observed.share > 0) & estimation.are_moving(evidence.observed.speed)
+    each = zip(rho.T, used.T, strict=True)
+    scale = np.array([1.4826 * np.median(x[at]) if at.any() else np.inf for x, at in each])
+    size = np.where(used, rho / np.where(scale > 0, scale, np.inf), 0.0)
+    at_end = np.zeros(len(size), dtype=bool)
+    for start, stop in pairwise(evidence.ends):
+        at_end[start : start + END_ROWS] = at_end[stop - END_ROWS : stop] = True
+    ends, middle = size[at_end].max(axis=0), size[~at_end].max(axis=0)
+    worst = int((ends / np.maximum(middle, MAX_ROBUST_DEVIATIONS)).argmax())
+    at_ends, elsewhere = float(ends[worst]), float(middle[worst])
+    return ENDS.judge(
+        {"edge": at_ends > max(MAX_END_DEVIATIONS, MAX_END_RATIO * elsewhere), "ok": True},
+        value=at_ends,
+        count=(size > MAX_ROBUST_DEVIATIONS).sum(),
+        rows=used.sum(),
+        middle=middle.max(),
+        limit=MAX_ROBUST_DEVIATIONS,
+        ends=ends.max(),
+        joint=evidence.robot.joints[worst].name,
+        elsewhere=elsewhere,
+    )
+
+
+ENDS = Words(
+    test="ends",
+    place=190,
+    by=ends_test,
+    wrong="outliers at an end",
+    advice='`edges = "smooth"`; cut the ends off',
+    detects="Outliers of moving rows at an end of a recording, as of a bad edge",
+    limit="`caution`: one at an end is beyond 30 robust deviations, and twice the largest "
+    "elsewhere",
+    cases={
+        "edge": Case(
+            "caution",
+            "{outliers}; joint {joint}: largest {elsewhere:.3g}, at the ends {value:.3g}",
+            'set edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)',
+        ),
+        "ok": Case("ok", "{outliers}"),
+    },
+    parts={
+        "outliers": "{count} outliers in {rows} moving rows; largest {middle:.3g} robust "
+        "deviations (limit {limit:g}), at the ends {ends:.3g}"
+    },
+)
